@@ -26,7 +26,7 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.problems.problem import Problem
-from planopt.studies.compare import mean_interval
+from planopt.studies.comparison_rows import mean_interval
 from planopt.world.clearance import clearance_m, index_obstacles
 
 CELLS = 40

@@ -27,7 +27,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.problems.problem import Problem
-from planopt.studies.compare import mean_interval
+from planopt.studies.comparison_rows import mean_interval
 
 STARTS_M = ((8.0, 8.0), (8.0, 10.0), (10.0, 8.0))
 FORMS = ("information", "average")

@@ -28,7 +28,7 @@ from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
 from planopt.problems.problem import OutageCharge, ReachObjective
 from planopt.studies.bench.cases import library_names
-from planopt.studies.compare import mean_interval
+from planopt.studies.comparison_rows import mean_interval
 
 HEADER = (
     "| problem | arrived | driven / clairvoyant length | cost ratio, mean | worst | verified [%] "

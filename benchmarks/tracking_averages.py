@@ -27,7 +27,7 @@ from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
 from planopt.planning.loop.metrics import LOST_RATIO
 from planopt.problems.problem import TermsObjective
 from planopt.problems.target import Packets
-from planopt.studies.compare import mean_interval
+from planopt.studies.comparison_rows import mean_interval
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def compare(
     from planopt.problems.systems import load_any
     from planopt.report.comparison_table import comparison_text
     from planopt.studies.compare import compare as compared
-    from planopt.studies.compare import default_seeds, exit_code, own_settings, settings_of
+    from planopt.studies.compare import exit_code
     from planopt.studies.comparison_files import (
         COMPARISON,
         comparison_json,
@@ -101,6 +101,7 @@ def compare(
         save_no_comparison,
     )
     from planopt.studies.study import require_backend
+    from planopt.studies.variants import default_seeds, own_settings, settings_of
 
     require_backend(backend, "--backend")
     if parquet:

@@ -117,7 +117,7 @@ def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
     """Check a problem file, its maps and logs, and that the channel can be fitted."""
     from planopt.planning.prepare import prepare
     from planopt.problems.systems import SystemProblem, load_any
-    from planopt.studies.compare import default_seeds, settings_of
+    from planopt.studies.variants import default_seeds, settings_of
 
     found = load_any(problem)
     if isinstance(found, SystemProblem):

@@ -22,7 +22,6 @@ from planopt.report.style import (
     plain_log_ticks,
 )
 from planopt.report.tables import BAND_ENDS, BANDS, interval_words, metric_name
-from planopt.studies.compare import mean_interval
 from planopt.studies.comparison import (
     Comparison,
     Row,
@@ -33,6 +32,7 @@ from planopt.studies.comparison import (
     short_keys,
     sweep_words,
 )
+from planopt.studies.comparison_rows import mean_interval
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence

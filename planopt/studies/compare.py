@@ -3,70 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.validation.calibration import FEWEST_GROUPS
-from planopt.errors import InputError, NoPlanError
+from planopt.errors import NoPlanError
 from planopt.parts import parts_of
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scenes
-from planopt.problems.comparison_settings import (
-    DEFAULT_SEEDS,
-    ComparisonSettings,
-    require_swept,
-    seeds_of,
-)
-from planopt.problems.overrides import with_changes, with_overrides
-from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 from planopt.problems.systems import Request, SystemProblem, system_from_tables
-from planopt.studies.comparison import Comparison, Row, runs_by_setting
+from planopt.studies.comparison import Comparison
+from planopt.studies.comparison_rows import NOT_DONE, comparison_rows
 from planopt.studies.study import FinishedRuns, Study, run_key, run_study
-
-CONFIDENCE = 0.95
-
-NOT_DONE, NOT_VERIFIED = 4, 3
-"""Exit codes of runs."""
-
-OWN_OPTIONS = {
-    "planner.horizon": "horizons",
-    "planner.name": "planners",
-    "objective.cost_to_go": "costs_to_go",
-}
-"""Keys that have an argument of their own; a sweep may have them in its place."""
-
-AnyProblem = Problem | SystemProblem
-
-
-@dataclass(frozen=True)
-class SystemRun:
-    """A run of a system's problem, as plain data that any process can rebuild it from."""
-
-    name: str
-    tables: Mapping[str, Any]
-    horizon: int
-    planner: str
-
-
-@dataclass(frozen=True)
-class _Variant:
-    """One problem with what was changed of it, and its settings as they are run."""
-
-    problem: AnyProblem
-    sweep: Mapping[str, Any]
-    asked: tuple[Problem | SystemRun, ...]
+from planopt.studies.variants import (
+    AnyProblem,
+    SystemRun,
+    chosen_seeds,
+    default_seeds,
+    own_settings,
+    several,
+    swept_values,
+    variants_of,
+)
 
 
 def compare(
@@ -139,11 +104,11 @@ def compare(
     begun = perf_counter()
     kind = cast("type[AnyProblem]", Problem | SystemProblem)
     given = parts_of("problems", problems, kind, "load or make a Problem")
-    asked = _several(horizons), _several(planners), _several(costs_to_go), _swept(sweep)
-    variants = _variants(given, *asked)
+    asked = several(horizons), several(planners), several(costs_to_go), swept_values(sweep)
+    variants = variants_of(given, *asked)
     if seeds is None:
         seeds = default_seeds(own_settings(given, *asked))
-    chosen = _chosen_seeds(seeds)
+    chosen = chosen_seeds(seeds)
     kept = None if finished is None else FinishedRuns(Path(finished))
     study: Study[_Asked, Shared, RunSummary] = Study(
         kind=RunSummary,
@@ -186,324 +151,6 @@ def compare(
 def exit_code(comparison: Comparison) -> int:
     """Return 0 if all did what was asked with every step verified, 3 if some step was not, or 4."""
     return max(run.exit_code for run in comparison.runs)
-
-
-def settings_of(
-    problems: Sequence[AnyProblem],
-    horizons: Sequence[int] | None = None,
-    planners: Sequence[str] | None = None,
-    costs_to_go: Sequence[str] | None = None,
-    sweep: Mapping[str, Sequence[Any]] | None = None,
-) -> list[Problem | SystemRun]:
-    """Return every setting that :func:`compare` runs on each seed; errors as there."""
-    variants = _variants(problems, horizons, planners, costs_to_go, sweep)
-    return [asked for variant in variants for asked in variant.asked]
-
-
-def own_settings(
-    problems: Sequence[AnyProblem], *given: Sequence[Any] | Mapping[str, Any] | None
-) -> ComparisonSettings | None:
-    """Return the table ``compare`` of a problem that is alone and `given` no settings, or None."""
-    (first, *others) = problems
-    if others or not isinstance(first, Problem) or any(each is not None for each in given):
-        return None
-    return first.compare
-
-
-def default_seeds(own: ComparisonSettings | None) -> range:
-    """Return the seeds where none are given: those of the table ``compare`` that is run."""
-    return seeds_of(DEFAULT_SEEDS if own is None else own.seeds, "compare.seeds")
-
-
-def _several(values: object) -> Sequence[Any] | None:
-    """Return several values; a single one, such as a name, as a list of it."""
-    if values is None:
-        return None
-    if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
-        return [cast("object", values)]
-    return list(cast("Iterable[object]", values))
-
-
-def _swept(sweep: object) -> Mapping[str, Sequence[Any]] | None:
-    """Return the swept values of each key.
-
-    Raises
-    ------
-    InputError
-        It is no mapping.
-    """
-    if sweep is None:
-        return None
-    if not isinstance(sweep, Mapping):
-        raise InputError(
-            f"is a {type(sweep).__name__}",
-            key="sweep",
-            remedy='give the values of each key, {"constraints.p_min": [0.5, 0.9]}',
-        )
-    swept = cast("Mapping[str, object]", sweep)
-    for key in swept:
-        require_swept(str(key))
-    return {key: _several(values) or [] for key, values in swept.items()}
-
-
-def _chosen_seeds(seeds: object) -> list[int]:
-    """Return the seeds that are asked for, or as many of them.
-
-    Raises
-    ------
-    InputError
-        They are no whole numbers, negative or repeated, or there is none.
-    """
-    remedy = "a number of seeds such as 30, or seeds such as [0, 1] or range(100, 200)"
-    if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
-        seeds = range(int(cast("int", seeds)))
-    if isinstance(seeds, str | Mapping) or not isinstance(seeds, Iterable):
-        raise InputError(
-            f"is {seeds!r}, should be whole numbers, at least 0", key="seeds", remedy=remedy
-        )
-    chosen: list[int] = []
-    for number, seed in enumerate(cast("Iterable[object]", seeds)):
-        if not isinstance(seed, int | np.integer) or isinstance(seed, bool):
-            raise InputError(
-                f"is {seed!r}, should be a whole number, at least 0",
-                key=f"seeds[{number}]",
-                remedy=remedy,
-            )
-        chosen.append(int(cast("int", seed)))
-    if not chosen:
-        raise InputError(
-            "there is none, so nothing to compare",
-            key="seeds",
-            remedy="give a number of seeds, such as 30",
-        )
-    if min(chosen) < 0 or len(set(chosen)) < len(chosen):
-        raise InputError(
-            f"{chosen} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
-        )
-    return chosen
-
-
-def _variants(
-    problems: Sequence[AnyProblem],
-    horizons: Sequence[int] | None,
-    planners: Sequence[str] | None,
-    costs_to_go: Sequence[str] | None,
-    sweep: Mapping[str, Sequence[Any]] | None,
-) -> list[_Variant]:
-    """Every problem under every combination of the swept values, with its checked settings."""
-    own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
-    for key, values in {"problems": problems, **own, **(sweep or {})}.items():
-        if values is not None and len(values) == 0:
-            raise InputError(
-                "there is none, so nothing to compare",
-                key=key,
-                remedy="give one value at least, or leave it out",
-            )
-    names = [problem.name for problem in problems]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(
-                f"several are called {name}", key="problems", remedy="give each a name of its own"
-            )
-    table = own_settings(problems, horizons, planners, costs_to_go, sweep)
-    if table is None:
-        return _variants_of(problems, horizons, planners, costs_to_go, sweep)
-    found: list[_Variant] = []
-    for number, group in enumerate(table.settings):
-        lists = group.horizons or None, group.planners or None, group.costs_to_go or None
-        try:
-            found += _variants_of(problems, *lists, group.sweep)
-        except InputError as error:
-            raise InputError(
-                error.message if error.key is None else f"{error.key} {error.message}",
-                file=problems[0].file,
-                key=f"compare.settings[{number}]",
-                remedy=error.remedy,
-            ) from error
-        settings = [(each.sweep, *_labels(asked)) for each in found for asked in each.asked]
-        if any(setting in settings[:n] for n, setting in enumerate(settings)):
-            raise InputError(
-                "has a setting that is there twice",
-                file=problems[0].file,
-                key=f"compare.settings[{number}]",
-                remedy="leave it out",
-            )
-    return found
-
-
-def _labels(asked: Problem | SystemRun) -> tuple[int, str, str | None]:
-    """Horizon, planner and cost-to-go of a setting."""
-    if isinstance(asked, SystemRun):
-        return asked.horizon, asked.planner, None
-    return asked.planner.horizon, asked.planner.name, asked.cost_to_go
-
-
-def _variants_of(
-    problems: Sequence[AnyProblem],
-    horizons: Sequence[int] | None,
-    planners: Sequence[str] | None,
-    costs_to_go: Sequence[str] | None,
-    sweep: Mapping[str, Sequence[Any]] | None,
-) -> list[_Variant]:
-    """The product of all lists."""
-    swept = dict(sweep or {})
-    own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
-    for key, option in OWN_OPTIONS.items():
-        if key in swept and own[option] is not None:
-            raise InputError(f"is swept, and given as {option}", key=key, remedy="give it once")
-    variants: list[_Variant] = []
-    for problem, values in product(problems, product(*swept.values())):
-        changes = dict(zip(swept, values, strict=True))
-        changed = with_changes(problem, changes)
-        asked = (
-            _system_runs(changed, horizons, planners, costs_to_go)
-            if isinstance(changed, SystemProblem)
-            else _motion_runs(changed, horizons, planners, costs_to_go, swept)
-        )
-        variants.append(_Variant(changed, changes, tuple(asked)))
-    return variants
-
-
-def _motion_runs(
-    problem: Problem,
-    horizons: Sequence[int] | None,
-    planners: Sequence[str] | None,
-    costs_to_go: Sequence[str] | None,
-    swept: Mapping[str, Sequence[Any]],
-) -> list[Problem]:
-    costs: Sequence[str | None] = costs_to_go or (None,)
-    if costs_to_go is None and "objective.cost_to_go" not in swept:
-        costs = default_costs_to_go(problem)
-    return [
-        with_overrides(problem, horizon=n, planner=p, cost_to_go=c)
-        for c in costs
-        for p in planners or (None,)
-        for n in _horizons_of(p or problem.planner.name, horizons or (None,))
-    ]
-
-
-def _horizons_of(planner: str, horizons: Sequence[int | None]) -> Sequence[int | None]:
-    """Return those that matter to a planner: bounds foresee the whole run whatever the horizon."""
-    return horizons[:1] if planner_kind(planner).foresees else horizons
-
-
-def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
-    """Return the costs-to-go compared by default: both where there is a goal."""
-    return ("geodesic", "connected") if problem.task == "reach" else (None,)
-
-
-def _system_runs(
-    problem: SystemProblem,
-    horizons: Sequence[int] | None,
-    planners: Sequence[str] | None,
-    costs_to_go: Sequence[str] | None,
-) -> list[SystemRun]:
-    if costs_to_go is not None:
-        raise InputError(
-            f"is not for the task {problem.task}", key="costs_to_go", remedy="leave it out"
-        )
-    if problem.system.settings is None:
-        raise InputError(
-            f"{problem.name} asks for {problem.task}, which has no runs to compare",
-            file=problem.file,
-            key="problem.task",
-            remedy="compare problems of motion planning, or pursuits",
-        )
-    request = Request(horizons=horizons or (), planners=planners or ())
-    tables = problem.tables()
-    return [
-        SystemRun(problem.name, tables, horizon, planner)
-        for horizon, planner in problem.system.settings(problem, request)
-    ]
-
-
-def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
-    """Tabulate runs, which stand setting by setting with the same seeds in the same order.
-
-    Each setting is paired with the first of its problem; where every problem has only one, with
-    that of the first problem.
-    """
-    settings = runs_by_setting(runs)
-    first = {each[0].problem: each for each in reversed(settings)}
-    if len(first) == len(settings):
-        first = dict.fromkeys(first, settings[0])
-    return [row for each in settings for row in tabulate(each, first[each[0].problem])]
-
-
-def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> list[Row]:
-    """Rows of one setting, one a metric; `reference` holds the same seeds in the same order."""
-    each = [run.step_s for run in runs]
-    steps = np.concatenate(each)
-    rates = np.array([run.verified_rate for run in runs])
-    judged = np.isfinite(rates)
-    counts = np.array([sum(run.rungs.values()) for run in runs], dtype=float)
-    released = float(counts[judged].sum())
-    verified = float((rates[judged] * counts[judged]).sum())
-    rate = verified / released if released else 1.0
-    rows: list[Row] = []
-    for metric in dict.fromkeys(name for run in runs for name in run.metrics):
-        values, others = _values(runs, metric), _values(reference, metric)
-        there = values[np.isfinite(values)]
-        low, high = mean_interval(there, POSSIBLE.get(metric, ANY))
-        differences = (values - others)[np.isfinite(values) & np.isfinite(others)]
-        difference_low, difference_high = mean_interval(differences)
-        ratios = log_ratios(values, others)
-        ratio_low, ratio_high = (
-            None if end is None else float(np.exp(end)) for end in mean_interval(ratios)
-        )
-        rows.append(
-            Row(
-                horizon=runs[0].horizon,
-                planner=runs[0].planner,
-                cost_to_go=runs[0].cost_to_go,
-                seeds=len(runs),
-                stalled=sum(run.exit_code == NOT_DONE for run in runs),
-                metric=metric,
-                mean=float(there.mean()) if there.size else None,
-                ci_low=low,
-                ci_high=high,
-                count=int(there.size),
-                paired_ratio=float(np.exp(ratios.mean())) if ratios.size else None,
-                verified_rate=rate if judged.any() else None,
-                p50_step_s=float(np.median(steps)) if steps.size else None,
-                p95_step_s=float(np.quantile(steps, 0.95)) if steps.size else None,
-                paired_difference=float(differences.mean()) if differences.size else None,
-                difference_low=difference_low,
-                difference_high=difference_high,
-                ratio_low=ratio_low,
-                ratio_high=ratio_high,
-                problem=runs[0].problem,
-                sweep=runs[0].sweep,
-            )
-        )
-    return rows
-
-
-def mean_interval(
-    values: NDArray[np.float64], possible: tuple[float, float] = ANY
-) -> tuple[float | None, float | None]:
-    """Student interval of the mean at `CONFIDENCE`, cut to the values that are possible.
-
-    The mean is one of these, so that cutting takes nothing from the confidence. None for fewer
-    than `FEWEST_GROUPS` values, whose interval tells of their number rather than of them.
-    """
-    if values.size < FEWEST_GROUPS:
-        return None, None
-    quantile = np.asarray(stdtrit(values.size - 1, 0.5 + CONFIDENCE / 2))
-    half = float(quantile) * float(values.std(ddof=1)) / float(np.sqrt(values.size))
-    mean = float(values.mean())
-    least, largest = possible
-    return max(mean - half, least), min(mean + half, largest)
-
-
-def log_ratios(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Logarithms of the ratios where both are positive and finite; their mean is paired."""
-    both = np.isfinite(values) & np.isfinite(others) & (values > 0.0) & (others > 0.0)
-    return np.log(values[both] / others[both])
-
-
-def _values(runs: Sequence[RunSummary], metric: str) -> NDArray[np.float64]:
-    return np.array([run.metrics.get(metric, np.nan) for run in runs], dtype=float)
 
 
 _Asked = tuple[Problem | SystemRun, int]

@@ -27,8 +27,8 @@ from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.problems.systems import SystemProblem, system_from_tables
-from planopt.studies.compare import comparison_rows
 from planopt.studies.comparison import Comparison, runs_by_setting, runs_reliability
+from planopt.studies.comparison_rows import comparison_rows
 from planopt.studies.study import digest_of_tables, program
 
 if TYPE_CHECKING:

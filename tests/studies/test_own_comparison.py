@@ -20,10 +20,10 @@ from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.report.comparison_figure import axis_of, draw_comparison
 from planopt.report.comparison_table import comparison_text
-from planopt.studies.compare import settings_of
 from planopt.studies.comparison import Comparison, short_keys
 from planopt.studies.comparison_files import run_columns
 from planopt.studies.study import run_key
+from planopt.studies.variants import settings_of
 
 GIVEN = "channel.fit.given"
 GROUPS = (

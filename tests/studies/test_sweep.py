@@ -22,8 +22,8 @@ from planopt.problems import FunctionTruth
 from planopt.problems.overrides import with_changes
 from planopt.report.comparison_figure import axis_of, draw_comparison, looks_of
 from planopt.report.comparison_table import comparison_text
-from planopt.studies.compare import comparison_rows
 from planopt.studies.comparison import Comparison
+from planopt.studies.comparison_rows import comparison_rows
 
 SWEEP = {"constraints.p_min": [0.5, 0.9], "robots[0].speed_max_m_s": [1.0, 2.0]}
 

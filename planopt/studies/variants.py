@@ -1,0 +1,279 @@
+"""The settings and seeds of a comparison: the product of what is swept, checked before any run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, cast
+
+import numpy as np
+
+from planopt.errors import InputError
+from planopt.problems.comparison_settings import (
+    DEFAULT_SEEDS,
+    ComparisonSettings,
+    require_swept,
+    seeds_of,
+)
+from planopt.problems.overrides import with_changes, with_overrides
+from planopt.problems.planner_kinds import planner_kind
+from planopt.problems.problem import Problem
+from planopt.problems.systems import Request, SystemProblem
+
+OWN_OPTIONS = {
+    "planner.horizon": "horizons",
+    "planner.name": "planners",
+    "objective.cost_to_go": "costs_to_go",
+}
+"""Keys that have an argument of their own; a sweep may have them in its place."""
+
+AnyProblem = Problem | SystemProblem
+
+
+@dataclass(frozen=True)
+class SystemRun:
+    """A run of a system's problem, as plain data that any process can rebuild it from."""
+
+    name: str
+    tables: Mapping[str, Any]
+    horizon: int
+    planner: str
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One problem with what was changed of it, and its settings as they are run."""
+
+    problem: AnyProblem
+    sweep: Mapping[str, Any]
+    asked: tuple[Problem | SystemRun, ...]
+
+
+def settings_of(
+    problems: Sequence[AnyProblem],
+    horizons: Sequence[int] | None = None,
+    planners: Sequence[str] | None = None,
+    costs_to_go: Sequence[str] | None = None,
+    sweep: Mapping[str, Sequence[Any]] | None = None,
+) -> list[Problem | SystemRun]:
+    """Return every setting that :func:`planopt.compare` runs on each seed; errors as there."""
+    variants = variants_of(problems, horizons, planners, costs_to_go, sweep)
+    return [asked for variant in variants for asked in variant.asked]
+
+
+def own_settings(
+    problems: Sequence[AnyProblem], *given: Sequence[Any] | Mapping[str, Any] | None
+) -> ComparisonSettings | None:
+    """Return the table ``compare`` of a problem that is alone and `given` no settings, or None."""
+    (first, *others) = problems
+    if others or not isinstance(first, Problem) or any(each is not None for each in given):
+        return None
+    return first.compare
+
+
+def default_seeds(own: ComparisonSettings | None) -> range:
+    """Return the seeds where none are given: those of the table ``compare`` that is run."""
+    return seeds_of(DEFAULT_SEEDS if own is None else own.seeds, "compare.seeds")
+
+
+def several(values: object) -> Sequence[Any] | None:
+    """Return several values; a single one, such as a name, as a list of it."""
+    if values is None:
+        return None
+    if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
+        return [cast("object", values)]
+    return list(cast("Iterable[object]", values))
+
+
+def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
+    """Return the swept values of each key.
+
+    Raises
+    ------
+    InputError
+        It is no mapping.
+    """
+    if sweep is None:
+        return None
+    if not isinstance(sweep, Mapping):
+        raise InputError(
+            f"is a {type(sweep).__name__}",
+            key="sweep",
+            remedy='give the values of each key, {"constraints.p_min": [0.5, 0.9]}',
+        )
+    swept = cast("Mapping[str, object]", sweep)
+    for key in swept:
+        require_swept(str(key))
+    return {key: several(values) or [] for key, values in swept.items()}
+
+
+def chosen_seeds(seeds: object) -> list[int]:
+    """Return the seeds that are asked for, or as many of them.
+
+    Raises
+    ------
+    InputError
+        They are no whole numbers, negative or repeated, or there is none.
+    """
+    remedy = "a number of seeds such as 30, or seeds such as [0, 1] or range(100, 200)"
+    if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
+        seeds = range(int(cast("int", seeds)))
+    if isinstance(seeds, str | Mapping) or not isinstance(seeds, Iterable):
+        raise InputError(
+            f"is {seeds!r}, should be whole numbers, at least 0", key="seeds", remedy=remedy
+        )
+    chosen: list[int] = []
+    for number, seed in enumerate(cast("Iterable[object]", seeds)):
+        if not isinstance(seed, int | np.integer) or isinstance(seed, bool):
+            raise InputError(
+                f"is {seed!r}, should be a whole number, at least 0",
+                key=f"seeds[{number}]",
+                remedy=remedy,
+            )
+        chosen.append(int(cast("int", seed)))
+    if not chosen:
+        raise InputError(
+            "there is none, so nothing to compare",
+            key="seeds",
+            remedy="give a number of seeds, such as 30",
+        )
+    if min(chosen) < 0 or len(set(chosen)) < len(chosen):
+        raise InputError(
+            f"{chosen} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
+        )
+    return chosen
+
+
+def variants_of(
+    problems: Sequence[AnyProblem],
+    horizons: Sequence[int] | None,
+    planners: Sequence[str] | None,
+    costs_to_go: Sequence[str] | None,
+    sweep: Mapping[str, Sequence[Any]] | None,
+) -> list[Variant]:
+    """Every problem under every combination of the swept values, with its checked settings."""
+    own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
+    for key, values in {"problems": problems, **own, **(sweep or {})}.items():
+        if values is not None and len(values) == 0:
+            raise InputError(
+                "there is none, so nothing to compare",
+                key=key,
+                remedy="give one value at least, or leave it out",
+            )
+    names = [problem.name for problem in problems]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"several are called {name}", key="problems", remedy="give each a name of its own"
+            )
+    table = own_settings(problems, horizons, planners, costs_to_go, sweep)
+    if table is None:
+        return _product(problems, horizons, planners, costs_to_go, sweep)
+    found: list[Variant] = []
+    for number, group in enumerate(table.settings):
+        lists = group.horizons or None, group.planners or None, group.costs_to_go or None
+        try:
+            found += _product(problems, *lists, group.sweep)
+        except InputError as error:
+            raise InputError(
+                error.message if error.key is None else f"{error.key} {error.message}",
+                file=problems[0].file,
+                key=f"compare.settings[{number}]",
+                remedy=error.remedy,
+            ) from error
+        settings = [(each.sweep, *_labels(asked)) for each in found for asked in each.asked]
+        if any(setting in settings[:n] for n, setting in enumerate(settings)):
+            raise InputError(
+                "has a setting that is there twice",
+                file=problems[0].file,
+                key=f"compare.settings[{number}]",
+                remedy="leave it out",
+            )
+    return found
+
+
+def _labels(asked: Problem | SystemRun) -> tuple[int, str, str | None]:
+    """Horizon, planner and cost-to-go of a setting."""
+    if isinstance(asked, SystemRun):
+        return asked.horizon, asked.planner, None
+    return asked.planner.horizon, asked.planner.name, asked.cost_to_go
+
+
+def _product(
+    problems: Sequence[AnyProblem],
+    horizons: Sequence[int] | None,
+    planners: Sequence[str] | None,
+    costs_to_go: Sequence[str] | None,
+    sweep: Mapping[str, Sequence[Any]] | None,
+) -> list[Variant]:
+    """The product of all lists."""
+    swept = dict(sweep or {})
+    own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
+    for key, option in OWN_OPTIONS.items():
+        if key in swept and own[option] is not None:
+            raise InputError(f"is swept, and given as {option}", key=key, remedy="give it once")
+    variants: list[Variant] = []
+    for problem, values in product(problems, product(*swept.values())):
+        changes = dict(zip(swept, values, strict=True))
+        changed = with_changes(problem, changes)
+        asked = (
+            _system_runs(changed, horizons, planners, costs_to_go)
+            if isinstance(changed, SystemProblem)
+            else _motion_runs(changed, horizons, planners, costs_to_go, swept)
+        )
+        variants.append(Variant(changed, changes, tuple(asked)))
+    return variants
+
+
+def _motion_runs(
+    problem: Problem,
+    horizons: Sequence[int] | None,
+    planners: Sequence[str] | None,
+    costs_to_go: Sequence[str] | None,
+    swept: Mapping[str, Sequence[Any]],
+) -> list[Problem]:
+    costs: Sequence[str | None] = costs_to_go or (None,)
+    if costs_to_go is None and "objective.cost_to_go" not in swept:
+        costs = default_costs_to_go(problem)
+    return [
+        with_overrides(problem, horizon=n, planner=p, cost_to_go=c)
+        for c in costs
+        for p in planners or (None,)
+        for n in _horizons_of(p or problem.planner.name, horizons or (None,))
+    ]
+
+
+def _horizons_of(planner: str, horizons: Sequence[int | None]) -> Sequence[int | None]:
+    """Return those that matter to a planner: bounds foresee the whole run whatever the horizon."""
+    return horizons[:1] if planner_kind(planner).foresees else horizons
+
+
+def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
+    """Return the costs-to-go compared by default: both where there is a goal."""
+    return ("geodesic", "connected") if problem.task == "reach" else (None,)
+
+
+def _system_runs(
+    problem: SystemProblem,
+    horizons: Sequence[int] | None,
+    planners: Sequence[str] | None,
+    costs_to_go: Sequence[str] | None,
+) -> list[SystemRun]:
+    if costs_to_go is not None:
+        raise InputError(
+            f"is not for the task {problem.task}", key="costs_to_go", remedy="leave it out"
+        )
+    if problem.system.settings is None:
+        raise InputError(
+            f"{problem.name} asks for {problem.task}, which has no runs to compare",
+            file=problem.file,
+            key="problem.task",
+            remedy="compare problems of motion planning, or pursuits",
+        )
+    request = Request(horizons=horizons or (), planners=planners or ())
+    tables = problem.tables()
+    return [
+        SystemRun(problem.name, tables, horizon, planner)
+        for horizon, planner in problem.system.settings(problem, request)
+    ]

@@ -53,18 +53,18 @@ def told_later_costs(
         raise AssertionError("packets have measurements")
     count, length, total = len(chance), chance.shape[1], len(tracking.target_m)
     arrivals, stops = last_arrivals(ways_m), ways_m[:, -1]
-    staying, elsewhere = at_ends(stops, arrivals, retreats, settings)
+    ends = at_ends(ways_m, arrivals, retreats, settings)
     back_m, home = _ways_back(stops, arrivals, retreats, total)
     returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
     sensed = sensing_information(tracking.sensor, ways_m, tracking.target_m[:length])
     stage = np.arange(total)
     # What is known in the end: if the try succeeds, and once the robot is back.
-    told = np.stack([np.maximum(staying, elsewhere), elsewhere])
-    told[1] = np.where(stage < home[:, None], np.maximum(returning, told[1]), told[1])
+    told = ends.copy()
+    told[1] = np.where(stage < home[:, None], np.maximum(returning, ends[1]), ends[1])
     on_way = stage[:length] < arrivals[:, None]
     told[..., :length] = np.where(on_way, sensed, told[..., :length])
     # The filter of a coordinate is told half of the information of a packet.
-    known_then, known_before = 0.5 * (told + others), 0.5 * (elsewhere + others)
+    known_then, known_before = 0.5 * (told + others), 0.5 * (ends[1] + others)
     before = _known_on_way(0.5 * sensed, chance, 0.5 * others, settings)
     axis, full = Axis.of(settings), np.empty((3, 2, count))
     full[:] = Axis.of(replace(settings, information=held.information)).start[:, None, None]

@@ -146,17 +146,15 @@ def recourse_costs(
         The target and what is known of it, for k >= N steps.
     """
     steps, tracking = chance.shape[1], settings.tracking
-    stops, arrivals = ways_m[:, -1], last_arrivals(ways_m)
+    arrivals = last_arrivals(ways_m)
     at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
     told = np.zeros(at_stop.shape)
     told[:, :steps] = chance * sensing_information(
         tracking.sensor, ways_m, tracking.target_m[:steps]
     )
-    staying, elsewhere = at_ends(stops, arrivals, retreats, settings)
-    up = np.where(at_stop, np.maximum(staying, elsewhere), told)
-    down = np.where(at_stop, elsewhere, told)
+    ends = np.where(at_stop, at_ends(ways_m, arrivals, retreats, settings), told)
     # The filter of a coordinate is told half of the information of a packet.
-    costs = left(0.5 * (np.stack([up, down]) + others), settings)
+    costs = left(0.5 * (ends + others), settings)
     tried = chance[:, -1]
     return tried * costs[0] + (1.0 - tried) * costs[1]
 
@@ -169,12 +167,28 @@ def last_arrivals(ways_m: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def at_ends(
-    stops_m: NDArray[np.float64],
+    ways_m: NDArray[np.float64],
     arrivals: NDArray[np.intp],
     retreats: Retreats,
     settings: FilteredTracking,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return 1 / g of every step at the ends of paths (c, 2), and e_k of equation 4.26; (c, k)."""
-    tracking = settings.tracking
-    staying = sensing_information(tracking.sensor, stops_m[:, None], tracking.target_m)
-    return staying, retreats.best(stops_m, arrivals)
+) -> NDArray[np.float64]:
+    """Return s_k and e_k of equation 4.26, from the ends of paths on; ``(2, c, k)``.
+
+    Within the horizon a try that succeeds is stayed at, and a path that ends with its first step
+    tries nothing. Otherwise a robot that stands would be worth as much as one that drives: the
+    model lets it leave at any step, without the obstacles and robots that real paths keep from.
+
+    Parameters
+    ----------
+    ways_m
+        ``(c, N, 2)``.
+    arrivals
+        As :func:`last_arrivals` has them.
+    retreats, settings
+        As :func:`recourse_costs`.
+    """
+    tracking, stops = settings.tracking, ways_m[:, -1]
+    staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
+    later = np.arange(len(tracking.target_m)) >= ways_m.shape[1]
+    failed = np.where(later | (arrivals > 0)[:, None], retreats.best(stops, arrivals), 0.0)
+    return np.stack([np.where(later, np.maximum(staying, failed), staying), failed])

@@ -15,7 +15,13 @@ from planopt.objectives.axis_filter import left
 from planopt.objectives.known_links import KnownLinks, known_links
 from planopt.objectives.tracking import Tracking
 from planopt.objectives.tracking_filter import FilteredTracking, riccati_covariances
-from planopt.objectives.tracking_recourse import Retreats, recourse_costs, retreats_of
+from planopt.objectives.tracking_recourse import (
+    Retreats,
+    at_ends,
+    last_arrivals,
+    recourse_costs,
+    retreats_of,
+)
 from planopt.targets.information_filter import TargetModel
 from planopt.targets.sensor import Sensor, sensing_information
 
@@ -138,3 +144,25 @@ def test_the_terminal_weight_is_of_one_step():
     heavy, light = (each.tried_values(situation, way, chance)[0] for each in (term, alone))
     far = replace(term, terminal_weight=1.0, step_weights=(1.0, 1.0, 5.0, 1.0))
     assert light < heavy == pytest.approx(far.tried_values(situation, way, chance)[0], rel=1e-12)
+
+
+def test_who_stands_is_taken_for_standing_until_the_plan_ends():
+    """Retreats within reach make up for nothing that a plan puts off, but for a try that failed."""
+    target = retreats_of(np.zeros((0, 2)), np.ones(len(TARGET)), SETTINGS, LONGEST_M)
+    start = np.zeros(2)
+    standing = np.tile(start, (STEPS, 1))
+    driving = np.cumsum(np.tile([LONGEST_M, 0.0], (STEPS, 1)), axis=0)
+    early = np.vstack([driving[:2], driving[1], driving[1]])
+    ways = np.stack([standing, driving, early])
+    arrivals = last_arrivals(ways)
+    np.testing.assert_array_equal(arrivals, [0, STEPS - 1, 1])
+    succeeded, failed = at_ends(ways, arrivals, target, SETTINGS)
+    stays = sensing_information(SENSOR, ways[:, -1, None], TARGET)
+    np.testing.assert_array_equal(succeeded[:, :STEPS], stays[:, :STEPS])
+    best = target.best(ways[:, -1], arrivals)
+    np.testing.assert_array_equal(succeeded[:, STEPS:], np.maximum(stays, best)[:, STEPS:])
+    np.testing.assert_array_equal(failed[0, :STEPS], 0.0)
+    np.testing.assert_array_equal(failed[1:], best[1:])
+    np.testing.assert_array_equal(failed[0, STEPS:], best[0, STEPS:])
+    costs = recourse_costs(ways, np.ones((3, STEPS)), target, ALONE, SETTINGS)
+    assert costs[1] < costs[0]

@@ -166,6 +166,11 @@ def test_wrong_arguments_of_casadi_term(arguments, words) -> None:
         casadi_term(*arguments)
 
 
+def tried(value):
+    """Methods of a term that tries places."""
+    return {"tries_places": True, "tried_values": lambda self, at, ways, chance: value(ways)}
+
+
 ONES = {"value": lambda self, at, path_m: 1.0, "values": lambda self, at: np.ones(at.shape[0])}
 
 
@@ -178,6 +183,14 @@ ONES = {"value": lambda self, at, path_m: 1.0, "values": lambda self, at: np.one
         ({"value": lambda self, at, path_m: None}, "value returned a NoneType"),
         ({"value": lambda self, at, path_m: np.nan}, "value returned numbers that are not finite"),
         ({"node_reward": lambda self, at: None}, "node_reward failed: TypeError"),
+        ({"tries_places": True}, "Mine has no method tried_values"),
+        (tried(lambda ways: 1 / 0), "tried_values failed: ZeroDivisionError"),
+        (tried(lambda ways: np.ones(3)), r"tried_values returned shape \(3,\), should return"),
+        (tried(lambda ways: ways[:, 0, 0] * np.nan), "tried_values returned .* not finite"),
+        (
+            tried(lambda ways: None),
+            r"tried_values returned a NoneType.*\(return one finite number for each path",
+        ),
     ],
 )
 def test_wrong_methods_of_a_term(base, methods, words) -> None:
@@ -472,6 +485,46 @@ def test_a_map_may_rest_elsewhere(base) -> None:
     assert np.abs(car.change_at_rest(robot.start_state, 1.0)).max() < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("speed", "start", "bounds", "change_m"),
+    [
+        # Its only rest is at a bound: v is +-1.
+        (lambda v: ca.sqrt(1.0 - v**2), 1.0, (-1.0, 1.0), 0.0),
+        (lambda v: ca.sqrt(1.0 - v**2), 0.3, (-1.0, 1.0), 0.0),
+        # At rest for v = 1; not finite for v = 0, within the bounds or at one.
+        (ca.log, 0.5, (0.0, 2.0), 0.0),
+        (ca.log, 0.5, (-1.0, 2.0), 0.0),
+        # Nowhere at rest: slowest at the upper bound.
+        (lambda v: 1.0 / v, 1.0, (0.0, 2.0), 0.5),
+        (lambda v: 1.0 / v, 1.0, (-0.5, 2.0), 0.5),
+        # No bounds to search between.
+        (lambda v: 1.0 - v, 1.0, (1.0, 1.0), 0.0),
+        (lambda v: 1.0 / v, 1.0, (1.0, 1.0), 1.0),
+    ],
+)
+def test_rest_is_looked_for_where_a_map_is_finite(base, speed, start, bounds, change_m) -> None:
+    """Bounds of the state beyond which, or at which, the map is NaN or infinite."""
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 1)
+    after = ca.vertcat(x[0] + speed(x[2]), x[1], x[2] + u)
+    car = CasadiMap(
+        function=ca.Function("f", [x, u], [after]),
+        state_names=("x_m", "y_m", "v"),
+        input_names=("a",),
+        speed_max_m_s=3.0,
+        state_bounds=((-999.0, 999.0), (-999.0, 999.0), bounds),
+        input_bounds=((-0.01, 0.0),),
+        rest_input=(0.0,),
+    )
+    robot = replace(base.robots[0], dynamics=car, start_rest=(start,))
+    found = np.abs(car.change_at_rest(robot.start_state, 1.0)).max()
+    assert found == pytest.approx(change_m, abs=1e-6)
+    if change_m == 0.0:
+        assert made(base, robots=robot).robots[0].start_rest == (start,)
+        return
+    with pytest.raises(InputError, match=rf"by {change_m:g} m a step, as far as a search finds"):
+        made(base, robots=robot)
+
+
 class Half:
     """Has some of what dynamics need."""
 
@@ -573,6 +626,8 @@ def test_a_map_is_that_of_a_posterior(base) -> None:
         ((posterior, 3, 1.0, -80.0), r"bounds_m: is 3 .*problem\.workspace\.bounds_m"),
         ((posterior, bounds, "1", -80.0), r"cell_m: is '1' \(give a number"),
         ((posterior, bounds, 1.0, None), r"threshold_dbm: is None \(give a number"),
+        ((posterior, bounds, True, -80.0), r"cell_m: is True \(give a number"),
+        ((posterior, bounds, 1.0, np.complex128(-80.0)), r"threshold_dbm: is .*\(give a number"),
     ):
         with pytest.raises(InputError, match=words):
             posterior_map(*arguments)

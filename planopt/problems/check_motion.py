@@ -80,7 +80,7 @@ def check_own_map(problem: Problem, number: int) -> None:
         if not float(change.max()) <= REST_TOLERANCE_M:
             raise InputError(
                 f"{list(dynamics.rest_input)} does not let it rest: its state goes on changing, by "
-                f"{float(change.max()):.3g} m a step at least",
+                f"{float(change.max()):.3g} m a step, as far as a search finds",
                 file=problem.file,
                 key=f"{key}.rest_input",
                 remedy="give the input with which it stays where it is; a function that is a "

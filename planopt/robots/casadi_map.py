@@ -12,6 +12,7 @@ Components may be NumPy numbers, NumPy arrays or CasADi expressions, real or com
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable
@@ -118,6 +119,9 @@ TRIED = 5
 HELD_STEPS = 2
 """For how many steps it looks ahead with each."""
 
+REST_SEARCH = 1e-15
+"""Tolerances of the search for a state that rests: near rounding, for maps that are steep there."""
+
 
 @dataclass(frozen=True, eq=False)
 class CasadiMap:
@@ -214,19 +218,38 @@ class CasadiMap:
         """Return how the rest input changes a state ``(s,)`` of this place that it changes least.
 
         The place is that of `state`, whose other components and zeros are where the search begins.
+        The search is local; where the map is not finite on its way, the change is that at its
+        beginning, infinite where the map is not finite there.
         """
+        low, high = np.array(self.state_bounds)[2:].T
+        free = low < high
 
         def change(rest: NDArray[np.float64]) -> NDArray[np.float64]:
-            rows = self.stop_rows((*state[:2], *rest), step_s)
-            return np.nan_to_num(np.array(rows, dtype=np.float64), nan=np.inf)
+            rows = np.array(self.stop_rows((*state[:2], *rest), step_s), dtype=np.float64)
+            return np.where(np.isfinite(rows), rows, np.inf)
 
-        low, high = np.array(self.state_bounds)[2:].T
+        def least(rest: NDArray[np.float64]) -> NDArray[np.float64]:
+            def of_free(values: NDArray[np.float64]) -> NDArray[np.float64]:
+                moved = rest.copy()
+                moved[free] = values
+                return change(moved)
+
+            bounds, close = (low[free], high[free]), REST_SEARCH
+            # The map need not be finite everywhere within the bounds: SciPy refuses such slopes.
+            with np.errstate(all="ignore"), contextlib.suppress(ValueError):
+                return of_free(
+                    least_squares(
+                        of_free, rest[free], bounds=bounds, ftol=close, xtol=close, gtol=close
+                    ).x
+                )
+            return change(rest)
+
         found = []
         for begun in (state[2:], np.zeros(len(state) - 2)):
             rest = np.clip(begun, low, high)
             found.append(change(rest))
-            if len(rest) and np.isfinite(found[-1]).all() and found[-1].any():
-                found.append(change(np.clip(least_squares(change, rest).x, low, high)))
+            if free.any() and np.isfinite(found[-1]).all() and found[-1].any():
+                found.append(least(rest))
         return min(found, key=lambda rows: float(np.abs(rows).max()))
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:

@@ -205,20 +205,23 @@ def posterior_map(
     bounds_m = _bounds(bounds_m)
     x_min, y_min, x_max, y_max = bounds_m
     for key, value in (("cell_m", cell_m), ("threshold_dbm", threshold_dbm)):
-        if not isinstance(cast("object", value), int | float | np.number):
+        real = isinstance(cast("object", value), int | float | np.integer | np.floating)
+        if not real or isinstance(cast("object", value), bool):
             raise InputError(f"is {value!r}", key=key, remedy="give a number, e.g. 1.0 or -80.0")
     if not (np.isfinite(bounds_m).all() and x_min < x_max and y_min < y_max):
-        raise InputError(f"{bounds_m} are not bounds", key="bounds", remedy="write x0,y0,x1,y1")
+        raise InputError(f"{bounds_m} are not bounds", key="bounds_m", remedy="write x0,y0,x1,y1")
     if not (cell_m > 0.0 and math.isfinite(cell_m)):
-        raise InputError(f"{cell_m:g} is not a cell side", key="cell", remedy="use metres above 0")
+        raise InputError(
+            f"{cell_m:g} is not a cell side", key="cell_m", remedy="use metres above 0"
+        )
     if max(1.0, (x_max - x_min) / cell_m) * max(1.0, (y_max - y_min) / cell_m) > MAX_CELLS:
         raise InputError(
             f"cells of {cell_m:g} m would be more than {MAX_CELLS:,}",
-            key="cell",
+            key="cell_m",
             remedy="use larger cells or smaller bounds",
         )
     if not math.isfinite(threshold_dbm):
-        raise InputError(f"{threshold_dbm:g} is not a power", key="threshold", remedy="use dBm")
+        raise InputError(f"{threshold_dbm:g} is not a power", key="threshold_dbm", remedy="use dBm")
     x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
     count = len(posterior.measurements)
     few = count <= NEIGHBOURS or count**2 * x.size * y.size <= EXACT_OPERATIONS

@@ -24,6 +24,7 @@ from planopt.planning.scene import Ground
 from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.worth.path_worth import tried_worth
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.world.clearance import inside_bounds
@@ -108,9 +109,9 @@ class TriedPlaces:
     ) -> NDArray[np.intp]:
         """Return which of the paths (c, N, 2) are best if packets arrive by `chance` (c, N)."""
         value = np.zeros(len(paths))
-        for term in self._problem.terms:
+        for number, term in enumerate(situation.problem.terms):
             if term.tries_places:
-                value += term.weight * term.tried_values(situation, paths, chance)
+                value += tried_worth(situation, number, paths, chance)
         return np.argsort(-value, kind="stable")[:count]
 
     def _beside(self, field: NodeField, places_m: NDArray[np.float64]) -> Prediction:

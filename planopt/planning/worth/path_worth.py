@@ -7,7 +7,8 @@ connectivity costs is by how much it misses the rule, and the price of its slack
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +66,7 @@ class PathWorth:
         ways = np.array(paths_m)
         power = at.power(ways.reshape(-1, 2))
         chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
-        return term.weight * term.tried_values(at, ways, chance.reshape(ways.shape[:2]))
+        return tried_worth(at, number, ways, chance.reshape(ways.shape[:2]))
 
     @property
     def _terms(self) -> tuple[Term, ...]:
@@ -73,21 +74,57 @@ class PathWorth:
 
     def _contributed(self, number: int, path_m: NDArray[np.float64]) -> float:
         term = self._terms[number]
-        try:
+        with _named(self.situation, number):
             with calling(term, "value", key="value"):
                 value = term.value(self.situation, path_m)
             words = "one finite number"
             return term.weight * float(returned(term, "value", value, (), words=words, key="value"))
-        except InputError as error:
-            if error.key is None or error.key.startswith("objective"):
-                raise
-            raise InputError(
-                error.message,
-                file=error.file or self.situation.problem.file,
-                row=error.row,
-                key=f"objective.terms[{number}].{error.key}",
-                remedy=error.remedy,
-            ) from error
+
+
+def tried_worth(
+    at: Situation, number: int, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what a term that tries places contributes to paths, its weight included; ``(c,)``.
+
+    Parameters
+    ----------
+    at
+        What is known.
+    number
+        Of the term.
+    ways_m
+        ``(c, N, 2)`` the paths.
+    chance
+        ``(c, N)`` chances of connection along them.
+
+    Raises
+    ------
+    InputError
+        The term has no finite value for each path.
+    """
+    term, method = at.problem.terms[number], "tried_values"
+    words = "one finite number for each path"
+    with _named(at, number):
+        with calling(term, method, key=method):
+            found = term.tried_values(at, ways_m, chance)
+        return term.weight * returned(term, method, found, (len(ways_m),), words=words, key=method)
+
+
+@contextmanager
+def _named(at: Situation, number: int) -> Generator[None]:
+    """Say in errors of which term they are."""
+    try:
+        yield
+    except InputError as error:
+        if error.key is None or error.key.startswith("objective"):
+            raise
+        raise InputError(
+            error.message,
+            file=error.file or at.problem.file,
+            row=error.row,
+            key=f"objective.terms[{number}].{error.key}",
+            remedy=error.remedy,
+        ) from error
 
 
 SHARE_IN_DB = 100.0

@@ -51,15 +51,15 @@ def test_nearest_measurements_agree_with_all(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("bounds", "cell", "says"),
     [
-        ((0.0, 0.0, 0.0, 5.0), 1.0, "not bounds"),
+        ((0.0, 0.0, 0.0, 5.0), 1.0, "key bounds_m: .* not bounds"),
         ((0.0, 0.0, 5.0, float("nan")), 1.0, "not bounds"),
-        ((0.0, 0.0, 5.0, 5.0), 0.0, "key cell"),
-        ((0.0, 0.0, 5.0, 5.0), float("inf"), "key cell"),
+        ((0.0, 0.0, 5.0, 5.0), 0.0, "key cell_m"),
+        ((0.0, 0.0, 5.0, 5.0), float("inf"), "key cell_m"),
         ((0.0, 0.0, 5000.0, 5000.0), 0.1, "more than 4,000,000"),
     ],
 )
 def test_bad_grids(bounds: tuple[float, float, float, float], cell: float, says: str) -> None:
-    """Errors name the option, before memory is asked for."""
+    """Errors name the argument, before memory is asked for."""
     with pytest.raises(InputError, match=says):
         posterior_map(condition(PARAMETERS, measured(3)), bounds, cell, -72.0)
 
@@ -79,7 +79,7 @@ def test_default_grid() -> None:
 @pytest.mark.parametrize("threshold", [float("nan"), float("-inf")])
 def test_a_threshold_that_is_no_power(threshold: float) -> None:
     """No map of NaN."""
-    with pytest.raises(InputError, match="key threshold"):
+    with pytest.raises(InputError, match="key threshold_dbm"):
         posterior_map(condition(PARAMETERS, measured(3)), (0.0, 0.0, 5.0, 5.0), 1.0, threshold)
 
 

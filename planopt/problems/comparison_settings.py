@@ -19,7 +19,7 @@ DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000
 """Where neither the command nor the problem says anything else, and at most."""
 
 OF_NO_RUN = ("compare", "problem", "report")
-"""Tables of a problem file that change no run."""
+"""Tables of a problem file that cannot be swept: who reads a run looks there for what it was."""
 
 
 def known_seeds(given: object) -> object:
@@ -49,12 +49,12 @@ def require_swept(key: str, at: str | None = None) -> None:
     Raises
     ------
     InputError
-        It changes no run.
+        It is of a table that cannot be swept.
     """
     table = key.partition(".")[0].partition("[")[0]
     if table in OF_NO_RUN:
         raise InputError(
-            f"{key} changes no run, so that it cannot be swept",
+            f"{key} cannot be swept",
             key=key if at is None else at,
             remedy="sweep a key that plans depend on, such as constraints.p_min; seeds have a key "
             "of their own",
@@ -141,6 +141,12 @@ class ComparisonSettings:
                     f"is {group.sweep!r}", key=at, remedy='write {"constraints.p_min": [0.5, 0.8]}'
                 )
             for key in group.sweep or {}:
+                if not isinstance(cast("object", key), str):
+                    raise InputError(
+                        f"has the key {key!r}",
+                        key=at,
+                        remedy='write a key of the problem file, such as "constraints.p_min"',
+                    )
                 require_swept(key, at)
 
     def table(self) -> dict[str, Any]:

@@ -98,9 +98,12 @@ def input_error(
             count, words = len(fault["input"]), _allowed(fault, field)
             message = f"has {count} entries, {words.partition(', not ')[0]}"
         case "one_of" | "task":
-            # Of several keys: what stands there is no single value. What to do follows a colon.
-            message, _, words = fault["msg"].partition(": ")
-            remedy = words or remedy
+            # Of several keys: what stands there is no single value. What to do follows a colon,
+            # unless it is given by itself.
+            message, given = fault["msg"], fault.get("ctx", {}).get("remedy")
+            if given is None:
+                message, _, given = message.partition(": ")
+            remedy = given or remedy
         case _:
             message = f"is {shown(fault['input'])}, {_allowed(fault, field)}"
     if fault["type"] in _RANGE_TYPES and field is not None:

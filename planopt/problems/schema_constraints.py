@@ -119,6 +119,14 @@ class ConstraintsTable(Table):
         fault = self._fault()
         if fault is not None:
             raise PydanticCustomError("one_of", "{words}", {"words": fault})
+        try:
+            ConnectivityRule(self.connectivity, settings=self.settings)
+        except InputError as error:
+            # A remedy of its own: the message may have colons, at which others are split.
+            words = f"has settings that cannot be used: {error.message}"
+            remedy = error.remedy or "give values that the rule accepts"
+            context = {"words": words, "remedy": remedy}
+            raise PydanticCustomError("one_of", "{words}", context) from error
         return self
 
     def _fault(self) -> str | None:
@@ -167,10 +175,6 @@ class ConstraintsTable(Table):
                 )
         if self.slack_price > 0.0 and not self.slack_max_db:
             return "has slack_price, which needs slack_max_db above 0: write slack_max_db = 3.0"
-        try:
-            ConnectivityRule(form, settings=self.settings)
-        except InputError as error:
-            return f"has settings that {error.message}: {error.remedy}"
         return None
 
     @property

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from rules_scene import ruled_problem
 
-from planopt import ConnectivityRule, InputError, check, simulate, solve
+from planopt import ConnectivityRule, InputError, check, load, simulate, solve
 from planopt.extend import OwnRule
 from planopt.planning.history import History
 from planopt.planning.proof.rules.proven import proven_rule
 from planopt.planning.worth.rules.planned import planned_rule
+from planopt.problems.save import problem_from_dict, problem_to_dict
 
 SEED = 3
 
@@ -124,6 +125,44 @@ def test_unknown_rules_and_settings(name, settings, words):
     """One error of ours that says what there is."""
     with pytest.raises(InputError, match=words):
         ConnectivityRule(name, settings=settings)
+
+
+@dataclass(frozen=True)
+class Checked(OwnRule):
+    """Refuses settings, in words of its own."""
+
+    kind: ClassVar[str] = "checked"
+    steps: float = 1.0
+
+    def __post_init__(self):
+        """Refuse what is below zero, and what is large."""
+        if self.steps < 0.0:
+            raise InputError("is negative")
+        if self.steps > 9.0:
+            raise ValueError("is large: mend steps, at most: 9")
+
+    def achieved(self, probability, history):
+        """Return the mean."""
+        return probability.mean(axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        (-1.0, r"has settings that cannot be used: is negative \(give values that the rule"),
+        (
+            10.0,
+            r"cannot be used: \S*Checked\.__post_init__ failed: ValueError: is large: mend steps, "
+            r"at most: 9 \(mend __post_init__\)$",
+        ),
+    ],
+)
+def test_what_a_rule_says_of_settings_is_told_whole(steps, words):
+    """Of a problem file, too: nothing is cut at a colon, and there is always a remedy."""
+    table = {"connectivity": "checked", "p_min": 0.5, "settings": {"steps": steps}}
+    tables = problem_to_dict(load("harbour_track"))
+    with pytest.raises(InputError, match=rf"^key constraints: .*{words}"):
+        problem_from_dict({**tables, "constraints": table})
 
 
 def test_one_value_a_plan():

@@ -384,8 +384,10 @@ def test_remarks_of_a_library_problem_with_another_truth(tmp_path) -> None:
     truth = FunctionTruth(power_dbm=power_dbm)
     channel = ChannelSetup(truth=truth, measurements=SampledMeasurements(40))
     planopt.solve(replace(field, channel=channel), horizon=2).save(tmp_path)
-    remarks = [one for one in planopt.check(tmp_path).remarks if "in the library's" in one]
-    assert not any("truth" in one or "count" in one for one in remarks)
+    remarks = planopt.check(tmp_path).remarks
+    assert sum("the library's open_field has" in one for one in remarks) == 1
+    by_key = [one for one in remarks if "in the library's" in one]
+    assert not any("truth" in one or "count" in one for one in by_key)
 
 
 def test_terms_have_the_defaults_of_files() -> None:

@@ -123,8 +123,11 @@ def test_only_problems_with_settings_compare_without(capsys, tmp_path: Path) -> 
         ({"seeds": "x"}, r"key compare\.seeds: is 'x', should be a number of seeds from 1"),
         ({"seeds": 0}, r"key compare\.seeds: is 0, should be .*\(How many random seeds"),
         ({"seeds": "5:5"}, r"key compare\.seeds: is '5:5', should be"),
-        ({"sweep": {"compare.seeds": [1]}}, r"settings\[0\]\.sweep: compare\.seeds changes no run"),
-        ({"sweep": {"problem.name": ["a"]}}, r"problem\.name changes no run.*\(sweep a key"),
+        (
+            {"sweep": {"compare.seeds": [1]}},
+            r"settings\[0\]\.sweep: compare\.seeds cannot be swept",
+        ),
+        ({"sweep": {"problem.name": ["a"]}}, r"problem\.name cannot be swept.*\(sweep a key"),
         ({"sweep": {"constraints.p_min": 0.5}}, r"p_min: is 0\.5, should be an array \(Values of"),
     ],
 )
@@ -148,10 +151,12 @@ def test_errors_of_settings_name_their_group(problem, group) -> None:
 
 def test_what_changes_no_run_is_not_swept(problem) -> None:
     """By an argument, too; and groups of settings are of their class."""
-    with pytest.raises(InputError, match=r"^key problem\.name: .* changes no run"):
+    with pytest.raises(InputError, match=r"^key problem\.name: .* cannot be swept"):
         compare(problem, sweep={"problem.name": ["a", "b"]}, seeds=1)
     with pytest.raises(InputError, match=r"compare\.settings\[0\]: is a dict \(give groups"):
         ComparisonSettings(settings=({"horizons": [1]},))
+    with pytest.raises(InputError, match=r"settings\[0\]\.sweep: has the key 1 \(write a key"):
+        ComparisonSettings(settings=(SettingGroup(sweep={1: [2]}),))  # type: ignore[dict-item]
 
 
 def test_known_path_loss_has_no_uncertainty_to_show(comparison) -> None:

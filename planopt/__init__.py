@@ -19,13 +19,16 @@ FORMER_NAMES = {
 
 FORMER_MODULES = {
     "planopt.objectives.energy": "planopt.objectives.terms.transmission_energy",
+    "planopt.planning.programme.offenders": "planopt.planning.programme.clearance_lines",
     "planopt.planning.proof.apart": "planopt.planning.proof.motion",
     "planopt.planning.rule_result": "planopt.planning.certificate",
+    "planopt.planning.team.crew": "planopt.planning.team.team_step",
     "planopt.report.belief_map": "planopt.report.map_figure",
     "planopt.report.run_series": "planopt.report.run_figure",
+    "planopt.robots.carrot": "planopt.robots.pure_pursuit",
     "planopt.targets.target_model": "planopt.targets.information_filter",
 }
-"""Modules that the documentation named formerly, and those that have their names now."""
+"""Modules that had other names formerly, and those that have their names now."""
 
 forward_modules(FORMER_MODULES)
 

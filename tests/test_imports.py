@@ -142,10 +142,13 @@ def test_private_names_have_no_hint() -> None:
     ("former", "name"),
     [
         ("planopt.objectives.energy", "transmission_energy_j"),
+        ("planopt.planning.programme.offenders", "lines_about"),
         ("planopt.planning.proof.apart", "judge_apart"),
         ("planopt.planning.rule_result", "RuleResult"),
+        ("planopt.planning.team.crew", "plan_together"),
         ("planopt.report.belief_map", "draw_belief"),
         ("planopt.report.run_series", "draw_run_series"),
+        ("planopt.robots.carrot", "PurePursuit"),
         ("planopt.targets.target_model", "TargetModel"),
     ],
 )

@@ -54,7 +54,9 @@ def told_later_costs(
     count, length, total = len(chance), chance.shape[1], len(tracking.target_m)
     arrivals, stops = last_arrivals(ways_m), ways_m[:, -1]
     ends = at_ends(ways_m, arrivals, retreats, settings)
-    back_m, home = _ways_back(stops, arrivals, retreats, total)
+    # Who stands, or stops with the first step, tries nothing, and is there until the plan ends.
+    leaving = np.where(arrivals > 0, arrivals, length - 1)
+    back_m, home = _ways_back(stops, leaving, retreats, total)
     returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
     sensed = sensing_information(tracking.sensor, ways_m, tracking.target_m[:length])
     stage = np.arange(total)
@@ -151,15 +153,15 @@ def _known_on_way(
 
 
 def _ways_back(
-    stops_m: NDArray[np.float64], arrivals: NDArray[np.intp], retreats: Retreats, total: int
+    stops_m: NDArray[np.float64], leaving: NDArray[np.intp], retreats: Retreats, total: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Straight ways to the nearest place known to be connected ``(c, k, 2)``, and the step of it.
 
-    Before it comes to its end a robot is taken for standing there. The step is infinite where no
-    such place is known.
+    Until the end of step `leaving` (c,) a robot is taken for standing at its stop. The step is
+    infinite where no such place is known.
     """
     home_m, steps = retreats.nearest_connected(stops_m)
-    driven = np.maximum(np.arange(total) - arrivals[:, None], 0.0)
+    driven = np.maximum(np.arange(total) - leaving[:, None], 0.0)
     share = np.where(np.isfinite(steps)[:, None], driven / np.maximum(steps, 1.0)[:, None], 0.0)
     ways = stops_m[:, None] + np.minimum(share, 1.0)[..., None] * (home_m - stops_m)[:, None]
-    return ways, arrivals + steps
+    return ways, leaving + steps

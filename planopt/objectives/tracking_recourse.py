@@ -1,10 +1,10 @@
 """Tracking with recourse: a robot tries a place, and goes elsewhere if it has no connection there.
 
 A path is taken for a try of the place where it ends. If a packet arrives from there, later ones do
-too, for multipath stays what it is; if not, the robot goes to another place. Either way it is not
-bound to the place while the target moves on: at every later step it may be at any *retreat* that
-it comes to in time, a place that is known to be connected, or one that the target is expected at,
-with the chance of connection there (equation 4.27).
+too, for multipath stays what it is; if not, the robot goes to another place: at every later step it
+may be at any *retreat* that it comes to in time, a place that is known to be connected, or one that
+the target is expected at, with the chance of connection there (equation 4.27). After a try that
+succeeds it stays until the plan ends, and may then be at a retreat too, for the target moves on.
 
 So a step out of what is known to be covered costs little where the way back is short, and may bring
 a place that is connected from then on. Forms that take a path for driven to its end whatever comes

@@ -140,3 +140,26 @@ def test_later_steps_are_discounted():
     way, chance = np.tile(raw.position_m, (1, 3, 1)), np.ones((1, 3))
     values = [term.tried_values(each, way, chance)[0] for each in (raw, sent)]
     assert 0.0 < values[1] < values[0]
+
+
+def test_who_stands_sets_out_when_the_plan_ends():
+    """Out of contact throughout: all is known four steps after the plan, and nothing before."""
+    standing = np.tile(OUT[-1], (STEPS, 1))
+    found = told_later_costs(
+        standing[None], np.zeros((1, STEPS)), home_at((0.0, 0.0)), ALONE, FIRST
+    )
+    share = np.minimum(np.arange(1, BEYOND + 1) / 4.0, 1.0)
+    places = np.vstack([standing, OUT[-1] * (1.0 - share[:, None])])
+    at_home = STEPS - 1 + 4
+    senses = np.where(np.arange(TOTAL) < at_home, 1.0, 0.0)
+    sensing = sensing_information(SENSOR, places, TARGET)
+    both = (
+        np.trace(
+            riccati_covariances(each[:, None], sensing[:, None], SETTINGS)[:, :2, :2],
+            axis1=1,
+            axis2=2,
+        )
+        for each in (np.zeros(TOTAL), senses)
+    )
+    expected = np.where(np.arange(TOTAL) < at_home, *both).sum()
+    np.testing.assert_allclose(found, [expected], rtol=1e-12)

@@ -53,7 +53,7 @@ for name, run in runs.items():
 # %%
 # One world is no comparison, and this one was chosen because the difference is large. Time-averaged
 # trace P of the default planner over seeds 100 to 199 (``planopt compare fig4 --horizons 1,10
-# --seeds 100:200``): one step .169 +- .024 m^2, ten steps .099 +- .015, no target lost. The form
+# --seeds 100:200``): one step .169 +- .024 m^2, ten steps .095 +- .013, no target lost. The form
 # ``auto``, the default, is ``additive`` one step ahead and ``recourse`` beyond. The paper's order
 # of the four strategies is not robust: the page of results has their means.
 

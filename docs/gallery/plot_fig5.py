@@ -52,7 +52,7 @@ for name, run in runs.items():
 # robot stays at a place that it knows to be good while the target leaves. The order of the
 # strategies changes from world to world; the page of results has means over seeds. A longer
 # horizon brings more: time-averaged trace P over seeds 100 to 119 (``planopt compare fig5
-# --horizons 1,10 --seeds 100:120``) is .142 +- .019 m^2 one step ahead and .097 +- .007 at ten.
+# --horizons 1,10 --seeds 100:120``) is .142 +- .019 m^2 one step ahead and .095 +- .007 at ten.
 
 # %%
 # In power that was measured in a room by others: ``benchmarks/fig5_lab.py`` (the page of results).

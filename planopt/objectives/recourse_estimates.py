@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 
 from planopt.objectives.axis_filter import Axis, criterion_of
 from planopt.objectives.tracking_filter import FilteredTracking
-from planopt.objectives.tracking_recourse import Retreats, at_ends, last_arrivals
+from planopt.objectives.tracking_recourse import (
+    Retreats,
+    at_ends,
+    last_arrivals,
+    stayed_steps,
+)
 from planopt.targets.sensor import sensing_information
 
 DISCOUNT = 0.8
@@ -54,8 +59,8 @@ def told_later_costs(
     count, length, total = len(chance), chance.shape[1], len(tracking.target_m)
     arrivals, stops = last_arrivals(ways_m), ways_m[:, -1]
     ends = at_ends(ways_m, arrivals, retreats, settings)
-    # Who stands, or stops with the first step, tries nothing, and is there until the plan ends.
-    leaving = np.where(arrivals > 0, arrivals, length - 1)
+    # Who stands, or stops with the first step, tries nothing, and stays for a while.
+    leaving = np.where(arrivals > 0, arrivals, stayed_steps(ways_m) - 1)
     back_m, home = _ways_back(stops, leaving, retreats, total)
     returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
     sensed = sensing_information(tracking.sensor, ways_m, tracking.target_m[:length])

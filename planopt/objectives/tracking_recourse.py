@@ -4,7 +4,7 @@ A path is taken for a try of the place where it ends. If a packet arrives from t
 too, for multipath stays what it is; if not, the robot goes to another place: at every later step it
 may be at any *retreat* that it comes to in time, a place that is known to be connected, or one that
 the target is expected at, with the chance of connection there (equation 4.27). After a try that
-succeeds it stays until the plan ends, and may then be at a retreat too, for the target moves on.
+succeeds it stays for some steps, and may then be at a retreat too, for the target moves on.
 
 So a step out of what is known to be covered costs little where the way back is short, and may bring
 a place that is connected from then on. Forms that take a path for driven to its end whatever comes
@@ -25,6 +25,9 @@ from planopt.targets.sensor import sensing_information
 
 RECOURSE_STEPS = 20
 """Steps beyond the horizon that a try is valued over."""
+
+STAYED_STEPS = 10
+"""Steps of a plan at most that who stands, or has tried with success, is taken for staying."""
 
 MOST_CONNECTED = 80
 """Of the places known to be connected so many are retreats, those that sense the target best."""
@@ -166,6 +169,11 @@ def last_arrivals(ways_m: NDArray[np.float64]) -> NDArray[np.intp]:
     return steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
 
 
+def stayed_steps(ways_m: NDArray[np.float64]) -> int:
+    """Return M of equation 4.26, for how many steps of paths (c, N, 2) ends are stayed at."""
+    return min(ways_m.shape[1], STAYED_STEPS)
+
+
 def at_ends(
     ways_m: NDArray[np.float64],
     arrivals: NDArray[np.intp],
@@ -174,9 +182,10 @@ def at_ends(
 ) -> NDArray[np.float64]:
     """Return s_k and e_k of equation 4.26, from the ends of paths on; ``(2, c, k)``.
 
-    Within the horizon a try that succeeds is stayed at, and a path that ends with its first step
-    tries nothing. Otherwise a robot that stands would be worth as much as one that drives: the
-    model lets it leave at any step, without the obstacles and robots that real paths keep from.
+    In the first `STAYED_STEPS` steps a try that succeeds is stayed at, and a path that ends with
+    its first step tries nothing. Otherwise a robot that stands would be worth as much as one that
+    drives: the model lets it leave at any step, without the obstacles and robots that real paths
+    keep from.
 
     Parameters
     ----------
@@ -189,6 +198,6 @@ def at_ends(
     """
     tracking, stops = settings.tracking, ways_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
-    later = np.arange(len(tracking.target_m)) >= ways_m.shape[1]
+    later = np.arange(len(tracking.target_m)) >= stayed_steps(ways_m)
     failed = np.where(later | (arrivals > 0)[:, None], retreats.best(stops, arrivals), 0.0)
     return np.stack([np.where(later, np.maximum(staying, failed), staying), failed])

@@ -148,6 +148,20 @@ def known(problem: Problem, seed: int) -> Known:
     )
 
 
+def test_variance_is_that_of_the_belief_and_its_slope_fits() -> None:
+    """Against the posterior that planopt conditions, and against differences."""
+    posterior = prepare(load("fig3"), 0).belief.posterior
+    measured, parameters = posterior.measurements.positions_m, posterior.parameters
+    grid = np.random.default_rng(0).uniform(0.0, 60.0, (50, 2))
+    left, own = LeftVariance(parameters, grid, measured[:10]), measured[10:].ravel()
+    predicted = posterior.predict(grid).deviation_db ** 2 - parameters.multipath_std_db**2
+    variance, slope = left(own)
+    np.testing.assert_allclose(variance, predicted.mean(), rtol=1e-9)
+    for step, along in zip(1e-4 * np.eye(len(own)), slope, strict=True):
+        difference = (left(own + step)[0] - left(own - step)[0]) / 2e-4
+        np.testing.assert_allclose(along, difference, rtol=1e-5, atol=1e-9)
+
+
 def test_a_run_is_near_what_can_be_had() -> None:
     """Measurements at will know the map better by little: descents begin at the run's places."""
     problem = load("fig3")

@@ -144,7 +144,7 @@ def test_lists_in_a_term_become_tuples() -> None:
 )
 def test_wrong_expressions(base, expression, words) -> None:
     """The term's key, the line of the class, and what an expression may be made of."""
-    with pytest.raises(InputError, match=rf"key objective\.terms\[0\]|{words}") as caught:
+    with pytest.raises(InputError, match=r"key objective\.terms\[0\]") as caught:
         made(base, objective=expression_of(expression)())
     assert caught.match(words)
     assert caught.match("positions_m, mean_db")

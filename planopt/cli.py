@@ -71,18 +71,7 @@ def _planopt(  # pyright: ignore[reportUnusedFunction]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Parameters
-    ----------
-    arguments
-        Those of the process if None.
-
-    Returns
-    -------
-    int
-        The exit code.
-    """
+    """Run a command."""
     given = sys.argv[1:] if arguments is None else arguments
     try:
         for argument in given:

@@ -38,13 +38,7 @@ class PlanoptError(Exception):
 
 
 def printable(text: str) -> str:
-    r"""Return `text` on one line, escaped where it cannot be printed, its long words cut.
-
-    Examples
-    --------
-    >>> printable("obstacle \ud800 of\nline 2")
-    'obstacle \\ud800 of line 2'
-    """
+    r"""Return `text` on one line, escaped where it cannot be printed, its long words cut."""
     words = (_cut(word, LONGEST_WORD) for word in text.split())
     return escaped(_cut(" ".join(words), LONGEST_MESSAGE))
 
@@ -60,13 +54,7 @@ def escaped(line: str) -> str:
 
 
 def require_text(text: str, what: str) -> None:
-    """Refuse text that no UTF-8 file can hold, such as a file name that is not UTF-8.
-
-    Raises
-    ------
-    InputError
-        It has half of a surrogate pair; `what` says whose text it is.
-    """
+    """Refuse text that no UTF-8 file can hold, such as a file name that is not UTF-8."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -76,13 +64,7 @@ def require_text(text: str, what: str) -> None:
 
 
 def path_of(key: str, value: Any, remedy: str) -> Path:
-    """Return a path that a user gives.
-
-    Raises
-    ------
-    InputError
-        It is no path; `key` and `remedy` say where, and what to give.
-    """
+    """Return a path that a user gives."""
     try:
         return Path(value)
     except TypeError:

@@ -27,17 +27,7 @@ def lazy_names(
     former: Mapping[str, str] | None = None,
     moved_to: Sequence[str] = (),
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy public names.
-
-    Parameters
-    ----------
-    package, file
-        ``__name__`` and ``__file__`` of the package.
-    former
-        Former public names, accepted with a warning, and the names that replace them.
-    moved_to
-        Packages that have public names which `package` had formerly; accepted with a warning.
-    """
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy public names."""
     modules = _listed_names(f"{file}i")
 
     def find(name: str) -> Any:

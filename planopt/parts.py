@@ -23,13 +23,7 @@ Part = TypeVar("Part")
 
 
 def part_of(key: str, value: object, kind: type[Part], remedy: str | None = None) -> Part:
-    """Return `value`, which must be of a kind.
-
-    Raises
-    ------
-    InputError
-        It is of another; `key` and `remedy` say where, and what to do.
-    """
+    """Return `value`, which must be of a kind."""
     if not isinstance(value, kind):
         words = f"give {kind.__name__}(...)" if remedy is None else remedy
         got = f"class {value.__name__}" if isinstance(value, type) else type(value).__name__
@@ -52,24 +46,7 @@ def parts_of(
 
 
 def require_name(name: object, of: str, taken: Collection[str] = (), *, key: str = "kind") -> str:
-    """Return the name of a part that problem files may name.
-
-    Parameters
-    ----------
-    name
-        The name that is given.
-    of
-        The kind of part, for messages, such as ``"a planner"``.
-    taken
-        Names that no part from outside may have.
-    key
-        The attribute that has the name.
-
-    Raises
-    ------
-    InputError
-        It is no word of letters, digits, ``_`` and ``-``, or it is taken.
-    """
+    """Return the name of a part that problem files may name."""
     is_word = isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,100}", name)
     if not is_word or name in taken:
         others = f", and none of {listed(taken)}" if taken else ""
@@ -96,24 +73,7 @@ def is_own(part: object) -> bool:
 def calling(
     part: object, method: str, *, key: str | None = None, remedy: str | None = None
 ) -> Generator[None]:
-    """Name class, method and line of what a user's own part raises.
-
-    Parameters
-    ----------
-    part
-        The object, class or function that is called.
-    method
-        Its method; empty where it is called itself.
-    key
-        The key that named the part.
-    remedy
-        What to do; by default, to mend the method.
-
-    Raises
-    ------
-    InputError
-        The part's code raised an exception that is none of planopt's.
-    """
+    """Name class, method and line of what a user's own part raises."""
     try:
         yield
     except PlanoptError:
@@ -144,26 +104,7 @@ def returned(
     key: str | None = None,
     unbounded: bool = False,
 ) -> NDArray[np.float64]:
-    """Return what a part's method returned, as numbers of a shape.
-
-    Parameters
-    ----------
-    part, method, key
-        As for :func:`calling`.
-    value
-        What it returned.
-    shape
-        The shape that it must have.
-    words
-        What it stands for, such as ``"one number for each path"``.
-    unbounded
-        Whether it may have infinite values and NaN.
-
-    Raises
-    ------
-    InputError
-        It is something else.
-    """
+    """Return what a part's method returned, as numbers of a shape."""
     import numpy as np  # the command line knows planners, and loads no numerics
 
     try:

@@ -25,14 +25,7 @@ def require_weights(weight: NDArray[np.float64], count: int) -> NDArray[np.float
 
 
 def plain(value: Any) -> Any:
-    """Return `value` with tuples in place of lists and arrays, and Python's numbers in them.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> plain([np.float64(1.0), np.array([2, 3])])
-    (1.0, (2, 3))
-    """
+    """Return `value` with tuples in place of lists and arrays, and Python's numbers in them."""
     if isinstance(value, np.ndarray | np.generic):
         value = cast("Any", value).tolist()
     if isinstance(value, list | tuple):

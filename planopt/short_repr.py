@@ -26,17 +26,7 @@ MOST_NESTED = 200
 
 
 def short_repr(self: object) -> str:
-    """Return the fields of a dataclass, wrapped to at most `LINES` lines of `WIDTH` letters.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from planopt import Measurements
-    >>> Measurements(np.zeros((200, 2)), np.linspace(-90.0, -40.0, 200), np.zeros(200, dtype=bool))
-    Measurements(positions_m=<(200, 2), 0 to 0>, power_dbm=<(200,), -90 to -40>, censored=<(200,), 0
-        true>, resolution_db=<(200,), 0 to 0>, position_std_m=<(200,), 0 to 0>, time_s=<(200,), 0 to
-        0>, receiver=<(200,), 0 to 0>)
-    """
+    """Return the fields of a dataclass, wrapped to at most `LINES` lines of `WIDTH` letters."""
     return wrapped(_fields_of(self))
 
 

@@ -72,15 +72,8 @@ def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArr
 
 
 def solve_rows(lower: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
-    """Replace each of `rows` (m, n) by L^-1 of it, without a copy of them.
-
-    Parameters
-    ----------
-    lower
-        ``(n, n)`` in Fortran's order, or it is copied.
-    rows
-        ``(m, n)`` in C's order.
-    """
+    """Replace each of `rows` (m, n) by L^-1 of it, without a copy of them."""
+    # Shapes: lower (n, n); rows (m, n).
     solved = SOLVE(1.0, lower, rows.T, lower=1, overwrite_b=1)
     if not np.shares_memory(solved, rows):
         raise AssertionError("rows in C's order are solved in place")

@@ -28,23 +28,13 @@ ELEMENTS = 2**17
 
 @dataclass(frozen=True)
 class PosteriorDerivatives:
-    """Predicted power at n places with derivatives by position.
+    """Predicted power at n places with derivatives by position."""
 
-    Attributes
-    ----------
-    mean_db, deviation_db
-        ``(n,)`` as :func:`planopt.channel.kriging.predict` has them.
-    mean_gradient, deviation_gradient
-        ``(n, 2)`` dB/m.
-    mean_hessian, deviation_hessian
-        ``(n, 2, 2)`` dB/m^2, symmetric.
-    """
-
-    mean_db: NDArray[np.float64]
+    mean_db: NDArray[np.float64]  # (n,) as :func:`planopt.channel.kriging.predict` has them
     deviation_db: NDArray[np.float64]
-    mean_gradient: NDArray[np.float64]
+    mean_gradient: NDArray[np.float64]  # (n, 2) dB/m
     deviation_gradient: NDArray[np.float64]
-    mean_hessian: NDArray[np.float64]
+    mean_hessian: NDArray[np.float64]  # (n, 2, 2) dB/m^2, symmetric
     deviation_hessian: NDArray[np.float64]
 
 

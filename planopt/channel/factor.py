@@ -49,24 +49,10 @@ def append_rows(
     buffer: FactorBuffer,
     parameters: ChannelParameters,
     origins: Origins,
-    noise_variance_db2: NDArray[np.float64],
-    columns: NDArray[np.float64],
+    noise_variance_db2: NDArray[np.float64],  # (n,) variance of the noise of each
+    columns: NDArray[np.float64],  # (n, c), whitened as far as the factor goes
 ) -> None:
-    """Add the rows from `buffer.used` on to the factor, and whiten those of `columns` in place.
-
-    Parameters
-    ----------
-    buffer
-        With room for n rows.
-    parameters
-        The channel's parameters.
-    origins
-        Of all n measurements.
-    noise_variance_db2
-        ``(n,)`` variance of the noise of each.
-    columns
-        ``(n, c)``, whitened as far as the factor goes.
-    """
+    """Add the rows from `buffer.used` on to the factor, and whiten those of `columns` in place."""
     lower, count = buffer.lower, len(columns)
     block = AT_ONCE if count <= AT_ONCE else FACTOR_BLOCK
     for start in range(buffer.used, count, block):

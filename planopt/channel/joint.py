@@ -107,21 +107,11 @@ def joint_prediction(
 
 @dataclass(frozen=True, eq=False)
 class JointTerms:
-    """The parts of a joint prediction that do not depend on theta.
+    """The parts of a joint prediction that do not depend on theta."""
 
-    Attributes
-    ----------
-    data_db
-        ``(h,)`` Phi' U^-1 Y.
-    trend
-        ``(h, 2)`` B.
-    latent_db2
-        ``(h, h)`` S without multipath.
-    """
-
-    data_db: NDArray[np.float64]
-    trend: NDArray[np.float64]
-    latent_db2: NDArray[np.float64]
+    data_db: NDArray[np.float64]  # (h,) Phi' U^-1 Y
+    trend: NDArray[np.float64]  # (h, 2) B
+    latent_db2: NDArray[np.float64]  # (h, h) S without multipath
 
 
 def joint_terms(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> JointTerms:

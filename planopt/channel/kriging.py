@@ -40,28 +40,13 @@ MANY_PLACES = 1024
 
 def predict(
     posterior: ChannelPosterior,
-    positions_m: ArrayLike,
-    position_std_m: NDArray[np.float64] | None = None,
+    positions_m: ArrayLike,  # (n, 2); memory stays bounded whatever n
+    position_std_m: NDArray[np.float64] | None = None,  # (n,)
 ) -> Prediction:
     """Predict mean and standard deviation of the power that would be measured (equation 1.8).
 
     From all measurements where `posterior` has a factor, else from the `NEIGHBOURS_BEYOND` nearest
     to each place and theta from all.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    positions_m
-        ``(n, 2)``; memory stays bounded whatever n.
-    position_std_m
-        ``(n,)`` deviation of either coordinate, where the robot that would measure is not sure of
-        its own place (:mod:`planopt.channel.measurement_covariance`). None where it is.
-
-    Raises
-    ------
-    InputError
-        Another shape, or a coordinate that cannot be computed with.
     """
     places = require_places(positions_m, at_least=0)
     return combine(

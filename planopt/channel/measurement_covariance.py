@@ -92,8 +92,8 @@ def position_blur_m2(position_std_m: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def path_loss_variance_db2(
-    positions_m: NDArray[np.float64],
-    position_std_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],  # (..., 2)
+    position_std_m: NDArray[np.float64],  # (...) sigma; the variance is zero where it is zero
     station: Station,
     n_pl: float,
 ) -> NDArray[np.float64]:
@@ -103,17 +103,6 @@ def path_loss_variance_db2(
     horizontal distance to the station and h its height: the variance of the squared distance by
     four times the square of its mean. Bounded also beside the station: 8 % low at 7 sigma from it,
     43 % at sigma.
-
-    Parameters
-    ----------
-    positions_m
-        ``(..., 2)``.
-    position_std_m
-        ``(...)`` sigma; the variance is zero where it is zero.
-    station
-        The station.
-    n_pl
-        Path loss exponent.
     """
     horizontal = ((positions_m - np.asarray(station.position_m)) ** 2).sum(axis=-1)
     variance = position_std_m**2
@@ -134,24 +123,14 @@ computed, and temporary arrays stay in a processor's cache."""
 
 @dataclass(frozen=True, eq=False)
 class Origins:
-    """Places, times and receivers of powers that are measured or predicted.
+    """Places, times and receivers of powers that are measured or predicted."""
 
-    Attributes
-    ----------
-    positions_m
-        ``(..., n, 2)``.
-    blur_m2
-        ``(..., n)`` of position errors; None where there is none.
-    time_s
-        ``(..., n)``, or ``(1,)`` for all; None where the channel does not forget.
-    receiver
-        ``(..., n)``; None where all are 0.
-    """
-
-    positions_m: NDArray[np.float64]
+    positions_m: NDArray[np.float64]  # (..., n, 2)
+    # (..., n) of position errors; None where there is none
     blur_m2: NDArray[np.float64] | None = None
+    # (..., n), or (1,) for all; None where the channel does not forget
     time_s: NDArray[np.float64] | None = None
-    receiver: NDArray[np.intp] | None = None
+    receiver: NDArray[np.intp] | None = None  # (..., n); None where all are 0
 
     def at(self, rows: NDArray[np.intp] | slice) -> Origins:
         """Return the origins of `rows` of measurements (n,); indices (k, m) make k batches of m."""
@@ -199,13 +178,8 @@ def place_origins(
 def covariance_db2(
     first: Origins, second: Origins, parameters: ChannelParameters
 ) -> NDArray[np.float64]:
-    """Covariance of the powers of `first` (..., n) and `second` (..., m), no one in both.
-
-    Returns
-    -------
-    NDArray
-        ``(..., n, m)`` in dB^2.
-    """
+    """Covariance of the powers of `first` (..., n) and `second` (..., m), no one in both."""
+    # Shapes: returns (..., n, m).
     blur_m2 = blurred_m2(first, second)
     distance_m = pairwise_distance_m(first.positions_m, second.positions_m, blur_m2)
     return covariance_over_db2(distance_m, first, second, parameters)

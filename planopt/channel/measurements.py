@@ -140,27 +140,7 @@ class Measurements:
 
 
 def as_measurements(data: Measurements | Table) -> Measurements:
-    """Return measurements as they are, or make them of a table.
-
-    Parameters
-    ----------
-    data
-        Of a table the columns ``x_m``, ``y_m`` and ``power_dbm`` are read, and those of
-        ``censored``, ``resolution_db``, ``position_std_m``, ``time_s`` and ``receiver`` that are
-        there (see :class:`Measurements`). Others are ignored.
-
-    Raises
-    ------
-    InputError
-        It is no table, a column is missing, or :class:`Measurements` refuses what is in them.
-
-    Examples
-    --------
-    >>> table = {"x_m": [0, 10], "y_m": [0, 5], "power_dbm": [-60, -71], "day": ["mon", "tue"]}
-    >>> as_measurements(table).positions_m
-    array([[ 0.,  0.],
-           [10.,  5.]])
-    """
+    """Return measurements as they are, or make them of a table."""
     if isinstance(data, Measurements):
         return data
     try:
@@ -191,13 +171,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
 
 
 def as_received(data: Measurements | Table) -> Measurements:
-    """Return measurements as :func:`as_measurements` does, of powers that a receiver can report.
-
-    Raises
-    ------
-    InputError
-        Besides, where a power is outside -300 to 100 dBm.
-    """
+    """Return measurements as :func:`as_measurements` does, of powers that a receiver can report."""
     given = as_measurements(data)
     within = (given.power_dbm >= LEAST_POWER_DBM) & (given.power_dbm <= LARGEST_POWER_DBM)
     if not within.all():
@@ -219,13 +193,7 @@ _KINDS: dict[str, tuple[type[np.generic], str]] = {
 
 
 def _array(name: str, values: Any) -> NDArray[Any]:
-    """Return the values of a field as an array of its type.
-
-    Raises
-    ------
-    InputError
-        They are no numbers, or no flags or whole numbers where these are asked for.
-    """
+    """Return the values of a field as an array of its type."""
     kind, words = _KINDS.get(name, (np.float64, "numbers"))
     try:
         given = np.asarray(values)

@@ -24,38 +24,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReceiverOffset:
-    """The offset of a receiver's readings from those of receiver 0.
+    """The offset of a receiver's readings from those of receiver 0."""
 
-    Attributes
-    ----------
-    receiver
-        Its number.
-    offset_db, standard_error_db
-        Estimate and its standard error, the uncertainty of theta counted.
-    """
-
-    receiver: int
-    offset_db: float
+    receiver: int  # Its number
+    offset_db: float  # Estimate and its standard error, the uncertainty of theta counted
     standard_error_db: float
 
 
 @dataclass(frozen=True, eq=False)
 class OffsetsGivenTheta:
-    """The offsets of R receivers as they follow from all measurements once theta is known.
+    """The offsets of R receivers as they follow from all measurements once theta is known."""
 
-    Attributes
-    ----------
-    receivers
-        ``(R,)`` numbers, ascending, without 0; none where every measurement is by receiver 0.
-    means_db
-        ``(R, 3)`` s^2 Z' U^-1 [y, Gamma]: the mean is its first column less the others by theta.
-    covariance_db2
-        ``(R, R)`` s^2 I - s^4 Z' U^-1 Z.
-    """
-
+    # (R,) numbers, ascending, without 0; none where every measurement is by receiver 0
     receivers: NDArray[np.intp]
+    # (R, 3) s^2 Z' U^-1 [y, Gamma]: the mean is its first column less the others by theta
     means_db: NDArray[np.float64]
-    covariance_db2: NDArray[np.float64]
+    covariance_db2: NDArray[np.float64]  # (R, R) s^2 I - s^4 Z' U^-1 Z
 
     def indicators(self, receiver: NDArray[np.intp]) -> NDArray[np.float64]:
         """Z for measurements by `receiver` (...); ``(..., R)``."""

@@ -137,20 +137,12 @@ PRIOR_N_PL_STD = 1.0
 
 @dataclass(frozen=True)
 class MeanModel:
-    """Mean power = offset + columns @ coefficients.
+    """Mean power = offset + columns @ coefficients."""
 
-    Attributes
-    ----------
-    columns
-        ``(n, p)``; p = 2: the regressors gamma; p = 1: ones, for K_PL alone.
-    offset_db
-        ``(n,)``; zero for p = 2; the contribution of `PRIOR_N_PL` for p = 1.
-    regressor_mean
-        Mean of -10 log10 d over the exact measurements: how an error in n_PL moves K_PL.
-    """
-
-    columns: NDArray[np.float64]
+    columns: NDArray[np.float64]  # (n, p); p = 2: the regressors gamma; p = 1: ones, for K_PL alone
+    # (n,); zero for p = 2; the contribution of `PRIOR_N_PL` for p = 1
     offset_db: NDArray[np.float64]
+    # Mean of -10 log10 d over the exact measurements: how an error in n_PL moves K_PL
     regressor_mean: float
 
     def theta(self, coefficients: NDArray[np.float64]) -> tuple[float, float]:

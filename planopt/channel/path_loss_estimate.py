@@ -26,18 +26,10 @@ Estimator = Literal["ml", "ls"]
 
 @dataclass(frozen=True, eq=False)
 class ThetaEstimate:
-    """Path loss.
+    """Path loss."""
 
-    Attributes
-    ----------
-    theta
-        ``(2,)`` (K_PL in dBm, n_PL).
-    covariance
-        ``(2, 2)`` of its error under the channel's xi, beta and omega.
-    """
-
-    theta: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    theta: NDArray[np.float64]  # (2,) (K_PL in dBm, n_PL)
+    covariance: NDArray[np.float64]  # (2, 2) of its error under the channel's xi, beta and omega
 
 
 def estimate_theta(
@@ -78,11 +70,6 @@ def ml_covariance_after(
 
     M_{t+1}^-1 = M_t^-1 + varphi varphi' / sigma^2 (equation 1.10), with varphi = gamma - Gamma'
     U^-1 phi and sigma^2 = xi^2 + omega^2 - phi' U^-1 phi; written so that nothing is inverted.
-
-    Raises
-    ------
-    InputError
-        The theta of `posterior` is not the maximum likelihood's, or the position is none.
     """
     if posterior.theta_rule != "estimated":
         raise InputError(

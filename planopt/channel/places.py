@@ -14,21 +14,8 @@ MAX_COORDINATE_M = 1e12
 
 
 def require_places(positions_m: ArrayLike, at_least: int = 1) -> NDArray[np.float64]:
-    """`positions_m` as floats, or an error that says what is wrong with them.
-
-    Parameters
-    ----------
-    positions_m
-        ``(h, 2)`` metres: an array, a list of pairs, or the two columns of a DataFrame.
-    at_least
-        The least h that makes sense.
-
-    Raises
-    ------
-    InputError
-        No numbers, another shape, fewer places, or a coordinate that is not finite or beyond
-        `MAX_COORDINATE_M`.
-    """
+    """`positions_m` as floats, or an error that says what is wrong with them."""
+    # Shapes: positions_m (h, 2).
     try:
         places = np.asarray(positions_m, dtype=np.float64)
     except (ValueError, TypeError):
@@ -55,26 +42,14 @@ def require_places(positions_m: ArrayLike, at_least: int = 1) -> NDArray[np.floa
 
 
 def require_finite(value: float, key: str) -> float:
-    """`value` as a float.
-
-    Raises
-    ------
-    InputError
-        It is NaN or infinite.
-    """
+    """`value` as a float."""
     if not math.isfinite(value):
         raise InputError(f"{value!r} is not finite", key=key, remedy="give a number")
     return float(value)
 
 
 def require_shadowing(shadow_std_db: float, decorrelation_m: float) -> None:
-    """Refuse what is no shadowing.
-
-    Raises
-    ------
-    InputError
-        xi is negative, beta not above zero, or one of them not finite.
-    """
+    """Refuse what is no shadowing."""
     if not (math.isfinite(shadow_std_db) and shadow_std_db >= 0.0):
         raise InputError(
             f"{shadow_std_db!r} dB is no deviation",
@@ -90,13 +65,7 @@ def require_shadowing(shadow_std_db: float, decorrelation_m: float) -> None:
 
 
 def require_count(count: int, key: str) -> int:
-    """`count` as it is.
-
-    Raises
-    ------
-    InputError
-        It is below one.
-    """
+    """`count` as it is."""
     if count < 1:
         raise InputError(f"{count!r} is too few", key=key, remedy="give at least 1")
     return count

@@ -56,22 +56,13 @@ from planopt.short_repr import short_repr
 def least_squares_theta(
     measurements: Measurements,
     values_db: NDArray[np.float64],
-    lower: NDArray[np.float64],
+    lower: NDArray[np.float64],  # (n, n) Cholesky factor of U
     station: Station,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None where it is not identified.
 
     Censored measurements are left out, since a limit has no residual. Offsets of receivers are
     estimated along with theta.
-
-    Parameters
-    ----------
-    measurements, values_db
-        n of them, and ``(n,)`` their powers.
-    lower
-        ``(n, n)`` Cholesky factor of U.
-    station
-        The fixed station.
     """
     exact = ~measurements.censored
     known = measurements.take(exact)
@@ -95,16 +86,8 @@ MAX_INFORMATION_CONDITION = 1e10
 def theta_estimate(
     parameters: ChannelParameters, products: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Estimate theta and its covariance M (equation 1.7).
-
-    Parameters
-    ----------
-    parameters
-        Its theta, theta_0, is the centre of the weak prior.
-    products
-        ``(3, 3)`` C' U^-1 C of the columns C = [y - Gamma theta_0, Gamma]: about theta_0, where
-        the digits are.
-    """
+    """Estimate theta and its covariance M (equation 1.7)."""
+    # Shapes: products (3, 3).
     # In units of the weak prior.
     unit = np.array(WEAK_THETA_DEVIATION)
     information = unit[:, None] * products[1:, 1:] * unit
@@ -118,15 +101,7 @@ def theta_estimate(
 
 
 def with_rows(grown: ChannelPosterior, before: ChannelPosterior) -> ChannelPosterior:
-    """Add rows to the factor and to the whitened columns, and estimate theta.
-
-    Parameters
-    ----------
-    grown
-        All measurements, not yet accounted for.
-    before
-        The posterior of the first of them.
-    """
+    """Add rows to the factor and to the whitened columns, and estimate theta."""
     parameters, old = grown.parameters, len(before.measurements)
     new = slice(old, None)
     columns = np.empty((len(grown.measurements), 3))

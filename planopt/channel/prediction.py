@@ -35,21 +35,11 @@ class Prediction:
 
 @dataclass(frozen=True)
 class KrigingTerms:
-    """Parts of a prediction that do not depend on theta (equation 1.6), for n places.
+    """Parts of a prediction that do not depend on theta (equation 1.6), for n places."""
 
-    Attributes
-    ----------
-    data_db
-        ``(n,)`` a = phi' U^-1 y.
-    trend
-        ``(n, 2)`` varphi = gamma - Gamma' U^-1 phi.
-    variance_db2
-        ``(n,)`` s = xi^2 + omega^2 - phi' U^-1 phi.
-    """
-
-    data_db: NDArray[np.float64]
-    trend: NDArray[np.float64]
-    variance_db2: NDArray[np.float64]
+    data_db: NDArray[np.float64]  # (n,) a = phi' U^-1 y
+    trend: NDArray[np.float64]  # (n, 2) varphi = gamma - Gamma' U^-1 phi
+    variance_db2: NDArray[np.float64]  # (n,) s = xi^2 + omega^2 - phi' U^-1 phi
 
 
 def combine(

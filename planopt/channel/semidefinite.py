@@ -13,18 +13,8 @@ of the largest variance: far above rounding, far below any variance of interest.
 
 
 def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lower triangular L with L L' = `covariance`; columns of determined values are zero.
-
-    Parameters
-    ----------
-    covariance
-        ``(h, h)`` symmetric, positive semidefinite up to rounding.
-
-    Raises
-    ------
-    InputError
-        It is not a covariance.
-    """
+    """Lower triangular L with L L' = `covariance`; columns of determined values are zero."""
+    # Shapes: covariance (h, h).
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:

@@ -102,14 +102,7 @@ def mean_squared_error_db2(
 
 
 def perturbed(parameters: ChannelParameters, name: str, relative_error: float) -> ChannelParameters:
-    """`parameters` with one of `PERTURBED` multiplied by 1 + `relative_error`.
-
-    Raises
-    ------
-    InputError
-        There is no such parameter, or the error is -1 or less (variances and distances must stay
-        positive).
-    """
+    """`parameters` with one of `PERTURBED` multiplied by 1 + `relative_error`."""
     if not (math.isfinite(relative_error) and relative_error > -1.0):
         raise InputError(
             f"a relative error of {relative_error!r} cannot be applied",

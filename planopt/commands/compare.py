@@ -184,13 +184,7 @@ def _wants_figures(problem: Problem | SystemProblem) -> bool:
 
 
 def asked_seeds(text: str, first: int | None) -> range:
-    """The seeds of the options ``--seeds`` and ``--first-seed``.
-
-    Raises
-    ------
-    InputError
-        There is none, or both say where they begin.
-    """
+    """The seeds of the options ``--seeds`` and ``--first-seed``."""
     from planopt.problems.comparison_settings import seeds_of
 
     chosen = seeds_of(text, "--seeds")
@@ -205,11 +199,6 @@ def swept(text: str) -> tuple[str, list[Any]]:
     """The key and the values of a sweep such as ``constraints.p_min=0.5,0.8``.
 
     Values are read as in a problem file; words need no quotes.
-
-    Raises
-    ------
-    InputError
-        There is no key or no value.
     """
     key, _, values = text.partition("=")
     try:
@@ -233,13 +222,7 @@ def _word(text: str) -> Any:
 
 
 def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...]:
-    """The values of a list such as ``1,2,5``, each once.
-
-    Raises
-    ------
-    InputError
-        A value is missing or not of its kind.
-    """
+    """The values of a list such as ``1,2,5``, each once."""
     parts = [part.strip() for part in text.split(",")]
     try:
         values = [kind(part) for part in parts]

@@ -92,12 +92,6 @@ def held_out(
     """Hold out what `text` says, fit the rest as the whole was fitted, and score.
 
     At least `threshold_dbm` counts as connected; None for the median power.
-
-    Raises
-    ------
-    InputError
-        `text` or the columns cannot be used, there is one group only, several receivers measured,
-        or without some groups there is nothing to fit.
     """
     import numpy as np
 

@@ -21,11 +21,6 @@ def stopping() -> Generator[list[int]]:
 
     A handler that was there before is called as well, so that a block within another tells the
     outer one. Only the main thread of a process has handlers; elsewhere nothing changes.
-
-    Yields
-    ------
-    list of int
-        Numbers of the signals so far: something may have swallowed the exception.
     """
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
@@ -54,13 +49,7 @@ def stopping() -> Generator[list[int]]:
 
 @contextlib.contextmanager
 def interruptible() -> Generator[Callable[[], None]]:
-    """Let nothing swallow an interrupt: CasADi answers one by ending the solve that it is in.
-
-    Yields
-    ------
-    callable
-        Raises KeyboardInterrupt if a signal has come.
-    """
+    """Let nothing swallow an interrupt: CasADi answers one by ending the solve that it is in."""
     with stopping() as received:
 
         def stop_if_interrupted() -> None:

@@ -127,27 +127,14 @@ class LogOptions:
 
 @dataclass(frozen=True)
 class LogFit:
-    """A log and what it tells.
+    """A log and what it tells."""
 
-    Attributes
-    ----------
-    measurements
-        All of the log.
-    found
-        Their fit.
-    receivers
-        Labels by the receivers' numbers; empty without ``--receiver``.
-    learn
-        Estimates the parameters from any measurements as from these.
-    log_format
-        How the log was read.
-    """
-
-    measurements: Measurements
-    found: ChannelFit
-    receivers: tuple[str, ...]
+    measurements: Measurements  # All of the log
+    found: ChannelFit  # Their fit
+    receivers: tuple[str, ...]  # Labels by the receivers' numbers; empty without --receiver
+    # Estimates the parameters from any measurements as from these
     learn: Callable[[Measurements], ChannelParameters]
-    log_format: LogFormat
+    log_format: LogFormat  # How the log was read
 
 
 def read_and_fit(
@@ -158,13 +145,7 @@ def read_and_fit(
     loss: str = "squares",
     station_method: str | None = None,
 ) -> LogFit:
-    """Read the log and fit it, everything as it was given on the command line.
-
-    Raises
-    ------
-    InputError
-        An option or the log cannot be used; errors about a measurement name its line.
-    """
+    """Read the log and fit it, everything as it was given on the command line."""
     from planopt.channel.estimation.channel_fit import require_loss, require_method
     from planopt.channel.estimation.fit import fit_channel, fitted_parameters
     from planopt.channel.logs.log_file import at_file_line, parse_station, read_power_log
@@ -207,13 +188,7 @@ def read_and_fit(
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
-    """Return the method by which the station is found.
-
-    Raises
-    ------
-    InputError
-        There is no such way, or the station is given.
-    """
+    """Return the method by which the station is found."""
     from planopt.channel.station.station_position import StationMethod
 
     names = get_args(StationMethod)
@@ -235,13 +210,7 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
 
 
 def _log_format(options: LogOptions) -> LogFormat:
-    """Return how the log is to be read.
-
-    Raises
-    ------
-    InputError
-        An option cannot be used.
-    """
+    """Return how the log is to be read."""
     from planopt.channel.logs.log_format import (
         DEFAULT_COLUMNS,
         LogFormat,
@@ -272,13 +241,7 @@ def _log_format(options: LogOptions) -> LogFormat:
 
 
 def _forgetting_s(options: LogOptions) -> float:
-    """The forgetting time; infinite where none is given.
-
-    Raises
-    ------
-    InputError
-        It is not positive, or there are no times that it could apply to.
-    """
+    """The forgetting time; infinite where none is given."""
     if options.forgetting is None:
         return math.inf
     if not options.forgetting > 0.0:

@@ -136,13 +136,7 @@ def map_log(
 
 
 def parse_bounds(text: str) -> Bounds:
-    """Read ``X0,Y0,X1,Y1`` in metres.
-
-    Raises
-    ------
-    InputError
-        Not four numbers.
-    """
+    """Read ``X0,Y0,X1,Y1`` in metres."""
     try:
         x_min, y_min, x_max, y_max = (float(part) for part in text.split(","))
     except ValueError:

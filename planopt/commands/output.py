@@ -48,15 +48,7 @@ def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
 
 
 def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
-    """Return names with their values, `COLUMNS` of them a line, one below the other.
-
-    Examples
-    --------
-    >>> for line in in_columns([("path_m", "8"), ("steps", "12"), ("n", "-"), ("rms_db", "3.1")]):
-    ...     print(line)
-    path_m   8    steps 12    n -
-    rms_db 3.1
-    """
+    """Return names with their values, `COLUMNS` of them a line, one below the other."""
     lines: list[str] = []
     sizes = [
         [max((len(cell[part]) for cell in cells[column::COLUMNS]), default=0) for part in (0, 1)]
@@ -104,15 +96,7 @@ def explained(relaxations: Iterable[object]) -> list[str]:
 
 @contextlib.contextmanager
 def progress(description: str, total: int | None = None) -> Generator[Callable[[], None]]:
-    """Show on stderr, if that is a terminal, that work is going on; call the result for each part.
-
-    Parameters
-    ----------
-    description
-        What is being done.
-    total
-        How many parts there are, if that is known.
-    """
+    """Show progress on stderr if it is a terminal; call the result for each part."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -151,15 +135,6 @@ def drawing(folder: Path | None, files: ResultFiles, *, wanted: bool) -> Generat
     """Give a folder for the pictures of results that are saved; None where none are wanted.
 
     Pictures come after the results: whatever happens to them, the numbers are there.
-
-    Parameters
-    ----------
-    folder
-        Where the results are, or None.
-    files
-        What they consist of.
-    wanted
-        Whether there are to be pictures.
     """
     if folder is None or not wanted:
         yield None
@@ -173,11 +148,6 @@ def results_folder(out: Path | None) -> Generator[Path | None]:
     """The folder for results, known to be writable before any work is done.
 
     If nothing comes of the work, a folder made for it is removed again.
-
-    Raises
-    ------
-    OutputError
-        It cannot be made or written into.
     """
     if out is None:
         yield None

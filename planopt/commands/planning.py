@@ -38,19 +38,7 @@ def answer_command(
     file: str,
     not_for_it: dict[str, str | None],
 ) -> int:
-    """Do what a command asks, and return the exit code.
-
-    Parameters
-    ----------
-    problem, action, request
-        What is asked of whom.
-    out, json
-        The options of these names.
-    replaced, file
-        What the answer replaces in a folder, and its JSON file.
-    not_for_it
-        Values of options that only motion planning has; None if not given.
-    """
+    """Do what a command asks, and return the exit code."""
     from dataclasses import replace
 
     from planopt.files.result_folder import ResultFiles, replaced_results
@@ -79,18 +67,10 @@ def answer_command(
 
 @dataclass(frozen=True)
 class Asked:
-    """The options that were given on the command line.
+    """The options that were given on the command line."""
 
-    Attributes
-    ----------
-    problem
-        With horizon, planner, cost to go and calibration as asked for.
-    seed, out, json, animation
-        The options of these names.
-    """
-
-    problem: Problem
-    seed: int
+    problem: Problem  # With horizon, planner, cost to go and calibration as asked for
+    seed: int  # The options of these names
     out: Path | None
     json: bool
     animation: bool = False

@@ -20,61 +20,29 @@ class Boundary:
     """Closed boundaries of cells, counter-clockwise, each as seen from its centre.
 
     A cell contains the whole straight line from its centre to any place of it.
-
-    Attributes
-    ----------
-    centres_m
-        ``(g, 2)`` the agent's place for each cell.
-    cell
-        ``(e,)`` number of the cell of each piece.
-    start_m, end_m
-        ``(e, 2)`` both ends of each piece, relative to the cell's centre.
-    angle
-        ``(e,)`` angle between both ends in rad where the piece is an arc about the centre; 0 where
-        it is straight.
     """
 
-    centres_m: NDArray[np.float64]
-    cell: NDArray[np.intp]
-    start_m: NDArray[np.float64]
+    centres_m: NDArray[np.float64]  # (g, 2) the agent's place for each cell
+    cell: NDArray[np.intp]  # (e,) number of the cell of each piece
+    start_m: NDArray[np.float64]  # (e, 2) both ends of each piece, relative to the cell's centre
     end_m: NDArray[np.float64]
+    # (e,) angle between both ends in rad where the piece is an arc about the centre; 0 where it is
+    # straight
     angle: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Integrals of a density over cells, taken about the cells' centres.
+    """Integrals of a density over cells, taken about the cells' centres."""
 
-    Attributes
-    ----------
-    mass
-        ``(g,)`` integral of the density.
-    first
-        ``(g, 2)`` integral of the density times the offset from the centre.
-    second
-        ``(g,)`` integral of the density times the squared distance from the centre.
-    """
-
-    mass: NDArray[np.float64]
-    first: NDArray[np.float64]
+    mass: NDArray[np.float64]  # (g,) integral of the density
+    first: NDArray[np.float64]  # (g, 2) integral of the density times the offset from the centre
+    # (g,) integral of the density times the squared distance from the centre
     second: NDArray[np.float64]
 
 
 def cell_boundary(cells: Cells, sensing_range_m: float | None = None) -> Boundary:
-    """Return the boundaries of all cells, of the part within the sensing range if there is one.
-
-    Parameters
-    ----------
-    cells
-        The partition.
-    sensing_range_m
-        How far an agent senses; None without limit.
-
-    Raises
-    ------
-    InputError
-        The range is not a positive number.
-    """
+    """Return the boundaries of all cells, of the part within the sensing range if there is one."""
     cell = cells.inside.polygon_of
     start = cells.inside.corners_m - cells.generators_m[cell]
     end = start[cells.inside.following]

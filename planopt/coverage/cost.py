@@ -24,24 +24,14 @@ EMPTY = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """The coverage cost of a region, and the place where each agent should be.
+    """The coverage cost of a region, and the place where each agent should be."""
 
-    Attributes
-    ----------
-    cost
-        The coverage cost H, in m^4 for the uniform density of 1 per m^2.
-    mass
-        ``(n,)`` mass of each agent's cell.
-    centroids_m
-        ``(n, 2)`` centroid of each agent's cell; the agent's own place if the cell has no mass.
-    gradient
-        ``(n, 2)`` derivative of H by each agent's place, ``2 M (p - C)``. Agents at one place share
-        the derivative of the place in equal parts.
-    """
-
-    cost: float
-    mass: NDArray[np.float64]
+    cost: float  # The coverage cost H, in m^4 for the uniform density of 1 per m^2
+    mass: NDArray[np.float64]  # (n,) mass of each agent's cell
+    # (n, 2) centroid of each agent's cell; the agent's own place if the cell has no mass
     centroids_m: NDArray[np.float64]
+    # (n, 2) derivative of H by each agent's place, 2 M (p - C). Agents at one place share the
+    # derivative of the place in equal parts.
     gradient: NDArray[np.float64]
 
 
@@ -52,30 +42,6 @@ def coverage(
 
     Exact to rounding for the uniform density and for rasters; other densities are integrated by
     Gauss quadrature.
-
-    Parameters
-    ----------
-    cells
-        The partition, from :func:`planopt.coverage.voronoi.voronoi_cells`.
-    density
-        Weight of each place.
-    sensing_range_m
-        How far an agent senses; None without limit. Cells are cut at it.
-
-    Raises
-    ------
-    InputError
-        The density is negative or not finite somewhere, or the range is not positive.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from planopt.coverage.region import convex_region
-    >>> from planopt.coverage.voronoi import voronoi_cells
-    >>> square = convex_region(np.array([[0, 0], [1, 0], [1, 1], [0, 1]]))
-    >>> one = coverage(voronoi_cells(square, np.array([[0.5, 0.25]])))
-    >>> round(one.cost, 6), one.centroids_m.round(6).tolist()
-    (0.229167, [[0.5, 0.5]])
     """
     moments = density.moments(cell_boundary(cells, sensing_range_m))
     cost = float(moments.second.sum())

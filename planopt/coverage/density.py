@@ -42,20 +42,9 @@ class Density(Protocol):
 
 @dataclass(frozen=True)
 class UniformDensity:
-    """The same weight everywhere; its moments are closed forms.
+    """The same weight everywhere; its moments are closed forms."""
 
-    Attributes
-    ----------
-    weight_per_m2
-        The weight, more than 0.
-
-    Raises
-    ------
-    InputError
-        The weight is out of range.
-    """
-
-    weight_per_m2: float = 1.0
+    weight_per_m2: float = 1.0  # The weight, more than 0
 
     def __post_init__(self) -> None:
         positive(self.weight_per_m2, "density.weight_per_m2")
@@ -87,24 +76,11 @@ class UniformDensity:
 
 @dataclass(frozen=True)
 class CallableDensity:
-    """Any smooth density, integrated by Gauss quadrature over patches of the cells.
+    """Any smooth density, integrated by Gauss quadrature over patches of the cells."""
 
-    Attributes
-    ----------
-    density
-        Takes places ``(m, 2)`` and returns their densities ``(m,)``, none negative.
-    resolution_m
-        The density is close to a polynomial of degree 10 over this length.
-
-    Raises
-    ------
-    InputError
-        The resolution is not positive; where the density is negative or not finite, when it is
-        integrated.
-    """
-
+    # Takes places (m, 2) and returns their densities (m,), none negative
     density: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    resolution_m: float
+    resolution_m: float  # The density is close to a polynomial of degree 10 over this length
 
     def __post_init__(self) -> None:
         positive(self.resolution_m, "density.resolution_m")
@@ -135,29 +111,13 @@ class CallableDensity:
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
-    """A sum of Gaussian bumps.
+    """A sum of Gaussian bumps."""
 
-    Attributes
-    ----------
-    weights
-        ``(c,)`` mass of each bump over the whole plane, none negative, one positive.
-    means_m
-        ``(c, 2)`` their centres.
-    covariances_m2
-        ``(c, 2, 2)`` their covariances, positive definite.
-    floor_per_m2
-        Uniform density that is added.
-
-    Raises
-    ------
-    InputError
-        An array has the wrong shape or is out of range.
-    """
-
+    # (c,) mass of each bump over the whole plane, none negative, one positive
     weights: NDArray[np.float64]
-    means_m: NDArray[np.float64]
-    covariances_m2: NDArray[np.float64]
-    floor_per_m2: float = 0.0
+    means_m: NDArray[np.float64]  # (c, 2) their centres
+    covariances_m2: NDArray[np.float64]  # (c, 2, 2) their covariances, positive definite
+    floor_per_m2: float = 0.0  # Uniform density that is added
     _whitening: NDArray[np.float64] = field(init=False, repr=False)
     _least_std_m: float = field(init=False, repr=False)
 
@@ -201,13 +161,7 @@ class GaussianMixture:
 
 
 def checked_mass(region: ConvexRegion, density: Density) -> float:
-    """Return the mass of a density over a region.
-
-    Raises
-    ------
-    InputError
-        It is zero or not finite.
-    """
+    """Return the mass of a density over a region."""
     mass = float(density.moments(region_boundary(region)).mass[0])
     if not np.isfinite(mass) or not mass > 0.0:
         raise InputError(
@@ -227,20 +181,6 @@ def fan_moments(
 
     The triangle or sector between a centre and a piece of boundary is cut into patches, along the
     piece and away from the centre. Each has `NODES` by `NODES` points.
-
-    Parameters
-    ----------
-    density
-        Takes places ``(m, 2)`` and returns ``(m,)``.
-    boundary
-        The cells.
-    patch_m
-        Largest side of a patch.
-
-    Raises
-    ------
-    InputError
-        There would be more than `MAX_PATCHES` patches.
     """
     u, v, angle = boundary.start_m, boundary.end_m, boundary.angle
     reach = np.sqrt(np.maximum((u * u).sum(axis=1), (v * v).sum(axis=1)))

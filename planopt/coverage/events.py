@@ -27,25 +27,14 @@ GRID_READINGS = 150
 
 @dataclass(frozen=True)
 class Event:
-    """Something that appears in the region.
+    """Something that appears in the region."""
 
-    Attributes
-    ----------
-    name
-        What outputs call it.
-    place_m
-        Where it appears.
-    appears_s, ends_s
-        When it appears and ends; it is there from the first up to before the second.
-    velocity_m_s
-        It moves with this velocity.
-    """
-
-    name: str
-    place_m: tuple[float, float]
+    name: str  # What outputs call it
+    place_m: tuple[float, float]  # Where it appears
+    # When it appears and ends; it is there from the first up to before the second
     appears_s: float = 0.0
     ends_s: float = math.inf
-    velocity_m_s: tuple[float, float] = (0.0, 0.0)
+    velocity_m_s: tuple[float, float] = (0.0, 0.0)  # It moves with this velocity
 
     def place_at(self, time_s: float) -> NDArray[np.float64]:
         """Return where it is; (2,)."""
@@ -59,50 +48,27 @@ class Event:
 
 @dataclass(frozen=True)
 class Sensing:
-    """The sensor and rate by which agents measure events.
+    """The sensor and rate by which agents measure events."""
 
-    Attributes
-    ----------
-    sensor
-        The signal of an event and the noise.
-    strength_known
-        Whether agents know K; if not, they estimate it as well.
-    detection_std
-        A reading of more standard deviations of the noise than this says that there is an event.
-    silent_steps
-        An event is gone when nobody has read so much for so many steps.
-    memory_s
-        Older readings are forgotten; None for none. Needed where events move.
-    speed_std_m_s
-        Where events may move, the standard deviation of each component of their velocities before
-        anything is read; None where all events are known to stand.
-    """
-
-    sensor: EventSensor
-    strength_known: bool = True
+    sensor: EventSensor  # The signal of an event and the noise
+    strength_known: bool = True  # Whether agents know K; if not, they estimate it as well
+    # A reading of more standard deviations of the noise than this says that there is an event
     detection_std: float = 5.0
-    silent_steps: int = 3
+    silent_steps: int = 3  # An event is gone when nobody has read so much for so many steps
+    # Older readings are forgotten; None for none. Needed where events move.
     memory_s: float | None = None
+    # Where events may move, the standard deviation of each component of their velocities before
+    # anything is read; None where all events are known to stand
     speed_std_m_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """The network's knowledge of one event.
+    """The network's knowledge of one event."""
 
-    Attributes
-    ----------
-    logs
-        Readings with the time they were taken at.
-    estimate
-        Where it most likely is; None while it is not detected.
-    silent
-        For how many steps nobody has read it.
-    """
-
-    logs: tuple[tuple[float, Readings], ...] = ()
-    estimate: EventEstimate | None = None
-    silent: int = 0
+    logs: tuple[tuple[float, Readings], ...] = ()  # Readings with the time they were taken at
+    estimate: EventEstimate | None = None  # Where it most likely is; None while it is not detected
+    silent: int = 0  # For how many steps nobody has read it
 
     @property
     def is_known(self) -> bool:
@@ -151,24 +117,11 @@ def watched(
     hull: ConvexRegion,
     agents_m: NDArray[np.float64],
     signal: NDArray[np.float64],
-    shared: NDArray[np.bool_],
+    shared: NDArray[np.bool_],  # (n,) whose readings reach those that estimate
     time_s: float,
 ) -> Watch:
-    """Return what the network knows of an event after the readings of one step.
-
-    Parameters
-    ----------
-    watch
-        What it knew.
-    sensing, hull
-        How agents measure, and where events are looked for.
-    agents_m, signal
-        ``(n, 2)`` and ``(n,)``: all readings of the step.
-    shared
-        ``(n,)`` whose readings reach those that estimate.
-    time_s
-        Now.
-    """
+    """Return what the network knows of an event after the readings of one step."""
+    # Shapes: agents_m, signal (n, 2).
     heard = bool((signal > sensing.detection_std * sensing.sensor.noise_std).any())
     silent = 0 if heard else watch.silent + 1
     if not heard and (not watch.is_known or silent >= sensing.silent_steps):

@@ -34,44 +34,25 @@ MAX_NODES = 200_000
 
 @dataclass(frozen=True, eq=False)
 class GeodesicRegion:
-    """A free area with nodes that stand for it; :func:`geodesic_region` builds it.
+    """A free area with nodes that stand for it; :func:`geodesic_region` builds it."""
 
-    Attributes
-    ----------
-    free
-        The outline less the obstacles: what is covered, and where paths may lead.
-    allowed
-        The part of it that keeps the clearance: where agents may be.
-    slack_m
-        How far outside a place still counts as on the border, for rounding.
-    free_border, allowed_border
-        Borders of both, grown by more than that: a straight line between two places of the area
-        that meets its border leaves the area.
-    nodes_m
-        ``(m, 2)`` places that stand for the parts of the free area, one for each grid square or
-        each piece of one that obstacles cut.
-    mass
-        ``(m,)`` mass of each part.
-    spread
-        Coverage cost if every node had its own agent: what the parts cost about their own nodes.
-    corners_m
-        ``(c, 2)`` corners at which shortest paths may turn.
-    between_m
-        ``(c, c)`` shortest distances between them.
-    corner_sees
-        ``(m, c)`` whether the straight line from the node to the corner is free.
-    """
-
+    # The outline less the obstacles: what is covered, and where paths may lead
     free: shapely.Polygon
-    allowed: shapely.Polygon
-    slack_m: float
+    allowed: shapely.Polygon  # The part of it that keeps the clearance: where agents may be
+    slack_m: float  # How far outside a place still counts as on the border, for rounding
+    # Borders of both, grown by more than that: a straight line between two places of the area that
+    # meets its border leaves the area
     free_border: shapely.Geometry
     allowed_border: shapely.Geometry
+    # (m, 2) places that stand for the parts of the free area, one for each grid square or each
+    # piece of one that obstacles cut
     nodes_m: NDArray[np.float64]
-    mass: NDArray[np.float64]
+    mass: NDArray[np.float64]  # (m,) mass of each part
+    # Coverage cost if every node had its own agent: what the parts cost about their own nodes
     spread: float
-    corners_m: NDArray[np.float64]
-    between_m: NDArray[np.float64]
+    corners_m: NDArray[np.float64]  # (c, 2) corners at which shortest paths may turn
+    between_m: NDArray[np.float64]  # (c, c) shortest distances between them
+    # (m, c) whether the straight line from the node to the corner is free
     corner_sees: NDArray[np.bool_]
 
     def contains(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -112,27 +93,7 @@ def geodesic_region(
     density: Density = UNIFORM,
     clearance_m: float = 0.0,
 ) -> GeodesicRegion:
-    """Prepare a region with obstacles, convex or not, for coverage by shortest distances.
-
-    Parameters
-    ----------
-    outline
-        A simple polygon in metres or its corners ``(k, 2)``, convex or not.
-    obstacles
-        Areas that agents may not enter.
-    spacing_m
-        Side of the grid squares that the free area is cut into.
-    density
-        Weight of each place; taken at the nodes.
-    clearance_m
-        What agents keep from obstacles and the outline. They cover the area within it from outside.
-
-    Raises
-    ------
-    InputError
-        The outline is not a simple polygon, obstacles cut the region in two or leave nothing of it,
-        the spacing is out of range, or the density has no mass.
-    """
+    """Prepare a region with obstacles, convex or not, for coverage by shortest distances."""
     whole = checked_polygon(outline)
     positive(spacing_m, "spacing_m")
     positive(clearance_m, "clearance_m", zero=True)

@@ -25,63 +25,29 @@ AT_CORNER = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class GeodesicCells:
-    """The agent nearest to each node by the shortest path.
+    """The agent nearest to each node by the shortest path."""
 
-    Attributes
-    ----------
-    owner
-        ``(m,)`` number of the nearest agent; the smallest number of agents at one place.
-    distance_m
-        ``(m,)`` length of the shortest path to it.
-    direction
-        ``(m, 2)`` unit vector in which that path leaves the agent; 0 where they coincide.
-    cost
-        The coverage cost H.
-    mass
-        ``(n,)`` mass of each agent's cell.
-    gradient
-        ``(n, 2)`` derivative of H by each agent's place.
-    """
-
+    # (m,) number of the nearest agent; the smallest number of agents at one place
     owner: NDArray[np.intp]
-    distance_m: NDArray[np.float64]
+    distance_m: NDArray[np.float64]  # (m,) length of the shortest path to it
+    # (m, 2) unit vector in which that path leaves the agent; 0 where they coincide
     direction: NDArray[np.float64]
-    cost: float
-    mass: NDArray[np.float64]
-    gradient: NDArray[np.float64]
+    cost: float  # The coverage cost H
+    mass: NDArray[np.float64]  # (n,) mass of each agent's cell
+    gradient: NDArray[np.float64]  # (n, 2) derivative of H by each agent's place
 
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """Shortest ways from agents to the region's corners.
+    """Shortest ways from agents to the region's corners."""
 
-    Attributes
-    ----------
-    length_m
-        ``(n, c)`` lengths; infinite if the agent sees no corner.
-    first
-        ``(n, c)`` the corner that the way passes first.
-    """
-
-    length_m: NDArray[np.float64]
-    first: NDArray[np.intp]
+    length_m: NDArray[np.float64]  # (n, c) lengths; infinite if the agent sees no corner
+    first: NDArray[np.intp]  # (n, c) the corner that the way passes first
 
 
 def geodesic_cells(region: GeodesicRegion, agents_m: NDArray[np.float64]) -> GeodesicCells:
-    """Divide the nodes of a region among agents, and evaluate the coverage cost.
-
-    Parameters
-    ----------
-    region
-        The region with its nodes.
-    agents_m
-        ``(n, 2)`` places of the agents in the free area or on its border.
-
-    Raises
-    ------
-    InputError
-        There is no agent, or one is not finite or not in the free area.
-    """
+    """Divide the nodes of a region among agents, and evaluate the coverage cost."""
+    # Shapes: agents_m (n, 2).
     agents = _checked(region, agents_m)
     corners = _to_corners(region, agents)
     nodes, count = region.nodes_m, len(agents)
@@ -139,18 +105,6 @@ def geodesic_targets(
     nothing is in the way. It ends before an obstacle, or slides to the nearest free place, and is
     halved until it lowers the agent's own share of H. Moving all agents to their targets therefore
     never raises H.
-
-    Parameters
-    ----------
-    region, agents_m
-        As for :func:`geodesic_cells`.
-    cells
-        What it returned for these agents.
-
-    Returns
-    -------
-    (n, 2) array
-        The agent's own place where no tried step lowers its share.
     """
     count = len(agents_m)
     mass = np.where(cells.mass > 0.0, cells.mass, 1.0)
@@ -172,20 +126,8 @@ def geodesic_targets(
 def geodesic_distances_m(
     region: GeodesicRegion, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the shortest distances of agents to places.
-
-    Parameters
-    ----------
-    region
-        The region.
-    agents_m, places_m
-        ``(n, 2)`` and ``(k, 2)``, both in the free area.
-
-    Returns
-    -------
-    (n, k) array
-        Lengths of the shortest paths.
-    """
+    """Return the shortest distances of agents to places."""
+    # Shapes: agents_m, places_m (n, 2).
     agents = _checked(region, agents_m)
     found = np.where(
         region.sees_each(agents, places_m),
@@ -204,21 +146,8 @@ def geodesic_distances_m(
 def geodesic_paths(
     region: GeodesicRegion, agents_m: NDArray[np.float64], places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the length of the shortest path of each agent to a place of its own, and where to.
-
-    Parameters
-    ----------
-    region
-        The region.
-    agents_m, places_m
-        ``(n, 2)`` each, both in the free area.
-
-    Returns
-    -------
-    length_m, first_m
-        ``(n,)`` lengths, and ``(n, 2)`` the end of each path's first straight part: a corner, or
-        the place itself if the agent sees it.
-    """
+    """Return the length of the shortest path of each agent to a place of its own, and where to."""
+    # Shapes: agents_m, places_m (n, 2); returns (n,).
     agents = _checked(region, agents_m)
     length, first = np.linalg.norm(places_m - agents, axis=1), places_m.copy()
     blind = np.flatnonzero(~region.sees(agents, places_m))

@@ -36,18 +36,11 @@ TOUCHING = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """The coverage cost of a ground, and where each agent should drive.
+    """The coverage cost of a ground, and where each agent should drive."""
 
-    Attributes
-    ----------
-    cost
-        The coverage cost H.
-    targets_m
-        ``(n, 2)``: the centroid of each agent's cell, or with obstacles the end of a free step
-        toward the middle of it.
-    """
-
-    cost: float
+    cost: float  # The coverage cost H
+    # (n, 2): the centroid of each agent's cell, or with obstacles the end of a free step toward the
+    # middle of it
     targets_m: NDArray[np.float64]
 
 
@@ -104,21 +97,11 @@ class Ground(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ConvexGround:
-    """A convex region without obstacles.
+    """A convex region without obstacles."""
 
-    Attributes
-    ----------
-    region
-        The region.
-    density
-        Weight of each place.
-    sensing_range_m
-        How far agents sense; None without limit.
-    """
-
-    region: ConvexRegion
-    density: Density = UNIFORM
-    sensing_range_m: float | None = None
+    region: ConvexRegion  # The region
+    density: Density = UNIFORM  # Weight of each place
+    sensing_range_m: float | None = None  # How far agents sense; None without limit
 
     @property
     def free(self) -> shapely.Polygon:
@@ -171,26 +154,16 @@ class ConvexGround:
 
 @dataclass(frozen=True, eq=False)
 class GeodesicGround:
-    """A region with obstacles, or one that is not convex; :func:`geodesic_ground` builds it.
+    """A region with obstacles, or one that is not convex; :func:`geodesic_ground` builds it."""
 
-    Attributes
-    ----------
-    free
-        What is covered.
-    region
-        Where agents may be. Its nodes stand for all that is covered; those within the clearance
-        are at the nearest place that agents may be.
-    nodes_m, spacing_m
-        ``(m, 2)`` where these nodes are themselves, and the side of their grid squares.
-    hull
-        The convex region around.
-    """
-
-    free: shapely.Polygon
+    free: shapely.Polygon  # What is covered
+    # Where agents may be. Its nodes stand for all that is covered; those within the clearance are
+    # at the nearest place that agents may be.
     region: GeodesicRegion
+    # (m, 2) where these nodes are themselves, and the side of their grid squares
     nodes_m: NDArray[np.float64]
     spacing_m: float
-    hull: ConvexRegion
+    hull: ConvexRegion  # The convex region around
 
     @property
     def area_m2(self) -> float:
@@ -254,18 +227,7 @@ def geodesic_ground(
     density: Density = UNIFORM,
     clearance_m: float = 0.0,
 ) -> GeodesicGround:
-    """Prepare a region with obstacles for control.
-
-    Parameters
-    ----------
-    outline, obstacles, spacing_m, density, clearance_m
-        As for :func:`planopt.coverage.geodesic.geodesic_region`.
-
-    Raises
-    ------
-    InputError
-        As there.
-    """
+    """Prepare a region with obstacles for control."""
     covered = geodesic_region(outline, obstacles, spacing_m, density, clearance_m)
     hull = convex_region(np.asarray(shapely.get_coordinates(covered.free.convex_hull)))
     if clearance_m == 0.0:
@@ -283,13 +245,7 @@ def geodesic_ground(
 
 
 def neighbour_network(ground: Ground, agents_m: NDArray[np.float64]) -> Network:
-    """Return who talks to whom: Voronoi neighbours in the ground's hull, always connected.
-
-    Parameters
-    ----------
-    ground, agents_m
-        What is covered, and ``(n, 2)`` by whom.
-    """
+    """Return who talks to whom: Voronoi neighbours in the ground's hull, always connected."""
     # Agents that nearly touch count as being at one place: bisectors between them are rounding.
     places, group = merge_coincident(agents_m, TOUCHING * ground.hull.radius_m)
     cells = voronoi_cells(ground.hull, places[group])

@@ -15,36 +15,19 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True)
 class MoveLimits:
-    """The limits of agents' motion, and the distances they keep.
+    """The limits of agents' motion, and the distances they keep."""
 
-    Attributes
-    ----------
-    time_step_s
-        Length of a step in s.
-    speed_m_s
-        Largest speed; infinite without limit.
-    acceleration_m_s2
-        Largest acceleration of double integrators; None for single ones, whose velocity may jump.
-    turn_rate_rad_s
-        Largest turn rate of unicycles, which turn on the spot and then drive straight, backwards
-        too; None for agents that move in all directions.
-    body_radius_m
-        Radius of the bodies; agents with 0 are points that may share a place.
-    clearance_m
-        What an agent's place keeps from obstacles and from the border; at least the body radius
-        is kept.
-
-    Raises
-    ------
-    InputError
-        A limit is out of range, or limits do not go together.
-    """
-
-    time_step_s: float = 1.0
-    speed_m_s: float = math.inf
+    time_step_s: float = 1.0  # Length of a step in s
+    speed_m_s: float = math.inf  # Largest speed; infinite without limit
+    # Largest acceleration of double integrators; None for single ones, whose velocity may jump
     acceleration_m_s2: float | None = None
+    # Largest turn rate of unicycles, which turn on the spot and then drive straight, backwards too;
+    # None for agents that move in all directions
     turn_rate_rad_s: float | None = None
+    # Radius of the bodies; agents with 0 are points that may share a place
     body_radius_m: float = 0.0
+    # What an agent's place keeps from obstacles and from the border; at least the body radius is
+    # kept
     clearance_m: float = 0.0
 
     def __post_init__(self) -> None:
@@ -102,25 +85,11 @@ class LinkLaw:
 
     Power at distance d is normal with mean ``k_pl_db - 10 n_pl log10 d``. Its variance is that of
     shadowing and multipath and that of the uncertain path loss.
-
-    Attributes
-    ----------
-    theta
-        ``(2,)``: k_pl_db and n_pl.
-    deviation_db
-        Standard deviation of shadowing and multipath together.
-    theta_covariance
-        ``(2, 2)``; zero where path loss is known.
-
-    Raises
-    ------
-    InputError
-        A number is not finite, the exponent not positive, or the deviation negative.
     """
 
-    theta: NDArray[np.float64]
-    deviation_db: float
-    theta_covariance: NDArray[np.float64]
+    theta: NDArray[np.float64]  # (2,): k_pl_db and n_pl
+    deviation_db: float  # Standard deviation of shadowing and multipath together
+    theta_covariance: NDArray[np.float64]  # (2, 2); zero where path loss is known
 
     def __post_init__(self) -> None:
         if np.shape(self.theta) != (2,) or np.shape(self.theta_covariance) != (2, 2):
@@ -138,30 +107,15 @@ class LinkLaw:
 
 @dataclass(frozen=True, eq=False)
 class RadioLimits:
-    """The links to base stations that agents must keep, directly or over other agents.
+    """The links to base stations that agents must keep, directly or over other agents."""
 
-    Attributes
-    ----------
-    stations_m
-        ``(s, 2)`` places of base stations.
-    station_link, agent_link
-        Links to a station, by a law of their length or by a map of places, and the law of links
-        between agents.
-    threshold_dbm
-        Power that a link needs.
-    p_min
-        Probability with which all links between an agent and a station have to hold together.
-
-    Raises
-    ------
-    InputError
-        There is no station, or the probability is not between 0 and 1.
-    """
-
-    stations_m: NDArray[np.float64]
+    stations_m: NDArray[np.float64]  # (s, 2) places of base stations
+    # Links to a station, by a law of their length or by a map of places, and the law of links
+    # between agents
     station_link: LinkLaw | StationMap
     agent_link: LinkLaw
-    threshold_dbm: float
+    threshold_dbm: float  # Power that a link needs
+    # Probability with which all links between an agent and a station have to hold together
     p_min: float
 
     def __post_init__(self) -> None:

@@ -22,31 +22,8 @@ its mirror image would coincide with it."""
 
 
 def line_coverage(low_m: float, high_m: float, agents_m: NDArray[np.float64]) -> Coverage:
-    """Evaluate coverage of an interval by agents on it.
-
-    Parameters
-    ----------
-    low_m, high_m
-        Ends of the interval.
-    agents_m
-        ``(n, 1)`` places, coincident ones allowed.
-
-    Returns
-    -------
-    Coverage
-        With places ``(n, 1)``; the cost in m^3.
-
-    Raises
-    ------
-    InputError
-        The interval is empty, or an agent is not on it.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> line_coverage(0.0, 4.0, np.array([[0.0], [2.0]])).centroids_m.tolist()
-    [[0.5], [2.5]]
-    """
+    """Evaluate coverage of an interval by agents on it."""
+    # Shapes: agents_m (n, 1).
     if not (np.isfinite([low_m, high_m]).all() and low_m < high_m):
         raise InputError(f"[{low_m:g}, {high_m:g}] is not an interval", key="region")
     places = _checked(agents_m, 1)
@@ -69,24 +46,8 @@ def space_coverage(corners_m: NDArray[np.float64], agents_m: NDArray[np.float64]
     """Evaluate coverage of a convex polyhedron by agents in it.
 
     Mirror images of all agents in every face make the faces edges of the Voronoi diagram.
-
-    Parameters
-    ----------
-    corners_m
-        ``(k, 3)`` places whose convex hull is the region.
-    agents_m
-        ``(n, 3)`` places, on the border allowed, coincident ones too.
-
-    Returns
-    -------
-    Coverage
-        With places ``(n, 3)``; the cost in m^5.
-
-    Raises
-    ------
-    InputError
-        The corners span no volume, or an agent is not in the region.
     """
+    # Shapes: corners_m (k, 3); agents_m (n, 3).
     normals, offsets, middle, radius = _faces(np.asarray(corners_m, dtype=np.float64))
     places = _checked(agents_m, 3)
     scaled = (places - middle) / radius

@@ -23,23 +23,10 @@ Loss = float | NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Agents and the links between them.
+    """Agents and the links between them."""
 
-    Attributes
-    ----------
-    count
-        Number of agents.
-    links
-        ``(e, 2)`` pairs of agents that can talk to each other, each pair once.
-
-    Raises
-    ------
-    InputError
-        There is no agent, or a link names an agent that there is not, or one twice.
-    """
-
-    count: int
-    links: NDArray[np.intp]
+    count: int  # Number of agents
+    links: NDArray[np.intp]  # (e, 2) pairs of agents that can talk to each other, each pair once
 
     def __post_init__(self) -> None:
         if self.count < 1:
@@ -87,13 +74,7 @@ def hops(network: Network) -> NDArray[np.float64]:
 
 
 def diameter(network: Network) -> int:
-    """Return the largest number of links between any two agents.
-
-    Raises
-    ------
-    InputError
-        The network is not connected.
-    """
+    """Return the largest number of links between any two agents."""
     largest = float(hops(network).max())
     if not np.isfinite(largest):
         raise InputError("the network is not connected", key="links")
@@ -103,23 +84,7 @@ def diameter(network: Network) -> int:
 def gets_through(
     messages: int, loss: Loss, generator: np.random.Generator | None
 ) -> NDArray[np.bool_]:
-    """Draw which messages get through; (messages,).
-
-    Parameters
-    ----------
-    messages
-        Their number: one for each link, or one for each link in the first direction and then in
-        the other, as in :attr:`Network.directed`.
-    loss
-        Probability that a message is lost: at least 0 and below 1, or 1 for single links.
-    generator
-        Draws the losses; may be None without any.
-
-    Raises
-    ------
-    InputError
-        A loss is out of range, or there is no generator for it.
-    """
+    """Draw which messages get through; (messages,)."""
     if not np.any(loss):
         return np.ones(messages, dtype=np.bool_)
     losses = np.asarray(loss, dtype=np.float64)
@@ -133,29 +98,12 @@ def gets_through(
 
 @dataclass(frozen=True)
 class LinkModel:
-    """Loss of messages between agents by path loss and log-normal fading.
+    """Loss of messages between agents by path loss and log-normal fading."""
 
-    Attributes
-    ----------
-    k_pl_db
-        Received power at 1 m, in dBm.
-    n_pl
-        Path loss exponent.
-    fading_std_db
-        Standard deviation of the power of a message about its mean, more than 0.
-    threshold_dbm
-        A message with less power is lost.
-
-    Raises
-    ------
-    InputError
-        The exponent or the standard deviation is not positive.
-    """
-
-    k_pl_db: float
-    n_pl: float
-    fading_std_db: float
-    threshold_dbm: float
+    k_pl_db: float  # Received power at 1 m, in dBm
+    n_pl: float  # Path loss exponent
+    fading_std_db: float  # Standard deviation of the power of a message about its mean, more than 0
+    threshold_dbm: float  # A message with less power is lost
 
     def __post_init__(self) -> None:
         positive(self.n_pl, "links.n_pl")

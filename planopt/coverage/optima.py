@@ -35,24 +35,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
-    """The places where a network should end.
+    """The places where a network should end."""
 
-    Attributes
-    ----------
-    places_m
-        ``(n, 2)`` places of the best start, settled.
-    cost
-        Their coverage cost H.
-    lower_bound
-        No ``n`` places cost less; 0 where nothing better is proved.
-    costs
-        ``(starts,)`` costs of all starts, settled.
-    """
-
-    places_m: Floats
-    cost: float
-    lower_bound: float
-    costs: Floats
+    places_m: Floats  # (n, 2) places of the best start, settled
+    cost: float  # Their coverage cost H
+    lower_bound: float  # No n places cost less; 0 where nothing better is proved
+    costs: Floats  # (starts,) costs of all starts, settled
 
 
 def best_deployment(
@@ -61,37 +49,9 @@ def best_deployment(
     starts: int,
     generator: np.random.Generator,
     *,
-    first_m: Floats | None = None,
+    first_m: Floats | None = None,  # (n, 2)
 ) -> Deployment:
-    """Find a deployment of low cost: settle several starts, then move single agents of the best.
-
-    Parameters
-    ----------
-    ground
-        What is covered.
-    count
-        Number of agents n.
-    starts
-        Number of starts, at least 1.
-    generator
-        Random starts come from it.
-    first_m
-        ``(n, 2)`` the first start, such as where agents are; None draws it as well.
-
-    Raises
-    ------
-    InputError
-        There is no agent or no start.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from planopt.coverage.region import convex_region
-    >>> ground = ConvexGround(convex_region(np.array([[0, 0], [2, 0], [2, 1], [0, 1]])))
-    >>> found = best_deployment(ground, 2, 3, np.random.default_rng(0))
-    >>> round(found.cost, 4), bool(found.lower_bound <= found.cost)
-    (0.3333, True)
-    """
+    """Find a deployment of low cost: settle several starts, then move single agents of the best."""
     if count < 1 or starts < 1:
         raise InputError(
             f"{count} agents from {starts} starts", key="starts", remedy="give at least one of both"
@@ -108,13 +68,7 @@ def best_deployment(
 
 
 def settle(ground: Ground, places_m: Floats) -> tuple[Floats, float]:
-    """Move agents to their targets until the cost settles; return places ``(n, 2)`` and the cost.
-
-    Parameters
-    ----------
-    ground, places_m
-        What is covered, and ``(n, 2)`` from where.
-    """
+    """Move agents to their targets until the cost settles; return ``(n, 2)`` and the cost."""
     places, here = places_m, ground.cover(places_m)
     for _ in range(MAX_STEPS):
         leapt = places + LEAP * (here.targets_m - places)

@@ -29,20 +29,9 @@ ARC_TURN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RasterDensity:
-    """A density that is constant on each cell of a raster and zero outside it.
+    """A density that is constant on each cell of a raster and zero outside it."""
 
-    Attributes
-    ----------
-    raster
-        Values per square metre, finite, none negative, one positive.
-
-    Raises
-    ------
-    InputError
-        A value is out of range, or all are zero.
-    """
-
-    raster: Raster
+    raster: Raster  # Values per square metre, finite, none negative, one positive
     _edges: tuple[NDArray[np.float64], NDArray[np.float64]] = field(init=False, repr=False)
     _running: NDArray[np.float64] = field(init=False, repr=False)
 

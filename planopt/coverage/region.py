@@ -20,30 +20,16 @@ FLAT = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ConvexRegion:
-    """A bounded convex polygon without obstacles; :func:`convex_region` builds it.
+    """A bounded convex polygon without obstacles; :func:`convex_region` builds it."""
 
-    Attributes
-    ----------
-    corners_m
-        ``(k, 2)`` corners, counter-clockwise, not closed, none of them collinear.
-    normals
-        ``(k, 2)`` outward unit normals of the sides that start at those corners.
-    offsets_m
-        ``(k,)``: the region is where ``normals @ q <= offsets_m``.
-    centre_m
-        ``(2,)`` centre of the bounding box.
-    radius_m
-        Largest distance of a corner from the centre.
-    area_m2
-        Area.
-    """
-
+    # (k, 2) corners, counter-clockwise, not closed, none of them collinear
     corners_m: NDArray[np.float64]
+    # (k, 2) outward unit normals of the sides that start at those corners
     normals: NDArray[np.float64]
-    offsets_m: NDArray[np.float64]
-    centre_m: NDArray[np.float64]
-    radius_m: float
-    area_m2: float
+    offsets_m: NDArray[np.float64]  # (k,): the region is where normals @ q <= offsets_m
+    centre_m: NDArray[np.float64]  # (2,) centre of the bounding box
+    radius_m: float  # Largest distance of a corner from the centre
+    area_m2: float  # Area
 
     def excess_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far places ``(n, 2)`` are beyond the worst side; (n,), at most 0 inside."""
@@ -59,25 +45,7 @@ class ConvexRegion:
 
 
 def convex_region(polygon: shapely.Polygon | NDArray[np.float64]) -> ConvexRegion:
-    """Check a polygon and prepare it as a region to cover.
-
-    Parameters
-    ----------
-    polygon
-        A polygon in metres, or its corners ``(k, 2)`` in order.
-
-    Raises
-    ------
-    InputError
-        A corner is not finite, the outline crosses itself, the polygon has no area, has holes, or
-        is not convex.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> convex_region(np.array([[0, 0], [4, 0], [4, 3], [0, 3]])).area_m2
-    12.0
-    """
+    """Check a polygon and prepare it as a region to cover."""
     checked = checked_polygon(polygon)
     hull = checked.convex_hull
     missing_m2 = hull.area - checked.area
@@ -98,18 +66,7 @@ def convex_region(polygon: shapely.Polygon | NDArray[np.float64]) -> ConvexRegio
 
 
 def checked_polygon(polygon: shapely.Polygon | NDArray[np.float64]) -> shapely.Polygon:
-    """Return a valid polygon with an area.
-
-    Parameters
-    ----------
-    polygon
-        A polygon in metres, or its corners ``(k, 2)`` in order.
-
-    Raises
-    ------
-    InputError
-        A corner is not finite, the outline crosses itself, or there is no area.
-    """
+    """Return a valid polygon with an area."""
     if isinstance(polygon, shapely.Polygon):
         coordinates = np.asarray(shapely.get_coordinates(polygon), dtype=np.float64)
     else:
@@ -138,22 +95,7 @@ def checked_polygon(polygon: shapely.Polygon | NDArray[np.float64]) -> shapely.P
 def checked_places(
     region: ConvexRegion, places_m: NDArray[np.float64], key: str
 ) -> NDArray[np.float64]:
-    """Return finite places ``(n, 2)`` of the region, n at least 1.
-
-    Parameters
-    ----------
-    region
-        Where they have to be.
-    places_m
-        Places in metres.
-    key
-        What messages call them, such as ``agents``.
-
-    Raises
-    ------
-    InputError
-        There is none, a shape is wrong, or one is not finite or outside; it is named by number.
-    """
+    """Return finite places ``(n, 2)`` of the region, n at least 1."""
     places = np.asarray(places_m, dtype=np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
         raise InputError(
@@ -170,13 +112,7 @@ def checked_places(
 
 
 def positive(value: float, key: str, *, zero: bool = False) -> float:
-    """Return a finite number above zero, or from zero on.
-
-    Raises
-    ------
-    InputError
-        It is not.
-    """
+    """Return a finite number above zero, or from zero on."""
     if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not zero):
         least = "0 or more" if zero else "more than 0"
         raise InputError(f"{value!r} is out of range", key=key, remedy=f"give {least}")

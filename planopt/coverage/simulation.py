@@ -30,68 +30,36 @@ ABSENT = -2
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The task and the settings of a network.
+    """The task and the settings of a network."""
 
-    Attributes
-    ----------
-    ground
-        What is covered.
-    starts_m
-        ``(n, 2)`` where agents are at first.
-    joins_s, leaves_s
-        ``(n,)``: an agent takes part from the first time up to before the second.
-    events, demands
-        What appears, and how many agents each event asks for.
-    sensing
-        How agents measure; None without events.
-    stand_off_m
-        Radius of the ring about an event that responding agents stand on; None for the event.
-    partition
-        Whose cells divide the region.
-    gains
-        Of the laws; they also set how agents pass the corners of obstacles.
-    hysteresis_m, moved_m
-        An agent is exchanged for one that is nearer by more than the first; agents assign
-        themselves again when an estimate has moved by more than the second.
-    counting
-        How agents know their number.
-    links
-        Loss of messages by distance; None without losses.
-    flag_rounds
-        Rounds of flag propagation in a step, with losses.
-    time_step_s, duration_s
-        Length of a step and of the run.
-    settled_m
-        Agents this near to their targets have settled.
-    stop_when_settled
-        Whether the run ends when they have and nothing more is to come.
-    joins_apart_m
-        An agent that is to join waits until all others are farther away than that; None for
-        points, which may share a place.
-    body_radius_m
-        Radius of the agents' bodies, which crowd around an event; 0 for points.
-    """
-
-    ground: Ground
-    starts_m: NDArray[np.float64]
+    ground: Ground  # What is covered
+    starts_m: NDArray[np.float64]  # (n, 2) where agents are at first
+    # (n,): an agent takes part from the first time up to before the second
     joins_s: NDArray[np.float64]
     leaves_s: NDArray[np.float64]
-    events: tuple[Event, ...]
+    events: tuple[Event, ...]  # What appears, and how many agents each event asks for
     demands: tuple[Demand, ...]
-    sensing: Sensing | None
+    sensing: Sensing | None  # How agents measure; None without events
+    # Radius of the ring about an event that responding agents stand on; None for the event
     stand_off_m: float | None
-    partition: Partition
-    gains: Gains
+    partition: Partition  # Whose cells divide the region
+    gains: Gains  # Of the laws; they also set how agents pass the corners of obstacles
+    # An agent is exchanged for one that is nearer by more than the first; agents assign themselves
+    # again when an estimate has moved by more than the second
     hysteresis_m: float
     moved_m: float
-    counting: Counting
-    links: LinkModel | None
-    flag_rounds: int
-    time_step_s: float
+    counting: Counting  # How agents know their number
+    links: LinkModel | None  # Loss of messages by distance; None without losses
+    flag_rounds: int  # Rounds of flag propagation in a step, with losses
+    time_step_s: float  # Length of a step and of the run
     duration_s: float
-    settled_m: float
+    settled_m: float  # Agents this near to their targets have settled
+    # Whether the run ends when they have and nothing more is to come
     stop_when_settled: bool = True
+    # An agent that is to join waits until all others are farther away than that; None for points,
+    # which may share a place
     joins_apart_m: float | None = None
+    # Radius of the agents' bodies, which crowd around an event; 0 for points
     body_radius_m: float = 0.0
 
     def due(self, time_s: float) -> NDArray[np.bool_]:
@@ -101,17 +69,8 @@ class Scene:
     def members(
         self, time_s: float, places_m: NDArray[np.float64], before: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Return who takes part at a time ``(n,)``: bodies join only where there is room.
-
-        Parameters
-        ----------
-        time_s
-            Now.
-        places_m
-            ``(n, 2)`` where agents are, or where they are to join.
-        before
-            ``(n,)`` who took part in the last step.
-        """
+        """Return who takes part at a time ``(n,)``: bodies join only where there is room."""
+        # Shapes: places_m (n, 2); before (n,).
         due = self.due(time_s)
         if self.joins_apart_m is None or not before.any():
             return due
@@ -125,22 +84,13 @@ class Scene:
         self,
         time_s: float,
         residual_m: float,
-        known: NDArray[np.bool_],
-        members: NDArray[np.bool_],
+        known: NDArray[np.bool_],  # (k,) which events are known
+        members: NDArray[np.bool_],  # (n,) who takes part
     ) -> bool:
         """Return whether agents are settled for good.
 
         They are near their targets, know of all events that are there and of no others, nobody
         waits for room to join, and nothing is to begin, to end or to move on.
-
-        Parameters
-        ----------
-        time_s, residual_m
-            Now, and the largest distance of an agent to its target.
-        known
-            ``(k,)`` which events are known.
-        members
-            ``(n,)`` who takes part.
         """
         there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
         if residual_m > self.settled_m or (known != there).any():
@@ -155,53 +105,30 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class NetworkRun:
-    """The run of a network; ``T`` steps, ``n`` agents, ``k`` events.
+    """The run of a network; ``T`` steps, ``n`` agents, ``k`` events."""
 
-    Attributes
-    ----------
-    times_s
-        ``(T + 1,)``.
-    positions_m
-        ``(T + 1, n, 2)`` places; those of absent agents do not change.
-    velocities_m_s, headings_rad
-        ``(T + 1, n, 2)`` and ``(T + 1, n)``.
-    states
-        ``(T, n)`` number of the event that an agent responds to in the step, `NONE` if it covers,
-        `ABSENT` if it does not take part.
-    targets_m
-        ``(T, n, 2)`` where it drives to.
-    costs
-        ``(T,)`` coverage cost of all agents that take part, before each step.
-    residuals_m
-        ``(T,)`` :func:`residual_m` of each step.
-    counts
-        ``(T, n)`` how many agents each believes there are; NaN for absent ones.
-    wanted
-        ``(T, k)`` how many agents each event asks for, as the agent nearest to it reckons; 0 for
-        an event that is not known.
-    estimates_m, stds_m
-        ``(T, k, 2)`` and ``(T, k)`` estimated places and their uncertainty; NaN if not known.
-    messages
-        ``(T, 3)`` transmissions over single links in the step: for counting, for assignment, and
-        of readings.
-    settled
-        Whether the last step found all agents settled.
-    """
-
-    times_s: NDArray[np.float64]
-    positions_m: NDArray[np.float64]
-    velocities_m_s: NDArray[np.float64]
+    times_s: NDArray[np.float64]  # (T + 1,)
+    positions_m: NDArray[np.float64]  # (T + 1, n, 2) places; those of absent agents do not change
+    velocities_m_s: NDArray[np.float64]  # (T + 1, n, 2) and (T + 1, n)
     headings_rad: NDArray[np.float64]
+    # (T, n) number of the event that an agent responds to in the step, `NONE` if it covers,
+    # `ABSENT` if it does not take part
     states: NDArray[np.intp]
-    targets_m: NDArray[np.float64]
-    costs: NDArray[np.float64]
-    residuals_m: NDArray[np.float64]
+    targets_m: NDArray[np.float64]  # (T, n, 2) where it drives to
+    costs: NDArray[np.float64]  # (T,) coverage cost of all agents that take part, before each step
+    residuals_m: NDArray[np.float64]  # (T,) :func:`residual_m` of each step
+    # (T, n) how many agents each believes there are; NaN for absent ones
     counts: NDArray[np.float64]
+    # (T, k) how many agents each event asks for, as the agent nearest to it reckons; 0 for an event
+    # that is not known
     wanted: NDArray[np.intp]
+    # (T, k, 2) and (T, k) estimated places and their uncertainty; NaN if not known
     estimates_m: NDArray[np.float64]
     stds_m: NDArray[np.float64]
+    # (T, 3) transmissions over single links in the step: for counting, for assignment, and of
+    # readings
     messages: NDArray[np.intp]
-    settled: bool
+    settled: bool  # Whether the last step found all agents settled
 
 
 def simulate_network(
@@ -210,24 +137,7 @@ def simulate_network(
     generator: np.random.Generator,
     on_step: Callable[[], None] = lambda: None,
 ) -> NetworkRun:
-    """Simulate a network from its start until it has settled, or the time is over.
-
-    Parameters
-    ----------
-    scene
-        What is asked for.
-    mover
-        How agents move.
-    generator
-        Draws noise, losses and counts.
-    on_step
-        Called after every step.
-
-    Raises
-    ------
-    InputError
-        An agent starts where none may be, a gain is too large for the step, or nobody takes part.
-    """
+    """Simulate a network from its start until it has settled, or the time is over."""
     agents, steps = len(scene.starts_m), round(scene.duration_s / scene.time_step_s)
     here, events = scene.starts_m.astype(np.float64), len(scene.events)
     states = np.full(agents, ABSENT, dtype=np.intp)

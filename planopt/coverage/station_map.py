@@ -21,24 +21,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class StationMap:
-    """Probabilities that links to stations fail; :func:`station_map` makes it.
+    """Probabilities that links to stations fail; :func:`station_map` makes it."""
 
-    Attributes
-    ----------
-    posteriors
-        The channel to each of s stations, as learnt.
-    nodes_m
-        ``(m, 2)`` nodes of an even grid.
-    radius_m
-        Each node stands for a disc of this radius; the discs hold all places within the bounds.
-    failures
-        ``(s, m)`` the largest probability found about each node: of its neighbours, and of measured
-        places nearby, where the predicted power may have its peaks.
-    """
-
-    posteriors: tuple[ChannelPosterior, ...]
-    nodes_m: Floats
+    posteriors: tuple[ChannelPosterior, ...]  # The channel to each of s stations, as learnt
+    nodes_m: Floats  # (m, 2) nodes of an even grid
+    # Each node stands for a disc of this radius; the discs hold all places within the bounds
     radius_m: float
+    # (s, m) the largest probability found about each node: of its neighbours, and of measured
+    # places nearby, where the predicted power may have its peaks
     failures: Floats
 
     def near(self, starts_m: Floats, ends_m: Floats) -> Floats:
@@ -54,15 +44,8 @@ class StationMap:
 
 
 def line_distances_m(places_m: Floats, start_m: Floats, end_m: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest points of a straight line to places, ``(m, 2)``, and distances ``(m,)``.
-
-    Parameters
-    ----------
-    places_m
-        ``(m, 2)``.
-    start_m, end_m
-        ``(2,)`` ends of the line.
-    """
+    """Return the nearest points of a line to places, ``(m, 2)``, and distances ``(m,)``."""
+    # Shapes: places_m (m, 2); start_m, end_m (2,).
     along, offset = end_m - start_m, places_m - start_m
     square = float(along @ along)
     share = np.clip(offset @ along / (square if square > 0.0 else 1.0), 0.0, 1.0)
@@ -73,24 +56,9 @@ def line_distances_m(places_m: Floats, start_m: Floats, end_m: Floats) -> tuple[
 def station_map(
     posteriors: Sequence[ChannelPosterior],
     threshold_dbm: float,
-    bounds_m: tuple[float, float, float, float],
+    bounds_m: tuple[float, float, float, float],  # (x_min, y_min, x_max, y_max)
 ) -> StationMap:
-    """Map how probably the power from each station is below a threshold.
-
-    Parameters
-    ----------
-    posteriors
-        The channel to each station.
-    threshold_dbm
-        Power that a link needs.
-    bounds_m
-        ``(x_min, y_min, x_max, y_max)`` of the area that agents move in.
-
-    Raises
-    ------
-    InputError
-        There is no station, or the bounds are empty.
-    """
+    """Map how probably the power from each station is below a threshold."""
     x_min, y_min, x_max, y_max = bounds_m
     longest = max(x_max - x_min, y_max - y_min)
     if not posteriors or not (x_min < x_max and y_min < y_max):

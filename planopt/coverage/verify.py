@@ -35,25 +35,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a move.
+    """A fault of a move."""
 
-    Attributes
-    ----------
-    kind
-        ``contact``, ``clearance``, ``speed``, ``acceleration``, ``turn``, ``motion`` (the ends of
-        the move do not fit together) or ``radio``.
-    agent
-        Whose move.
-    other
-        The other agent of a contact; None else.
-    value, limit
-        What was found, and what was allowed: m, m/s, m/s^2, rad/s or a probability.
-    """
-
+    # contact, clearance, speed, acceleration, turn, motion (the ends of the move do not fit
+    # together) or radio
     kind: str
-    agent: int
-    other: int | None
-    value: float
+    agent: int  # Whose move
+    other: int | None  # The other agent of a contact; None else
+    value: float  # What was found, and what was allowed: m, m/s, m/s^2, rad/s or a probability
     limit: float
 
 
@@ -63,41 +52,12 @@ def verify_moves(
     after_m: Floats,
     limits: MoveLimits,
     *,
-    velocities_m_s: tuple[Floats, Floats] | None = None,
-    headings_rad: tuple[Floats, Floats] | None = None,
+    velocities_m_s: tuple[Floats, Floats] | None = None,  # (n, 2)
+    headings_rad: tuple[Floats, Floats] | None = None,  # (n,) headings at both ends, of unicycles
     radio: RadioLimits | None = None,
 ) -> tuple[Fault, ...]:
-    """Return all faults of one step of a network; none if it may be released.
-
-    Parameters
-    ----------
-    free
-        The region less its obstacles.
-    before_m, after_m
-        ``(n, 2)`` places at both ends of the step.
-    limits
-        What agents can do and must keep.
-    velocities_m_s
-        ``(n, 2)`` velocities at both ends, of double integrators.
-    headings_rad
-        ``(n,)`` headings at both ends, of unicycles.
-    radio
-        Links that must be kept; None if none.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, a number is not finite, or velocities or headings are missing.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> limits = MoveLimits(speed_m_s=1.0, body_radius_m=0.5)
-    >>> before, after = np.array([[2.0, 2.0], [4.0, 2.0]]), np.array([[2.9, 2.0], [3.8, 2.0]])
-    >>> for fault in verify_moves(shapely.box(0, 0, 9, 9), before, after, limits):
-    ...     print(fault.kind, fault.agent, fault.other, round(fault.value, 3), fault.limit)
-    contact 0 1 0.9 1.0
-    """
+    """Return all faults of one step of a network; none if it may be released."""
+    # Shapes: before_m, after_m (n, 2).
     needed: dict[str, tuple[Floats, ...]] = {"positions": (before_m, after_m)}
     if limits.acceleration_m_s2 is not None:
         needed["velocities"] = velocities_m_s or ()

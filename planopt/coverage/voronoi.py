@@ -31,18 +31,11 @@ FAR = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Polygons:
-    """Convex polygons in flat arrays.
+    """Convex polygons in flat arrays."""
 
-    Attributes
-    ----------
-    corners_m
-        ``(v, 2)`` corners of all polygons, one polygon after the other, each counter-clockwise.
-    first
-        ``(g + 1,)``: polygon ``i`` has the corners ``first[i]`` to ``first[i + 1] - 1``.
-    """
-
+    # (v, 2) corners of all polygons, one polygon after the other, each counter-clockwise
     corners_m: NDArray[np.float64]
-    first: NDArray[np.intp]
+    first: NDArray[np.intp]  # (g + 1,): polygon i has the corners first[i] to first[i + 1] - 1
 
     @property
     def polygon_of(self) -> NDArray[np.intp]:
@@ -63,29 +56,15 @@ class Cells:
     """The Voronoi partition of a region.
 
     Agents at the same place share one cell. Cells are counted by ``g``, agents by ``n``.
-
-    Attributes
-    ----------
-    region
-        What is partitioned.
-    generators_m
-        ``(g, 2)`` distinct places of agents.
-    cell_of
-        ``(n,)`` number of each agent's cell.
-    multiplicity
-        ``(g,)`` how many agents share the cell.
-    inside
-        The cells within the region.
-    unclipped
-        The cells as they are beyond the region's border as well, in the region's own units: the
-        centre is the origin, the radius is 1.
     """
 
-    region: ConvexRegion
-    generators_m: NDArray[np.float64]
-    cell_of: NDArray[np.intp]
-    multiplicity: NDArray[np.intp]
-    inside: Polygons
+    region: ConvexRegion  # What is partitioned
+    generators_m: NDArray[np.float64]  # (g, 2) distinct places of agents
+    cell_of: NDArray[np.intp]  # (n,) number of each agent's cell
+    multiplicity: NDArray[np.intp]  # (g,) how many agents share the cell
+    inside: Polygons  # The cells within the region
+    # The cells as they are beyond the region's border as well, in the region's own units: the
+    # centre is the origin, the radius is 1
     unclipped: Polygons
 
     def corners_of(self, agent: int) -> NDArray[np.float64]:
@@ -98,28 +77,8 @@ def voronoi_cells(region: ConvexRegion, agents_m: NDArray[np.float64]) -> Cells:
     """Partition a region among agents: each cell is what is nearest to its generator.
 
     The cost grows as n log n.
-
-    Parameters
-    ----------
-    region
-        What is partitioned.
-    agents_m
-        ``(n, 2)`` places of the agents, on the border allowed, coincident ones too.
-
-    Raises
-    ------
-    InputError
-        There is no agent, or one is not finite or outside the region.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from planopt.coverage.region import convex_region
-    >>> square = convex_region(np.array([[0, 0], [2, 0], [2, 2], [0, 2]]))
-    >>> cells = voronoi_cells(square, np.array([[0.5, 1.0], [1.5, 1.0]]))
-    >>> sorted(cells.corners_of(0).tolist())
-    [[0.0, 0.0], [0.0, 2.0], [1.0, 0.0], [1.0, 2.0]]
     """
+    # Shapes: agents_m (n, 2).
     places = checked_places(region, agents_m, "agents")
     generators, cell_of = merge_coincident(places, COINCIDENT * region.radius_m)
     # Around the centre and scaled, so that large coordinates cost no precision.
@@ -173,21 +132,8 @@ def agent_neighbours(cells: Cells) -> NDArray[np.intp]:
 def merge_coincident(
     places_m: NDArray[np.float64], within_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Group places that are at most a distance apart, directly or over others.
-
-    Parameters
-    ----------
-    places_m
-        ``(n, d)``.
-    within_m
-        The distance.
-
-    Returns
-    -------
-    generators_m, group
-        ``(g, d)`` the first place of each group, and ``(n,)`` each place's group. Without
-        coincident places both are as given and ``0 .. n - 1``.
-    """
+    """Group places that are at most a distance apart, directly or over others."""
+    # Shapes: places_m (n, d); returns (g, d).
     tree = KDTree(places_m)
     found = tree.query_pairs(within_m, output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
     pairs, count = cast("NDArray[np.intp]", found), len(places_m)

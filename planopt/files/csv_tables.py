@@ -29,13 +29,7 @@ def csv_text(columns: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> st
 
 
 def read_rows(path: Path, columns: tuple[str, ...]) -> list[dict[str, str]]:
-    """Return the rows of a CSV file with exactly these columns.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or has other columns.
-    """
+    """Return the rows of a CSV file with exactly these columns."""
     rows = list(csv.reader(io.StringIO(read_text(path, LARGEST_BYTES))))
     if not rows or tuple(rows[0]) != columns:
         raise InputError(
@@ -58,22 +52,7 @@ def finite_numbers(
     columns: tuple[str, ...],
     empty: float | None = None,
 ) -> NDArray[np.float64]:
-    """Return some columns as numbers, ``(rows, columns)``.
-
-    Parameters
-    ----------
-    path
-        For messages.
-    rows, columns
-        What :func:`read_rows` returned, and the names of the columns.
-    empty
-        What stands for an empty cell; None if there may be none.
-
-    Raises
-    ------
-    InputError
-        A cell is no finite number.
-    """
+    """Return some columns as numbers, ``(rows, columns)``."""
     found = np.zeros((len(rows), len(columns)))
     for number, row in enumerate(rows):
         for place, column in enumerate(columns):
@@ -97,13 +76,7 @@ def finite_numbers(
 
 
 def whole_number(file: Path, data: Mapping[str, object], key: str) -> int:
-    """Return a whole number of a saved JSON object.
-
-    Raises
-    ------
-    InputError
-        It is missing or something else.
-    """
+    """Return a whole number of a saved JSON object."""
     value = cast("object", data.get(key))
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(

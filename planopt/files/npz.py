@@ -41,32 +41,12 @@ _ENTRY = b"PK\x01\x02"
 
 
 def npz_names(path: Path) -> tuple[str, ...]:
-    """Return the names of the arrays in an npz file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or is no zip archive.
-    """
+    """Return the names of the arrays in an npz file."""
     return tuple(_members(path, _archive(path)))
 
 
 def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Read arrays of an npz file; pickled objects are refused.
-
-    Parameters
-    ----------
-    path
-        The file.
-    wanted
-        Names of the arrays to read, of which those that are there are read; None reads all.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no npz or is damaged, an array holds objects, or the arrays
-        declare more than the limits of this module.
-    """
+    """Read arrays of an npz file; pickled objects are refused."""
     archive = _archive(path)
     members = {
         name: member

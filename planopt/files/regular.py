@@ -32,21 +32,7 @@ MEGABYTE = 2**20
 
 
 def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
-    """Return the content of a regular file.
-
-    Parameters
-    ----------
-    path
-        The file; a symbolic link is followed.
-    largest
-        Size limit in bytes.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it cannot be read, it is no regular file (a folder, device, pipe or
-        socket), or it is larger than `largest`.
-    """
+    """Return the content of a regular file."""
     try:
         # Looked at before it is opened: opening a pipe waits, opening a device may do anything.
         _require_regular(path, path.stat().st_mode)
@@ -73,13 +59,7 @@ def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
 
 
 def read_text(path: Path, largest: int = LARGEST_TEXT_BYTES) -> str:
-    """Return the content of a regular UTF-8 text file; a byte order mark is dropped.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_bytes`, or the content is not UTF-8 or contains a NUL.
-    """
+    """Return the content of a regular UTF-8 text file; a byte order mark is dropped."""
     content = read_bytes(path, largest)
     try:
         text = content.decode("utf-8-sig")
@@ -105,18 +85,6 @@ def foreign_reader(path: Path, kind: str) -> Generator[None]:
     Readers of binary formats check little: a damaged file ends in whatever its bytes lead to,
     among them warnings, MemoryError, errors of other readers, and errors within their callbacks,
     which Python would print. Their words tell of their insides, not of the file, and are left out.
-
-    Parameters
-    ----------
-    path
-        The file.
-    kind
-        Article and name of its format, for the message.
-
-    Raises
-    ------
-    InputError
-        Anything was raised within; an InputError passes, with the file filled in.
     """
     hooks = sys.excepthook, sys.unraisablehook
     sys.excepthook, sys.unraisablehook = _unseen, _unseen
@@ -139,13 +107,7 @@ def _unseen(*_: object) -> None:
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:
-    """Refuse an array that declares too many values, before it is read.
-
-    Raises
-    ------
-    InputError
-        A length is negative, or the product is above `LARGEST_ARRAY_VALUES`.
-    """
+    """Refuse an array that declares too many values, before it is read."""
     count = 1
     for length in lengths:
         count *= int(length)

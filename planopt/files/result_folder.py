@@ -36,18 +36,11 @@ UNDRAWN = (
 
 @dataclass(frozen=True)
 class ResultFiles:
-    """The files that one kind of result consists of.
+    """The files that one kind of result consists of."""
 
-    Attributes
-    ----------
-    kind
-        Name of the kind, for the marker.
-    patterns
-        Names of all its files, with ``*`` for any text. Files of these names are replaced
-        together; others in the folder are left alone.
-    """
-
-    kind: str
+    kind: str  # Name of the kind, for the marker
+    # Names of all its files, with * for any text. Files of these names are replaced together;
+    # others in the folder are left alone.
     patterns: tuple[str, ...]
 
     @property
@@ -67,20 +60,6 @@ def replaced_results(
     """Give a folder to write new results into; on leaving they replace those of `folder`.
 
     If an error or an interrupt ends the block, the old results stay as they are.
-
-    Parameters
-    ----------
-    folder
-        Made if it is missing.
-    files
-        What is replaced: files of these names that are not written anew are removed.
-    pictures_follow
-        Whether :func:`added_results` will complete the results.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be made or written.
     """
     with _staged(folder) as staging:
         yield staging
@@ -100,13 +79,7 @@ def replaced_results(
 
 @contextlib.contextmanager
 def added_results(folder: Path, files: ResultFiles) -> Generator[Path]:
-    """Give a folder to write pictures into; on leaving they join the results in `folder`.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be written.
-    """
+    """Give a folder to write pictures into; on leaving they join the results in `folder`."""
     with _staged(folder) as staging:
         yield staging
         names = _written(staging, files)
@@ -117,13 +90,7 @@ def added_results(folder: Path, files: ResultFiles) -> Generator[Path]:
 
 
 def require_one_result(folder: Path, files: ResultFiles) -> None:
-    """Refuse a folder that holds files of two results.
-
-    Raises
-    ------
-    InputError
-        The process that replaced old results by new ones was killed while it did.
-    """
+    """Refuse a folder that holds files of two results."""
     try:
         mixed = (folder / files.marker).read_bytes()[: len(MIXED)] == MIXED.encode()
     except OSError:

@@ -22,13 +22,7 @@ NOT_FINITE = ("nan", "inf", "-inf")
 
 
 def encoded(value: object) -> Any:
-    """Return `value` as what JSON has.
-
-    Raises
-    ------
-    TypeError
-        It contains something else than this module knows.
-    """
+    """Return `value` as what JSON has."""
     match value:
         case None | bool() | str() if not isinstance(value, Enum):
             return value
@@ -53,13 +47,7 @@ def encoded(value: object) -> Any:
 
 
 def decoded(kind: type[Value], data: object) -> Value:
-    """Return what :func:`encoded` made `data` of, a value of type `kind`.
-
-    Raises
-    ------
-    ValueError
-        The data are not of that type.
-    """
+    """Return what :func:`encoded` made `data` of, a value of type `kind`."""
     return cast("Value", _decoded(kind, data))
 
 

@@ -18,21 +18,7 @@ _WRITER = "-by-"
 
 
 def write_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` fill a temporary neighbour of `path`, then move it into place.
-
-    Parameters
-    ----------
-    path
-        Where the file is to be.
-    write
-        Called with the temporary path; it has the same ending as `path`, because writers such as
-        ``numpy.savez`` and ``matplotlib`` choose the format by it.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be made or the file cannot be written. Nothing is left behind.
-    """
+    """Let `write` fill a temporary neighbour of `path`, then move it into place."""
     # The name is known before the file is there, so that no interrupt comes between the two.
     own = f".{path.stem}{_WRITER}{os.getpid()}-{secrets.token_hex(4)}{path.suffix}"
     temporary = path.parent / own
@@ -78,24 +64,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def strict_text(data: Mapping[str, Any]) -> str:
-    """Return `data` as one line of strict JSON.
-
-    Raises
-    ------
-    ValueError
-        A number in it is not finite.
-    """
+    """Return `data` as one line of strict JSON."""
     return json.dumps(data, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def writable_folder(path: Path) -> Path:
-    """Make `path` a folder that can be written into, before any work is spent on results.
-
-    Raises
-    ------
-    OutputError
-        It is a file, or it cannot be made or written into.
-    """
+    """Make `path` a folder that can be written into, before any work is spent on results."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path):

@@ -16,15 +16,8 @@ from planopt.targets.information_filter import TargetModel, covariance_of
 
 
 def removed(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:
-    """sum_k w_k (f(P_k) without packets - mean f(P_k)) of the position; ``(...)``.
-
-    Parameters
-    ----------
-    received
-        ``(..., draws, k)`` information per axis that arrives in each draw, per m^2.
-    settings
-        The target and what is known of it; f is its criterion.
-    """
+    """sum_k w_k (f(P_k) without packets - mean f(P_k)) of the position; ``(...)``."""
+    # Shapes: received (..., draws, k).
     if settings.held is not None:
         return _removed_by_estimates(received, settings)
     nothing = np.zeros(received.shape[-1])
@@ -147,15 +140,8 @@ def _cost_derivatives(
 
 
 def _slopes(now: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Slopes of (a, b, c) after updates by a, b, c before and the information; (k, draws, 3, 4).
-
-    Parameters
-    ----------
-    now
-        ``(k, 3, draws)`` a, b and c before each update.
-    u
-        ``(k, draws)`` information of each.
-    """
+    """Slopes of (a, b, c) after updates by a, b, c before and the information; (k, draws, 3, 4)."""
+    # Shapes: now (k, 3, draws); u (k, draws).
     a, b = now[:, 0], now[:, 1]
     r = 1.0 / (1.0 + a * u)
     r2, bu = r * r, b * u
@@ -170,15 +156,8 @@ def _slopes(now: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.floa
 def _bends(
     after: NDArray[np.float64], now: NDArray[np.float64], u: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Second derivatives by (a, b, u) before each update, ``(k, draws, 3, 3)``; c is linear.
-
-    Parameters
-    ----------
-    after
-        ``(k, draws, 3)`` derivatives of the total by a, b and c after each update.
-    now, u
-        As :func:`_slopes`.
-    """
+    """Second derivatives by (a, b, u) before each update, ``(k, draws, 3, 3)``; c is linear."""
+    # Shapes: after (k, draws, 3).
     a, b = now[:, 0], now[:, 1]
     A, B, C = after[..., 0], after[..., 1], after[..., 2]
     r = 1.0 / (1.0 + a * u)

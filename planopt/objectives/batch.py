@@ -23,24 +23,12 @@ from planopt.objectives.local_channel import factored_near
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Moments of h future measurements, given those there are (equation 1.11).
+    """Moments of h future measurements, given those there are (equation 1.11)."""
 
-    Attributes
-    ----------
-    mean_db
-        ``(h,)`` mu, dBm.
-    covariance_db2
-        ``(h, h)`` S, as if theta were known.
-    trend
-        ``(h, 2)`` B: row i is varphi(q_i)'.
-    theta_covariance
-        ``(2, 2)`` M; zero where theta is known.
-    """
-
-    mean_db: NDArray[np.float64]
-    covariance_db2: NDArray[np.float64]
-    trend: NDArray[np.float64]
-    theta_covariance: NDArray[np.float64]
+    mean_db: NDArray[np.float64]  # (h,) mu, dBm
+    covariance_db2: NDArray[np.float64]  # (h, h) S, as if theta were known
+    trend: NDArray[np.float64]  # (h, 2) B: row i is varphi(q_i)'
+    theta_covariance: NDArray[np.float64]  # (2, 2) M; zero where theta is known
 
     def covariance(self, universal: bool) -> NDArray[np.float64]:
         """S, or S + B M B' (`universal`) that counts what is not known of theta; ``(h, h)``."""
@@ -54,11 +42,6 @@ def batch_of(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> Batch:
 
     From all measurements, or from those near where they are very many
     (:func:`planopt.objectives.local_channel.factored_near`).
-
-    Raises
-    ------
-    InputError
-        `path_m` is no path.
     """
     places = require_places(path_m)
     near = factored_near(posterior, places)
@@ -75,21 +58,11 @@ def batch_of(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> Batch:
 
 @dataclass(frozen=True, eq=False)
 class KnownPlaces:
-    """Places of a map, prepared once for the covariances of many paths with them.
+    """Places of a map, prepared once for the covariances of many paths with them."""
 
-    Attributes
-    ----------
-    grid_m
-        ``(g, 2)``.
-    phi_db2
-        ``(kappa, g)`` covariances with the measurements.
-    trend
-        ``(g, 2)`` varphi(g)'.
-    """
-
-    grid_m: NDArray[np.float64]
-    phi_db2: NDArray[np.float64]
-    trend: NDArray[np.float64]
+    grid_m: NDArray[np.float64]  # (g, 2)
+    phi_db2: NDArray[np.float64]  # (kappa, g) covariances with the measurements
+    trend: NDArray[np.float64]  # (g, 2) varphi(g)'
 
 
 def known_places(posterior: ChannelPosterior, grid_m: NDArray[np.float64]) -> KnownPlaces:
@@ -103,24 +76,13 @@ def known_places(posterior: ChannelPosterior, grid_m: NDArray[np.float64]) -> Kn
 
 def cross_covariance_db2(
     posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (h, 2)
     known: KnownPlaces,
     universal: bool,
 ) -> NDArray[np.float64]:
     """Covariance of what is measured on a path with the power at other places; ``(h, g)``.
 
     c(q) = k_h(q) - Phi' U^-1 phi(q) (equation 4.6), plus B M varphi(q) where `universal`.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements; it has a factor.
-    path_m
-        ``(h, 2)``.
-    known
-        The other places, prepared for this posterior.
-    universal
-        Count what is not known of theta.
     """
     parameters = posterior.parameters
     path, grid = (
@@ -137,13 +99,7 @@ def cross_covariance_db2(
 
 
 def batch_factor(covariance_db2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lower Cholesky factor L of S, ``(h, h)``; L_ii^2 is the variance after q_1 .. q_{i-1}.
-
-    Raises
-    ------
-    InputError
-        S is singular: without multipath a place that is measured twice tells nothing new.
-    """
+    """Lower Cholesky factor L of S, ``(h, h)``; L_ii^2 is the variance after q_1 .. q_{i-1}."""
     try:
         return np.asarray(np.linalg.cholesky(covariance_db2), dtype=np.float64)
     except np.linalg.LinAlgError:

@@ -29,39 +29,20 @@ from planopt.objectives.measuring import Gates
 
 @dataclass(frozen=True, eq=False)
 class PathDerivatives:
-    """An objective of a path of h places with derivatives by its 2 h coordinates.
+    """An objective of a path of h places with derivatives by its 2 h coordinates."""
 
-    Attributes
-    ----------
-    value
-        The objective.
-    gradient
-        ``(2 h,)`` by x_1, y_1, x_2, ...
-    hessian
-        ``(2 h, 2 h)`` symmetric.
-    """
-
-    value: float
-    gradient: NDArray[np.float64]
-    hessian: NDArray[np.float64]
+    value: float  # The objective
+    gradient: NDArray[np.float64]  # (2 h,) by x_1, y_1, x_2,
+    hessian: NDArray[np.float64]  # (2 h, 2 h) symmetric
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """r numbers for each place that depend on that place alone, such as the rows of B.
+    """r numbers for each place that depend on that place alone, such as the rows of B."""
 
-    Attributes
-    ----------
-    value
-        ``(h, r)``.
-    first
-        ``(2 h, r)`` by the place's own coordinates.
-    second
-        ``(h, 3, r)`` xx, xy, yy; with gates ``(h, 6, r)``, then x, y and the gate by the gate.
-    """
-
-    value: NDArray[np.float64]
-    first: NDArray[np.float64]
+    value: NDArray[np.float64]  # (h, r)
+    first: NDArray[np.float64]  # (2 h, r) by the place's own coordinates
+    # (h, 3, r) xx, xy, yy; with gates (h, 6, r), then x, y and the gate by the gate
     second: NDArray[np.float64]
 
     def times(self, matrix: NDArray[np.float64]) -> Rows:
@@ -71,32 +52,17 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class BatchDerivatives:
-    """S of a batch with derivatives, and its B.
+    """S of a batch with derivatives, and its B."""
 
-    Attributes
-    ----------
-    covariance
-        ``(h, h)`` S.
-    first
-        ``(2 h, h)`` D[2 i + a, k]: of S_ik by coordinate a of q_i; half of it where k = i.
-    mixed
-        ``(2 h, 2 h)`` of S_ij by coordinates of q_i and of q_j; half of that part where j = i.
-    second
-        ``(h, 3, h)`` of S_ik by two coordinates of q_i, k held; half of that part where k = i.
-    trend
-        B.
-    phi
-        ``(h, 6, m)`` covariance with the measurements: value, x, y, xx, xy, yy.
-
-    With gates 2 h and 3 become 3 h and 6, as in :class:`Rows`.
-    """
-
-    covariance: NDArray[np.float64]
+    covariance: NDArray[np.float64]  # (h, h) S
+    # (2 h, h) D[2 i + a, k]: of S_ik by coordinate a of q_i; half of it where k = i
     first: NDArray[np.float64]
+    # (2 h, 2 h) of S_ij by coordinates of q_i and of q_j; half of that part where j = i
     mixed: NDArray[np.float64]
+    # (h, 3, h) of S_ik by two coordinates of q_i, k held; half of that part where k = i
     second: NDArray[np.float64]
-    trend: Rows
-    phi: NDArray[np.float64]
+    trend: Rows  # B
+    phi: NDArray[np.float64]  # (h, 6, m) covariance with the measurements: value, x, y, xx, xy, yy
 
     @property
     def owner(self) -> NDArray[np.intp]:
@@ -190,17 +156,7 @@ def blind_variance_db2(parameters: ChannelParameters) -> float:
 def gated_batch(
     batch: BatchDerivatives, gates: Gates | None, parameters: ChannelParameters
 ) -> BatchDerivatives:
-    """S_g and B_g of a path; `batch` itself without gates.
-
-    Parameters
-    ----------
-    batch
-        S and B.
-    gates
-        Of the single path.
-    parameters
-        Of the channel.
-    """
+    """S_g and B_g of a path; `batch` itself without gates."""
     if gates is None:
         return batch
     gate, steps = gates.value[0], len(batch.covariance)

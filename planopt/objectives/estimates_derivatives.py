@@ -21,22 +21,14 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Losses:
-    """Packets of one robot's path in D draws, K steps, M steps before the plan.
+    """Packets of one robot's path in D draws, K steps, M steps before the plan."""
 
-    Attributes
-    ----------
-    which
-        ``(K, M + K, K)`` of 0 and 1: whose packets tell of a step
-        (:func:`planopt.objectives.tracking_estimates.counting`).
-    missed
-        ``(D, K, M + K)`` chance that step s is unknown at step k.
-    slope, bend
-        ``(D, stations, K)`` r, the derivative of the logarithm of the chance that a packet is lost
-        by the score of its station, and that of r.
-    """
-
+    # (K, M + K, K) of 0 and 1: whose packets tell of a step
+    # (:func:`planopt.objectives.tracking_estimates.counting`)
     which: Numbers
-    missed: Numbers
+    missed: Numbers  # (D, K, M + K) chance that step s is unknown at step k
+    # (D, stations, K) r, the derivative of the logarithm of the chance that a packet is lost by the
+    # score of its station, and that of r
     slope: Numbers
     bend: Numbers
 
@@ -47,18 +39,8 @@ def estimates_derivatives(
     """Gradient ``(inputs, K)`` and Hessian ``(inputs, K, inputs, K)``: scores, then sensing.
 
     Of the mean over draws of sum_k w_k (f(P_k) without packets - f(P_k)).
-
-    Parameters
-    ----------
-    losses
-        Of the path's own packets.
-    others
-        ``(D, K, M + K)`` information per axis from the packets of other robots, per m^2.
-    sensing
-        ``(K,)`` tr Lambda^-1 of the path, per m^2.
-    settings
-        The target, and what the robot holds as the last of `held.sent`.
     """
+    # Shapes: others (D, K, M + K); sensing (K,).
     held, weight = settings.held, settings.tracking.weight
     if held is None:
         raise AssertionError("packets have measurements")
@@ -145,19 +127,7 @@ def _ahead(tangent: Numbers, step_s: float) -> Numbers:
 
 
 class _Filters:
-    """Updates of all filters, those of a step together, as rows ``(n, D)``.
-
-    Attributes
-    ----------
-    rows
-        Which rows are of each of the M + K steps.
-    by
-        ``(n, D)`` derivative of the cost by the information of an update.
-    bends
-        ``(6, n, D)`` its second derivatives by (a, b, u) before the update: aa, ab, au, bb, bu, uu.
-    step_s
-        Duration of a step.
-    """
+    """Updates of all filters, those of a step together, as rows ``(n, D)``."""
 
     def __init__(self, received: Numbers, weight: Numbers, settings: FilteredTracking) -> None:
         axis, most = Axis.of(settings), len(received) - len(weight)

@@ -98,22 +98,7 @@ NUMPY: dict[str, tuple[int, Operation]] = {
 def expression_values(
     program: str, steps: int, given: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """The value of each of c paths; not finite where the expression has none; ``(c,)``.
-
-    Parameters
-    ----------
-    program
-        The instructions.
-    steps
-        N that they are for.
-    given
-        By name: ``(c, N, width)``, and ``(c, 1, 2)`` for the start.
-
-    Raises
-    ------
-    InputError
-        It is no list of instructions, or reads what is not given.
-    """
+    """The value of each of c paths; not finite where the expression has none; ``(c,)``."""
     with np.errstate(all="ignore"):
         found = run_program(
             program, steps, {name: _entry(values) for name, values in given.items()}, NUMPY
@@ -134,13 +119,7 @@ def run_program(
     given: Mapping[str, Callable[[int, int], Any]],
     operations: Mapping[str, tuple[int, Operation]],
 ) -> Any:
-    """Run the instructions, by NumPy's operations or CasADi's, on entries by row and column.
-
-    Raises
-    ------
-    InputError
-        As :func:`expression_values`.
-    """
+    """Run the instructions, by NumPy's operations or CasADi's, on entries by row and column."""
     registers: dict[str, Any] = {}
     value: Any = None
     for row, words in enumerate(_instructions(program), start=1):

@@ -68,46 +68,19 @@ CHANNELS = (
 
 @dataclass(frozen=True)
 class PathSymbols:
-    """The CasADi symbols that an expression is made of, for N steps.
+    """The CasADi symbols that an expression is made of, for N steps."""
 
-    Attributes
-    ----------
-    positions_m
-        ``(N, 2)`` the places after each step.
-    mean_db, deviation_db
-        ``(N, 1)`` of the predicted power there, dBm and dB.
-    connectivity
-        ``(N, 1)`` P(power >= threshold).
-    target_m
-        ``(N, 2)`` where the target is expected; only in a problem with a term of kind tracking.
-    start_m
-        ``(1, 2)`` where the robot is.
-    """
-
-    positions_m: Any
-    mean_db: Any
+    positions_m: Any  # (N, 2) the places after each step
+    mean_db: Any  # (N, 1) of the predicted power there, dBm and dB
     deviation_db: Any
-    connectivity: Any
+    connectivity: Any  # (N, 1) P(power >= threshold)
+    # (N, 2) where the target is expected; only in a problem with a term of kind tracking
     target_m: Any
-    start_m: Any
+    start_m: Any  # (1, 2) where the robot is
 
 
 def program_of(expression: Any, steps: int) -> str:
-    """The instructions of a CasADi expression of a path of `steps` steps.
-
-    Parameters
-    ----------
-    expression
-        From :class:`PathSymbols` to a scalar expression; or a `casadi.Function` with one output,
-        whose inputs have names and shapes of those symbols.
-    steps
-        N.
-
-    Raises
-    ------
-    InputError
-        It is no scalar of these symbols, or uses what cannot be written as instructions.
-    """
+    """The instructions of a CasADi expression of a path of `steps` steps."""
     if not isinstance(steps, int | np.integer) or steps < 1:
         raise InputError(
             f"is {steps!r}", key="horizon", remedy="give the whole number of steps that are planned"
@@ -135,19 +108,7 @@ def program_of(expression: Any, steps: int) -> str:
 def expression_derivatives(
     program: str, steps: int, given: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
 ) -> Any:
-    """Value of a path with derivatives by its places.
-
-    Parameters
-    ----------
-    program, steps
-        The instructions, and N.
-    given
-        ``mean_db``, ``deviation_db`` and ``connectivity`` of each step with derivatives by its
-        place, as far as they are read; the places themselves as numbers with derivatives too, by
-        the names ``x`` and ``y``.
-    known
-        ``target_m`` (N, 2) and ``start_m`` (1, 2).
-    """
+    """Value of a path with derivatives by its places."""
     function = _differentiated(program, steps)
     nothing = Derivatives(np.zeros(steps), np.zeros((steps, 2)), np.zeros((steps, 3)))
     inputs = [

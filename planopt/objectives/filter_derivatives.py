@@ -32,13 +32,6 @@ def information_gain_derivatives(
 
     With J-_{k+1} = (A J_k^-1 A' + W)^-1 and G = J- A J^-1: dJ- = G D G', and d^2 J- of D and E is
     -G (D S E + E S D) G', S = J^-1 - G' A J^-1.
-
-    Parameters
-    ----------
-    chance, sensing
-        P(packet arrives) and 1 / g of the h stages.
-    settings
-        The target and what is known of it.
     """
     steps, model = len(chance.value), settings.model
     weight = settings.tracking.weight

@@ -21,33 +21,17 @@ class KnownLinks:
     Multipath stays what it is at a place. A robot that was connected there will be again; a little
     beside it is predicted as anywhere else. Nearer than the spacing of measurements to a place
     without connection there is none: a robot does not try what it would not measure either.
-
-    Attributes
-    ----------
-    connected_m
-        ``(n, 2)`` places with connection.
-    lost_m
-        ``(m, 2)`` places without.
-    spacing_m
-        Nearer than this to a place without connection there is none.
     """
 
-    connected_m: NDArray[np.float64]
-    lost_m: NDArray[np.float64]
-    spacing_m: float
+    connected_m: NDArray[np.float64]  # (n, 2) places with connection
+    lost_m: NDArray[np.float64]  # (m, 2) places without
+    spacing_m: float  # Nearer than this to a place without connection there is none
 
     def chances(
         self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the chance of connection at places (..., 2), where nothing is known `predicted`.
-
-        Parameters
-        ----------
-        places_m
-            ``(..., 2)``.
-        predicted
-            ``(...)`` the chance there by the belief of the channel.
-        """
+        """Return the probability of connection at places; unobserved ones keep `predicted`."""
+        # Shapes: places_m (..., 2); predicted (...).
         flat, found = places_m.reshape(-1, 2), predicted.reshape(-1).copy()
         for tree, within_m, chance in self._trees:
             _, away = tree.nearest(flat, 1, within_m)
@@ -66,27 +50,12 @@ class KnownLinks:
 def known_links(
     stations: Sequence[ChannelPosterior],
     thresholds_dbm: Sequence[float],
-    missed_m: NDArray[np.float64],
-    here_m: NDArray[np.float64],
+    missed_m: NDArray[np.float64],  # (k, 2) where steps ended without connection
+    here_m: NDArray[np.float64],  # (2,) where the robot is
     is_connected: bool | None,
     spacing_m: float,
 ) -> KnownLinks:
-    """Return what measurements and the run so far tell of connection.
-
-    Parameters
-    ----------
-    stations, thresholds_dbm
-        Belief of each station's channel, with all measurements, and from which power on it is
-        connected.
-    missed_m
-        ``(k, 2)`` where steps ended without connection.
-    here_m
-        ``(2,)`` where the robot is.
-    is_connected
-        Whether it is connected there; None where no packet was sent yet.
-    spacing_m
-        As far as a place without connection reaches.
-    """
+    """Return what measurements and the run so far tell of connection."""
     up: list[NDArray[np.float64]] = []
     down = [missed_m]
     for station, threshold in zip(stations, thresholds_dbm, strict=True):

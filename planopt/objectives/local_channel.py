@@ -57,21 +57,11 @@ CUSP_ROUNDING = 0.01
 
 
 def rounded_kernel(
-    offset_m: NDArray[np.float64],
+    offset_m: NDArray[np.float64],  # (..., 2)
     parameters: ChannelParameters,
-    blur_m2: NDArray[np.float64] | float = 0.0,
+    blur_m2: NDArray[np.float64] | float = 0.0,  # (...) of position errors
 ) -> Derivatives:
-    """xi^2 exp(-r / beta), r = sqrt(|offset|^2 + blur + eps^2), with derivatives by the offset.
-
-    Parameters
-    ----------
-    offset_m
-        ``(..., 2)``.
-    parameters
-        The channel's parameters.
-    blur_m2
-        ``(...)`` of position errors.
-    """
+    """xi^2 exp(-r / beta), r = sqrt(|offset|^2 + blur + eps^2), with derivatives by the offset."""
     rows = np.empty((6, *offset_m.shape[:-1]))
     soft_m2 = softened_m2(blur_m2, parameters)
     fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, soft_m2)
@@ -139,55 +129,26 @@ class LocalChannel:
     """Kriging from m measurements.
 
     As :class:`planopt.channel.nearest.neighbours.NeighbourModel` has it.
-
-    Attributes
-    ----------
-    positions_m
-        ``(m, 2)`` where they were taken.
-    blur_m2
-        ``(m,)`` of errors of these positions.
-    precision
-        ``(m, m)`` U_mm^-1.
-    weights
-        ``(m,)`` U_mm^-1 y.
-    trend
-        ``(m, 2)`` A = U_mm^-1 Gamma_m.
-    theta, theta_covariance
-        ``(2,)`` (K_PL, n_PL) and ``(2, 2)`` M, from all measurements.
-    parameters
-        The channel's parameters.
     """
 
-    positions_m: NDArray[np.float64]
-    blur_m2: NDArray[np.float64]
-    precision: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    trend: NDArray[np.float64]
-    theta: NDArray[np.float64]
+    positions_m: NDArray[np.float64]  # (m, 2) where they were taken
+    blur_m2: NDArray[np.float64]  # (m,) of errors of these positions
+    precision: NDArray[np.float64]  # (m, m) U_mm^-1
+    weights: NDArray[np.float64]  # (m,) U_mm^-1 y
+    trend: NDArray[np.float64]  # (m, 2) A = U_mm^-1 Gamma_m
+    theta: NDArray[np.float64]  # (2,) (K_PL, n_PL) and (2, 2) M, from all measurements
     theta_covariance: NDArray[np.float64]
-    parameters: ChannelParameters
+    parameters: ChannelParameters  # The channel's parameters
 
 
 @dataclass(frozen=True, eq=False)
 class LocalGrid:
-    """Places of a map, as a local channel sees them.
+    """Places of a map, as a local channel sees them."""
 
-    Attributes
-    ----------
-    positions_m
-        ``(g, 2)``.
-    root_weight
-        ``(g,)`` square roots of the weights.
-    solved
-        ``(m, g)`` U_mm^-1 Phi_g.
-    trend
-        ``(g, 2)`` varphi(g)'.
-    """
-
-    positions_m: NDArray[np.float64]
-    root_weight: NDArray[np.float64]
-    solved: NDArray[np.float64]
-    trend: NDArray[np.float64]
+    positions_m: NDArray[np.float64]  # (g, 2)
+    root_weight: NDArray[np.float64]  # (g,) square roots of the weights
+    solved: NDArray[np.float64]  # (m, g) U_mm^-1 Phi_g
+    trend: NDArray[np.float64]  # (g, 2) varphi(g)'
 
 
 def local_channel(
@@ -197,11 +158,6 @@ def local_channel(
 
     Each place's nearest come first, then each place's second nearest, and so on, so that no place
     is left out for another.
-
-    Raises
-    ------
-    InputError
-        `path_m` is no path, or `count` is below one.
     """
     places = require_places(path_m)
     positions = posterior.measurements.positions_m

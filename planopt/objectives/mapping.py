@@ -48,48 +48,21 @@ from planopt.targets.rounding import rounded_length, rounded_positive_part
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Settings of J_CH (equation 4.3): where variance counts, and how much nearness does.
+    """Settings of J_CH (equation 4.3): where variance counts, and how much nearness does."""
 
-    Attributes
-    ----------
-    threshold_db2
-        sigma_TH^2: variance up to this counts as known.
-    decay_per_m
-        zeta >= 0 of psi(d) = exp(-zeta d).
-    start_m
-        Where the robot stands; of the path form only.
-    universal
-        Count what is not known of theta.
-    """
-
-    threshold_db2: float
-    decay_per_m: float
-    start_m: tuple[float, float] = (0.0, 0.0)
-    universal: bool = True
+    threshold_db2: float  # sigma_TH^2: variance up to this counts as known
+    decay_per_m: float  # zeta >= 0 of psi(d) = exp(-zeta d)
+    start_m: tuple[float, float] = (0.0, 0.0)  # Where the robot stands; of the path form only
+    universal: bool = True  # Count what is not known of theta
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The region whose map is wanted (equation 4.6; footnote 3 of [GM11]).
+    """The region whose map is wanted (equation 4.6; footnote 3 of [GM11])."""
 
-    Attributes
-    ----------
-    grid_m
-        ``(g, 2)`` places.
-    weight
-        ``(g,)`` w_g >= 0; 1 / g each for the spatial average.
-    universal
-        Count what is not known of theta.
-
-    Raises
-    ------
-    InputError
-        Places are none, or weights do not fit them.
-    """
-
-    grid_m: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    universal: bool = True
+    grid_m: NDArray[np.float64]  # (g, 2) places
+    weight: NDArray[np.float64]  # (g,) w_g >= 0; 1 / g each for the spatial average
+    universal: bool = True  # Count what is not known of theta
 
     def __post_init__(self) -> None:
         require_weights(self.weight, len(require_places(self.grid_m)))
@@ -97,23 +70,11 @@ class Region:
 
 def channel_uncertainty(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
-    distance_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],  # (n, 2) q, none of them measured: there the power is known
+    distance_m: NDArray[np.float64],  # (n,)
     settings: Uncertainty,
 ) -> NDArray[np.float64]:
-    """Return J_CH(q) = max{0, sigma^2(q) - sigma_TH^2} psi(d), dB^2 (equation 4.3); ``(n,)``.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    positions_m
-        ``(n, 2)`` q, none of them measured: there the power is known.
-    distance_m
-        ``(n,)`` from the robot to each, straight as in [GM11] or around obstacles.
-    settings
-        Threshold and decay.
-    """
+    """Return J_CH(q) = max{0, sigma^2(q) - sigma_TH^2} psi(d), dB^2 (equation 4.3); ``(n,)``."""
     terms = kriging_terms(posterior, require_places(positions_m))
     spread = posterior.theta_covariance if settings.universal else np.zeros((2, 2))
     variance = combine(terms, posterior.theta, spread).deviation_db ** 2
@@ -139,25 +100,14 @@ def uncertainty_target(
 
 def path_uncertainty(
     posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (h, 2)
     settings: Uncertainty,
-    measured: NDArray[np.bool_] | None = None,
+    measured: NDArray[np.bool_] | None = None,  # (h,) which places are measured; all unless given
 ) -> float:
     """Return sum_i max{0, L_ii^2 - sigma_TH^2} psi(l_i), dB^2 (equation 4.4).
 
     L_ii^2 is the variance at q_i after the earlier places of the path, l_i the length of the path
     up to it from `settings.start_m`. The sum is over the measured places.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    path_m
-        ``(h, 2)`` q_1 .. q_h; a place that repeats counts multipath's variance again.
-    settings
-        Threshold, decay and start.
-    measured
-        ``(h,)`` which places are measured; all unless given.
     """
     places = require_places(path_m)
     length = np.cumsum(leg_lengths_m(np.vstack([np.asarray(settings.start_m), places])))
@@ -176,11 +126,6 @@ def path_information(
 
     Monotone and submodular in the set of places (equation 4.5). For h = 1 it has the maximiser of
     J_CH with psi = 1 and sigma_TH = 0.
-
-    Raises
-    ------
-    InputError
-        There is no multipath: the information is then infinite.
     """
     factor = batch_factor(batch_of(posterior, path_m).covariance(universal))
     return float(np.log(np.diag(factor) / require_multipath_db(posterior)).sum())
@@ -188,28 +133,11 @@ def path_information(
 
 def average_reduction(
     posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (h, 2)
     settings: Region,
     known: KnownPlaces | None = None,
 ) -> float:
-    """Return sum_g w_g (sigma_t^2(g) - sigma_{t+h}^2(g)) in dB^2 (equation 4.6).
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    path_m
-        ``(h, 2)``.
-    settings
-        Where the map is wanted.
-    known
-        The same places prepared for `posterior`, for many paths. Not read where it has no factor.
-
-    Raises
-    ------
-    InputError
-        `path_m` is no path, or see :func:`planopt.objectives.batch.batch_factor`.
-    """
+    """Return sum_g w_g (sigma_t^2(g) - sigma_{t+h}^2(g)) in dB^2 (equation 4.6)."""
     near = factored_near(posterior, path_m)
     if known is None or near is not posterior:
         known = known_places(near, settings.grid_m)
@@ -241,23 +169,11 @@ large by at most 3/16 of that width."""
 
 def path_uncertainty_derivatives(
     channel: LocalChannel,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (h, 2)
     settings: Uncertainty,
     gates: Gates | None = None,
 ) -> PathDerivatives:
-    """Return :func:`path_uncertainty` with derivatives.
-
-    Parameters
-    ----------
-    channel
-        The measurements near the path.
-    path_m
-        ``(h, 2)``.
-    settings
-        Threshold, decay and start.
-    gates
-        Of the path; None where all places bring a measurement.
-    """
+    """Return :func:`path_uncertainty` with derivatives."""
     places = require_places(path_m)
     batch = batch_derivatives(channel, places, settings.universal)
     batch = gated_batch(batch, gates, channel.parameters)

@@ -48,18 +48,12 @@ def closing_m(spacing_m: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class MeasuringRule:
-    """The rule by which measurements are taken, given those there are.
+    """The rule by which measurements are taken, given those there are."""
 
-    Attributes
-    ----------
-    spacing_m
-        A place nearer than this to an earlier measurement brings none; :func:`closing_m`.
-    known_m
-        ``(n, 2)`` places measured before, of each station. A place counts as measured once all
-        stations were measured near it.
-    """
-
+    # A place nearer than this to an earlier measurement brings none; :func:`closing_m`
     spacing_m: float
+    # (n, 2) places measured before, of each station. A place counts as measured once all stations
+    # were measured near it.
     known_m: tuple[NDArray[np.float64], ...]
 
     @staticmethod
@@ -99,18 +93,8 @@ class MeasuringRule:
         return found
 
     def takes(self, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which places bring a measurement when they are visited in turn.
-
-        Parameters
-        ----------
-        ways_m
-            ``(N, 2)``, or ``(c, N, 2)`` for several ways, each by itself.
-
-        Returns
-        -------
-        numpy.ndarray
-            ``(N,)`` or ``(c, N)``.
-        """
+        """Return which places bring a measurement when they are visited in turn."""
+        # Shapes: ways_m (N, 2); returns (N,).
         ways = ways_m.reshape(-1, *ways_m.shape[-2:])
         taken = self.is_open(ways.reshape(-1, 2)).reshape(ways.shape[:2])
         close = _squared_between_m2(ways) < self.spacing_m**2
@@ -173,13 +157,9 @@ class Gates:
 
     Where the rule takes a measurement does not change while places move a little, but where two
     places at once are about to be closed; between such changes gates are twice differentiable.
-
-    Attributes
-    ----------
-    value
-        ``(c, N)`` amplitudes in [0, 1]: a measurement counts as one of so much of the channel.
     """
 
+    # (c, N) amplitudes in [0, 1]: a measurement counts as one of so much of the channel
     value: NDArray[np.float64]
     _ways_m: NDArray[np.float64]
     _offset_m: NDArray[np.float64]

@@ -24,24 +24,13 @@ class PassageProgramme:
 
     Mean and covariance are there for each station in turn. The chances of no connection to each
     multiply: they are independent. The last of z is what ending without connection counts.
-
-    Attributes
-    ----------
-    steps, stations
-        h, and how many stations there are.
-    value
-        Of z: the distance charged.
-    gradient
-        The same by z, of the covariance by its lower triangle only.
-    along
-        Of z and a direction: how the gradient changes along it.
     """
 
-    steps: int
+    steps: int  # h, and how many stations there are
     stations: int
-    value: Any
-    gradient: Any
-    along: Any
+    value: Any  # Of z: the distance charged
+    gradient: Any  # The same by z, of the covariance by its lower triangle only
+    along: Any  # Of z and a direction: how the gradient changes along it
 
 
 @cache

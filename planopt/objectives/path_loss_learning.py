@@ -50,23 +50,11 @@ Kind = Literal["T", "D", "A", "V"]
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """The value of an information matrix N = M_{t+h}^-1; more is better.
+    """The value of an information matrix N = M_{t+h}^-1; more is better."""
 
-    Attributes
-    ----------
-    kind
-        ``T``: tr(N - M_t^-1), equation (2) of [GM11]. ``D``: log det N. ``A``: -tr N^-1.
-        ``V``: -tr(G N^-1).
-    goal
-        ``(2, 2)`` G = sum_g w_g varphi(g) varphi(g)', from :func:`goal_criterion`; read by V only.
-
-    Raises
-    ------
-    InputError
-        Another kind, or a goal that is no ``(2, 2)`` matrix.
-    """
-
+    # T: tr(N - M_t^-1), equation (2) of [GM11]. D: log det N. A: -tr N^-1. V: -tr(G N^-1).
     kind: Kind = "D"
+    # (2, 2) G = sum_g w_g varphi(g) varphi(g)', from :func:`goal_criterion`; read by V only
     goal: NDArray[np.float64] = field(default_factory=lambda: np.eye(2))
 
     def __post_init__(self) -> None:
@@ -113,21 +101,8 @@ def goal_criterion(
 
     varphi(g) is today's: what theta adds to the variance at g before the path's
     own measurements are used for shadowing there.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    goals_m
-        ``(g, 2)`` where prediction matters.
-    weight
-        ``(g,)`` w_g >= 0.
-
-    Raises
-    ------
-    InputError
-        Goals are no places, or weights are negative or of another number.
     """
+    # Shapes: goals_m (g, 2); weight (g,).
     places = require_places(goals_m)
     trend = kriging_terms(posterior, places).trend
     return Criterion("V", trend.T @ (require_weights(weight, len(places))[:, None] * trend))
@@ -136,14 +111,7 @@ def goal_criterion(
 def path_loss_value(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], criterion: Criterion
 ) -> float:
-    """Return the criterion's value of measuring at `path_m` (h, 2) (equations 4.1 and 4.2).
-
-    Raises
-    ------
-    InputError
-        `path_m` is no path; theta is known and the criterion is not T; or see
-        :func:`planopt.objectives.batch.batch_factor`.
-    """
+    """Return the criterion's value of measuring at `path_m` (h, 2) (equations 4.1 and 4.2)."""
     rows = _whitened_trend(batch_of(posterior, path_m))
     return float(criterion.value(rows.T @ rows, _before(posterior, criterion)))
 
@@ -177,13 +145,7 @@ def path_loss_one_step(
 
 
 def theta_information(posterior: ChannelPosterior) -> NDArray[np.float64]:
-    """``(2, 2)`` M_t^-1, the weak prior in it where the posterior has it.
-
-    Raises
-    ------
-    InputError
-        Theta is known: there is nothing to learn.
-    """
+    """``(2, 2)`` M_t^-1, the weak prior in it where the posterior has it."""
     if posterior.theta_known:
         raise InputError(
             "path loss is known: no path can teach anything about it",
@@ -204,7 +166,7 @@ def _whitened_trend(batch: Batch) -> NDArray[np.float64]:
 
 def path_loss_derivatives(
     channel: LocalChannel,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (h, 2)
     criterion: Criterion,
     gates: Gates | None = None,
 ) -> PathDerivatives:
@@ -213,17 +175,6 @@ def path_loss_derivatives(
     With N = M^-1 + B' S^-1 B the criterion's derivative by N is a positive semidefinite Z = F F'
     (I for T, N^-1 for D, N^-1 G N^-1 for V), and its curvature -c tr(Z dN N^-1 dN), c = 0, 1, 2.
     The part by d^2 N is that of tr(F' B' S^-1 B F).
-
-    Parameters
-    ----------
-    channel
-        The measurements near the path; its theta must not be known unless the criterion is T.
-    path_m
-        ``(h, 2)``.
-    criterion
-        What is valued.
-    gates
-        Of the path; None where all places bring a measurement.
     """
     places = require_places(path_m)
     batch = batch_derivatives(channel, places, universal=False)
@@ -284,25 +235,11 @@ def path_information_derivatives(
 def average_reduction_derivatives(
     channel: LocalChannel,
     grid: LocalGrid,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (h, 2)
     universal: bool = True,
     gates: Gates | None = None,
 ) -> PathDerivatives:
-    """Return :func:`planopt.objectives.mapping.average_reduction` with derivatives.
-
-    Parameters
-    ----------
-    channel
-        The measurements near the path.
-    grid
-        Where the map is wanted, prepared for this channel.
-    path_m
-        ``(h, 2)``.
-    universal
-        Count what is not known of theta.
-    gates
-        Of the path; None where all places bring a measurement.
-    """
+    """Return :func:`planopt.objectives.mapping.average_reduction` with derivatives."""
     places = require_places(path_m)
     batch = batch_derivatives(channel, places, universal)
     kernel = rounded_kernel(places[:, None] - grid.positions_m, channel.parameters)

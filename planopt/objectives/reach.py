@@ -40,29 +40,13 @@ def outage_share(
     """Share of a metre at each place that the outage price is charged on.
 
     ``1 - P`` where p_min is missed, or everywhere; nothing elsewhere.
-
-    Parameters
-    ----------
-    probability
-        P(connected); any shape.
-    is_below
-        Whether p_min is missed there.
-    everywhere
-        Whether places that keep p_min are charged, too.
     """
     return np.where(is_below | everywhere, 1.0 - probability, 0.0)
 
 
 def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64]) -> float:
-    """Metres of a path (n + 1 places) that the price is charged on: the mean of each step's ends.
-
-    Parameters
-    ----------
-    lengths_m
-        ``(n,)`` of the steps.
-    share
-        ``(n + 1,)`` from :func:`outage_share`, the path's first place included.
-    """
+    """Metres of a path (n + 1 places) that are charged: the mean of each step's two ends."""
+    # Shapes: lengths_m (n,); share (n + 1,).
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 
 

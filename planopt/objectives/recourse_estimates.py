@@ -102,14 +102,8 @@ def chance_told(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
 
     The largest chance of the packets since: as shadowing has it, they arrive or are lost together.
     Zero for steps after k.
-
-    Parameters
-    ----------
-    chance
-        ``(c, N)`` that the packet of each step arrives.
-    held
-        M, the steps before the first one that the robot holds.
     """
+    # Shapes: chance (c, N).
     count, length = chance.shape
     found = np.zeros((length, held + length, count))
     for k in range(length):
@@ -120,24 +114,12 @@ def chance_told(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
 
 
 def _known_on_way(
-    sensed: NDArray[np.float64],
+    sensed: NDArray[np.float64],  # (c, N) information per axis of each step's measurement, per m^2
     chance: NDArray[np.float64],
-    others: NDArray[np.float64],
+    others: NDArray[np.float64],  # (k,) of the others' packets
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """(a, b, c) of the station's filter after each step of the ways; ``(3, N, c)``.
-
-    Parameters
-    ----------
-    sensed
-        ``(c, N)`` information per axis of each step's measurement, per m^2.
-    chance
-        As :func:`chance_told`.
-    others
-        ``(k,)`` of the others' packets.
-    settings
-        What is known and held.
-    """
+    """(a, b, c) of the station's filter after each step of the ways; ``(3, N, c)``."""
     held = settings.held
     if held is None:
         raise AssertionError("packets have measurements")

@@ -18,23 +18,11 @@ from planopt.targets.rounding import Derivatives
 
 def chained(
     value: float,
-    gradient: NDArray[np.float64],
-    hessian: NDArray[np.float64],
+    gradient: NDArray[np.float64],  # (h, c) by the numbers
+    hessian: NDArray[np.float64],  # (h, c, h, c) by the numbers
     inputs: Sequence[Derivatives],
 ) -> PathDerivatives:
-    """Derivatives by the 2 h coordinates of a value of c numbers of each stage.
-
-    Parameters
-    ----------
-    value
-        The value.
-    gradient
-        ``(h, c)`` by the numbers.
-    hessian
-        ``(h, c, h, c)`` by the numbers.
-    inputs
-        The c numbers, each at all h stages, with derivatives by the stage's own place.
-    """
+    """Derivatives by the 2 h coordinates of a value of c numbers of each stage."""
     steps = len(gradient)
     slopes = np.stack([each.gradient for each in inputs], axis=1)
     bent = np.stack([each.hessian for each in inputs], axis=1)

@@ -38,27 +38,14 @@ TINY_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Derivatives of one number of each way by the numbers that it is made of; None where zero.
+    """Derivatives of one number of each way by the numbers that it is made of; None where zero."""
 
-    Attributes
-    ----------
-    by_place
-        ``(c, N, 2)`` by the places themselves, all else held.
-    by_covariance
-        ``(c, N, N)`` by S, symmetric.
-    by_trend
-        ``(c, N, 2)`` by B.
-    by_phi
-        ``(c, N, m)`` by the covariances with the measurements, S and B held.
-    by_gate
-        ``(c, N)`` by the gates of the places.
-    """
-
-    by_place: NDArray[np.float64] | None = None
-    by_covariance: NDArray[np.float64] | None = None
-    by_trend: NDArray[np.float64] | None = None
+    by_place: NDArray[np.float64] | None = None  # (c, N, 2) by the places themselves, all else held
+    by_covariance: NDArray[np.float64] | None = None  # (c, N, N) by S, symmetric
+    by_trend: NDArray[np.float64] | None = None  # (c, N, 2) by B
+    # (c, N, m) by the covariances with the measurements, S and B held
     by_phi: NDArray[np.float32] | None = None
-    by_gate: NDArray[np.float64] | None = None
+    by_gate: NDArray[np.float64] | None = None  # (c, N) by the gates of the places
 
     def plus(self, other: Pull, weight: float) -> Pull:
         """`weight` times the other added."""
@@ -214,29 +201,7 @@ twice would make the covariance singular."""
 
 
 class WayBatch:
-    """S and B of equation 1.11 for every path.
-
-    Parameters
-    ----------
-    channel, precision
-        The measurements, and their U_mm^-1 in single precision.
-    ways_m
-        ``(c, N, 2)``.
-    grid
-        Where a map is wanted, for its average alone.
-
-    Attributes
-    ----------
-    ways_m
-        ``(c, N, 2)``.
-    distance_m, phi
-        ``(c N, m)`` of every place from the measurements, and the covariance with them, both in
-        single precision; distances not below the rounding of the kernel's cusp.
-    solved
-        ``(c, N, m)`` phi' U_mm^-1.
-    covariance, trend
-        ``(c, N, N)`` S as if theta were known, ``(c, N, 2)`` B.
-    """
+    """S and B of equation 1.11 for every path."""
 
     def __init__(
         self,
@@ -309,24 +274,7 @@ class WayBatch:
 
 
 class ToldBatch:
-    """S_g and B_g of every way.
-
-    Parameters
-    ----------
-    batch
-        S and B of one station.
-    gate
-        ``(c, N)``; None where every place brings a measurement.
-
-    Attributes
-    ----------
-    batch, gate
-        As given.
-    covariance, trend
-        ``(c, N, N)`` S_g as if theta were known, ``(c, N, 2)`` B_g.
-    blind_db2
-        Variance of a measurement that tells nothing.
-    """
+    """S_g and B_g of every way."""
 
     def __init__(self, batch: WayBatch, gate: NDArray[np.float64] | None) -> None:
         self.batch, self.gate = batch, gate

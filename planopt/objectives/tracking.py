@@ -27,28 +27,12 @@ from planopt.targets.sensor import Sensor, sensing_information
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """A target to be tracked over the next h steps.
+    """A target to be tracked over the next h steps."""
 
-    Attributes
-    ----------
-    threshold_dbm
-        Upsilon_TH: packets below this power are dropped.
-    sensor
-        How well it is sensed.
-    target_m
-        ``(h, 2)`` p_hat_{t+k|t}, k = 1 .. h.
-    weight
-        ``(h,)`` w_k >= 0 of the steps. Not given: all one.
-
-    Raises
-    ------
-    InputError
-        The target is nowhere, or weights do not fit the steps.
-    """
-
-    threshold_dbm: float
-    sensor: Sensor
-    target_m: NDArray[np.float64]
+    threshold_dbm: float  # Upsilon_TH: packets below this power are dropped
+    sensor: Sensor  # How well it is sensed
+    target_m: NDArray[np.float64]  # (h, 2) p_hat_{t+k|t}, k = 1 .. h.
+    # (h,) w_k >= 0 of the steps. Not given: all one.
     weight: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
@@ -60,24 +44,12 @@ class Tracking:
 
 
 def tracking_reward(
-    connectivity: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
+    connectivity: NDArray[np.float64],  # (n,) P(power >= threshold) at each place
+    positions_m: NDArray[np.float64],  # (n, 2)
     stage: int,
     settings: Tracking,
 ) -> NDArray[np.float64]:
-    """Return w_k P(connected) tr Phi^-1(q, p_hat_{t+k|t}) per m^2 (equation 4.11); ``(n,)``.
-
-    Parameters
-    ----------
-    connectivity
-        ``(n,)`` P(power >= threshold) at each place.
-    positions_m
-        ``(n, 2)``.
-    stage
-        k - 1: the first step is stage 0.
-    settings
-        The target.
-    """
+    """Return w_k P(connected) tr Phi^-1(q, p_hat_{t+k|t}) per m^2 (equation 4.11); ``(n,)``."""
     sensing = sensing_information(settings.sensor, positions_m, settings.target_m[stage])
     return settings.weight[stage] * connectivity * sensing
 
@@ -96,13 +68,7 @@ def tracking_stage_rewards(
 def tracking_value(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Tracking
 ) -> float:
-    """Return sum_k w_k P(connected at q_k) tr Phi^-1(q_k, p_hat_{t+k|t}) (equation 4.11).
-
-    Raises
-    ------
-    InputError
-        `path_m` is no path with a place for each of the target's.
-    """
+    """Return sum_k w_k P(connected at q_k) tr Phi^-1(q_k, p_hat_{t+k|t}) (equation 4.11)."""
     arrival, sensing = delivery([posterior], [path_m], settings)
     return float(settings.weight @ (arrival * sensing)[:, 0])
 
@@ -119,25 +85,10 @@ def team_tracking_value(
 
 def delivery(
     posteriors: Sequence[ChannelPosterior],
-    paths_m: Sequence[NDArray[np.float64]],
+    paths_m: Sequence[NDArray[np.float64]],  # (h, 2) of each robot
     settings: Tracking,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """P(packet arrives) and tr Phi^-1 of every step and robot; both ``(h, N)``.
-
-    Parameters
-    ----------
-    posteriors
-        What each of the N robots knows of the channel; the same one where they share.
-    paths_m
-        ``(h, 2)`` of each robot.
-    settings
-        The target.
-
-    Raises
-    ------
-    InputError
-        There are not as many paths as posteriors, or not as many places as the target has.
-    """
+    """P(packet arrives) and tr Phi^-1 of every step and robot; both ``(h, N)``."""
     steps = len(settings.target_m)
     if len(paths_m) != len(posteriors) or not posteriors:
         raise InputError(f"{len(posteriors)} robots and {len(paths_m)} paths", key="paths_m")
@@ -162,13 +113,6 @@ def connectivity_derivatives(
     With z = (mu - Upsilon_TH) / sigma: dz = (dmu - z dsigma) / sigma,
     d2z = (d2mu - z d2sigma - dz dsigma' - dsigma dz') / sigma, dP = n(z) dz and
     d2P = n(z) (d2z - z dz dz'), n the standard normal density.
-
-    Parameters
-    ----------
-    mean_db, deviation_db
-        mu and sigma > 0 at n places, with derivatives.
-    threshold_dbm
-        Upsilon_TH.
     """
     rows = score_derivatives(mean_db, deviation_db, threshold_dbm).rows
     z = rows[:, 0].copy()
@@ -195,17 +139,8 @@ def score_derivatives(
 def tracking_reward_derivatives(
     connectivity: Derivatives, sensing: Derivatives, weight: NDArray[np.float64]
 ) -> Derivatives:
-    """w_k P tr Phi^-1 of each stage with gradient and Hessian by that stage's position.
-
-    Parameters
-    ----------
-    connectivity
-        P at n places, from :func:`connectivity_derivatives`.
-    sensing
-        1 / g at them, from :func:`planopt.targets.sensor.sensing_derivatives`.
-    weight
-        ``(n,)`` w_k.
-    """
+    """w_k P tr Phi^-1 of each stage with gradient and Hessian by that stage's position."""
+    # Shapes: weight (n,).
     p, s = connectivity, sensing
     # A step's weight goes with its sensing.
     sensed = weight[:, None] * s.rows

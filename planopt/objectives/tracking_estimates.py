@@ -21,20 +21,12 @@ from scipy.special import log_ndtr
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The robots' measurements that the station does not know yet.
+    """The robots' measurements that the station does not know yet."""
 
-    Attributes
-    ----------
-    information
-        ``(4, 4)`` J of the station M steps ago, from when on something is missing.
-    known
-        ``(M,)`` information per axis that it has of the steps since, per m^2.
-    sent
-        ``(paths, M)`` the same of what the robot of each path holds and the station does not.
-    """
-
+    # (4, 4) J of the station M steps ago, from when on something is missing
     information: NDArray[np.float64]
-    known: NDArray[np.float64]
+    known: NDArray[np.float64]  # (M,) information per axis that it has of the steps since, per m^2
+    # (paths, M) the same of what the robot of each path holds and the station does not
     sent: NDArray[np.float64]
 
     @property
@@ -44,15 +36,8 @@ class Held:
 
 
 def counting(held: int, stage: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Return the packets that tell of step s at step k: ``(K, held + K, K)`` of 0 and 1.
-
-    Parameters
-    ----------
-    held
-        M.
-    stage
-        ``(K,)`` the place that each step is spent at.
-    """
+    """Return the packets that tell of step s at step k: ``(K, held + K, K)`` of 0 and 1."""
+    # Shapes: stage (K,).
     count = len(stage)
     k, s, place = np.ogrid[:count, : held + count, :count]
     first = stage[np.maximum(s - held, 0)]
@@ -69,17 +54,8 @@ def missing(log_lost: NDArray[np.float64], which: NDArray[np.float64]) -> NDArra
 def told_of(
     missed: NDArray[np.float64], sensing: NDArray[np.float64], sent: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """u_{s|k} of one robot, ``(..., K, M + K)``; zero for steps after k.
-
-    Parameters
-    ----------
-    missed
-        Of :func:`missing`.
-    sensing
-        ``(..., K)`` tr Lambda^-1 of the plan's steps, per m^2.
-    sent
-        ``(M,)`` information per axis that the robot holds.
-    """
+    """u_{s|k} of one robot, ``(..., K, M + K)``; zero for steps after k."""
+    # Shapes: sensing (..., K); sent (M,).
     past = np.broadcast_to(sent, (*sensing.shape[:-1], len(sent)))
     each = np.concatenate([past, 0.5 * sensing], axis=-1)
     count, held = sensing.shape[-1], len(sent)

@@ -46,35 +46,17 @@ Criterion = Literal["trace", "determinant", "norm"]
 
 @dataclass(frozen=True, eq=False)
 class FilteredTracking:
-    """A target to be tracked, what the station knows of it now, and the other robots' packets.
+    """A target to be tracked, what the station knows of it now, and the other robots' packets."""
 
-    Attributes
-    ----------
-    tracking
-        The target and the sensor.
-    model
-        How the target moves.
-    information
-        ``(4, 4)`` J_{t|t} at the station.
-    others
-        ``(2, h, m)`` probability that each packet of m other robots arrives, and its
-        tr Lambda^-1 per m^2, as their plans have it; None without any.
-    criterion
-        What is measured of the covariance, by :mod:`planopt.objectives.tracking_scenarios` alone.
-    held
-        What robots hold, where packets have estimates; for that module alone.
-
-    Raises
-    ------
-    InputError
-        `information` is no information matrix.
-    """
-
-    tracking: Tracking
-    model: TargetModel
-    information: NDArray[np.float64]
+    tracking: Tracking  # The target and the sensor
+    model: TargetModel  # How the target moves
+    information: NDArray[np.float64]  # (4, 4) J_{t|t} at the station
+    # (2, h, m) probability that each packet of m other robots arrives, and its tr Lambda^-1 per
+    # m^2, as their plans have it; None without any
     others: NDArray[np.float64] | None = None
+    # What is measured of the covariance, by :mod:`planopt.objectives.tracking_scenarios` alone
     criterion: Criterion = "trace"
+    # What robots hold, where packets have estimates; for that module alone
     held: Held | None = None
 
     def __post_init__(self) -> None:
@@ -92,13 +74,6 @@ def information_bound(
     concave in J and the update linear in the losses, so that this holds whatever their joint law
     is. For h = 1 it is equation 4.11 plus a constant. The trace is of position (per m^2) and
     velocity (s^2 / m^2) together.
-
-    Parameters
-    ----------
-    posteriors, paths_m
-        Of each robot, as in :func:`planopt.objectives.tracking.delivery`.
-    settings
-        The target and what is known of it.
     """
     arrival, sensing = delivery(posteriors, paths_m, settings.tracking)
     matrices = bounding_information(arrival, sensing, settings)
@@ -111,16 +86,8 @@ def bounding_information(
     """J-bar_1 .. J-bar_h ``(..., h, 4, 4)`` for p and tr Lambda^-1 of each step and robot.
 
     With p in {0, 1} it is the filter itself: J of these losses.
-
-    Parameters
-    ----------
-    arrival
-        ``(..., h, N)`` p, or whether packets arrived.
-    sensing
-        ``(..., h, N)`` tr Lambda^-1 per m^2, Lambda a multiple of I_2.
-    settings
-        The target and what is known of it.
     """
+    # Shapes: arrival (..., h, N); sensing (..., h, N).
     # Lambda^-1 = tr(Lambda^-1) / 2 times I_2.
     received = 0.5 * (arrival * sensing).sum(axis=-1)
     batch, steps = received.shape[:-1], received.shape[-1]
@@ -185,25 +152,6 @@ def sampled_tracking(
     Losses are drawn from the joint law of the powers, so that outages last as long as they will.
     `mean()` of the result is the objective with its interval. The same generator state gives the
     same draws: sample average approximation.
-
-    Parameters
-    ----------
-    posteriors, paths_m
-        Of each robot. Robots with the same posterior object share its field; others are drawn
-        independently.
-    settings
-        The target and what is known of it.
-    measure
-        Which of the two.
-    count
-        Draws, at least 2.
-    generator
-        Source of randomness.
-
-    Raises
-    ------
-    InputError
-        As :func:`planopt.objectives.tracking.delivery`; too few draws; or another measure.
     """
     if measure not in ("information", "covariance"):
         raise InputError(f"{measure!r} is no measure", key="measure")
@@ -243,14 +191,8 @@ def information_gain(
     """sum_k w_k (tr J-bar_k - tr J_k without own packets); ``(...)``.
 
     The trace is of position (per m^2) and velocity (s^2 / m^2) together.
-
-    Parameters
-    ----------
-    arrival, sensing
-        ``(..., h)`` p and tr Lambda^-1 per m^2.
-    settings
-        The target and what is known of it.
     """
+    # Shapes: arrival, sensing (..., h).
     matrices = bounding_information(*with_others(arrival, sensing, settings), settings)
     gained = matrices - bounding_information(*others_alone(settings), settings)
     return np.trace(gained, axis1=-2, axis2=-1) @ settings.tracking.weight

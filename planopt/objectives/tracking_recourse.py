@@ -38,24 +38,13 @@ WHOLE_STEPS = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Retreats:
-    """Places where a robot may be instead of where its path ends (equation 4.26).
+    """Places where a robot may be instead of where its path ends (equation 4.26)."""
 
-    Attributes
-    ----------
-    places_m
-        ``(m, 2)``.
-    information
-        ``(m, k)`` expected information of a packet from there at every step, per m^2.
-    longest_m
-        Length of the longest step.
-    connected
-        So many of the places, the first ones, are known to be connected.
-    """
-
-    places_m: NDArray[np.float64]
+    places_m: NDArray[np.float64]  # (m, 2)
+    # (m, k) expected information of a packet from there at every step, per m^2
     information: NDArray[np.float64]
-    longest_m: float
-    connected: int
+    longest_m: float  # Length of the longest step
+    connected: int  # So many of the places, the first ones, are known to be connected
 
     def nearest_connected(
         self, stops_m: NDArray[np.float64]
@@ -74,15 +63,8 @@ class Retreats:
         return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
     def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the largest information that can be had at every step, ``(c, k)``.
-
-        Parameters
-        ----------
-        stops_m
-            ``(c, 2)`` where the robot sets out.
-        arrivals
-            ``(c,)`` at the end of which step, from 0 on.
-        """
+        """Return the largest information that can be had at every step, ``(c, k)``."""
+        # Shapes: stops_m (c, 2); arrivals (c,).
         found = np.zeros((len(stops_m), self.information.shape[1]))
         away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
         away[away <= SAME_PLACE_M] = np.inf
@@ -94,24 +76,12 @@ class Retreats:
 
 
 def retreats_of(
-    connected_m: NDArray[np.float64],
-    target_chance: NDArray[np.float64],
+    connected_m: NDArray[np.float64],  # (n, 2)
+    target_chance: NDArray[np.float64],  # (k,)
     settings: FilteredTracking,
     longest_m: float,
 ) -> Retreats:
-    """Return the places known to be connected, and those where the target is expected.
-
-    Parameters
-    ----------
-    connected_m
-        ``(n, 2)``.
-    target_chance
-        ``(k,)`` chance of connection where the target is expected after every step.
-    settings
-        The target for k steps.
-    longest_m
-        Length of the longest step.
-    """
+    """Return the places known to be connected, and those where the target is expected."""
     tracking = settings.tracking
     target = tracking.target_m
     told = sensing_information(tracking.sensor, connected_m[:, None], target)
@@ -125,28 +95,15 @@ def retreats_of(
 
 
 def recourse_costs(
-    ways_m: NDArray[np.float64],
-    chance: NDArray[np.float64],
+    ways_m: NDArray[np.float64],  # (c, N, 2)
+    chance: NDArray[np.float64],  # (c, N) chance of connection after every step
     retreats: Retreats,
-    others: NDArray[np.float64],
+    others: NDArray[np.float64],  # (k,) expected information of the other robots' packets, per m^2
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
     """Return what tries of the ends of paths leave of the covariance, m^2; ``(c,)``.
 
     Equation 4.27 has what they remove: this is less than what is left without them.
-
-    Parameters
-    ----------
-    ways_m
-        ``(c, N, 2)``.
-    chance
-        ``(c, N)`` chance of connection after every step.
-    retreats
-        Where robots may be later on.
-    others
-        ``(k,)`` expected information of the other robots' packets, per m^2.
-    settings
-        The target and what is known of it, for k >= N steps.
     """
     steps, tracking = chance.shape[1], settings.tracking
     arrivals = last_arrivals(ways_m)
@@ -175,7 +132,7 @@ def stayed_steps(ways_m: NDArray[np.float64]) -> int:
 
 
 def at_ends(
-    ways_m: NDArray[np.float64],
+    ways_m: NDArray[np.float64],  # (c, N, 2)
     arrivals: NDArray[np.intp],
     retreats: Retreats,
     settings: FilteredTracking,
@@ -186,15 +143,6 @@ def at_ends(
     its first step tries nothing. Otherwise a robot that stands would be worth as much as one that
     drives: the model lets it leave at any step, without the obstacles and robots that real paths
     keep from.
-
-    Parameters
-    ----------
-    ways_m
-        ``(c, N, 2)``.
-    arrivals
-        As :func:`last_arrivals` has them.
-    retreats, settings
-        As :func:`recourse_costs`.
     """
     tracking, stops = settings.tracking, ways_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)

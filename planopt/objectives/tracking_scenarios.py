@@ -70,7 +70,7 @@ def solver_draws(settings: FilteredTracking) -> int:
 
 def scenario_gain(
     stations: Stations,
-    paths_m: Sequence[NDArray[np.float64]],
+    paths_m: Sequence[NDArray[np.float64]],  # (h, 2) each, of the robots
     settings: FilteredTracking,
 ) -> float:
     """Return sum_k w_k (f(P_k) without packets - E f(P_k)) of the position (equation 4.22).
@@ -78,43 +78,21 @@ def scenario_gain(
     f is the criterion of `settings`: the trace in m^2 unless that says otherwise.
 
     A function of the set of paths: their order does not matter.
-
-    Parameters
-    ----------
-    stations
-        A packet arrives where the power of any reaches its threshold.
-    paths_m
-        ``(h, 2)`` each, of the robots.
-    settings
-        The target for h steps or more: for these every robot stands at the end of its path.
     """
     received = received_from(stations, paths_m, drawn_errors(stations, paths_m), settings)
     return float(removed(received, settings))
 
 
 def scenario_gains(
-    scores: NDArray[np.float64],
-    covariance_db2: NDArray[np.float64],
-    ways_m: NDArray[np.float64],
-    others: NDArray[np.float64],
+    scores: NDArray[np.float64],  # (c, h) of the predicted powers that connectivity rests on
+    covariance_db2: NDArray[np.float64],  # (c, h, h) of these powers
+    ways_m: NDArray[np.float64],  # (c, h, 2)
+    others: NDArray[np.float64],  # (draws, k)
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
     """:func:`scenario_gain` of many paths of one robot, for ranking them; ``(c,)``.
 
     The errors of its own predictions count as independent of those along the others' paths.
-
-    Parameters
-    ----------
-    scores
-        ``(c, h)`` of the predicted powers that connectivity rests on.
-    covariance_db2
-        ``(c, h, h)`` of these powers.
-    ways_m
-        ``(c, h, 2)``.
-    others
-        ``(draws, k)`` information of the packets of other robots (:func:`received_from`).
-    settings
-        As there.
     """
     deviation = np.sqrt(np.diagonal(covariance_db2, axis1=1, axis2=2))
     shape = deviation[:, :, None] * deviation[:, None]
@@ -137,15 +115,7 @@ def received_from(
     errors: NDArray[np.float64],
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Information per axis from the packets of robots in each draw, per m^2; ``(draws, k)``.
-
-    Parameters
-    ----------
-    stations, paths_m, settings
-        As :func:`scenario_gain`.
-    errors
-        Of :func:`drawn_errors`, or of the first draws alone.
-    """
+    """Information per axis from the packets of robots in each draw, per m^2; ``(draws, k)``."""
     if settings.held is not None:
         return _estimates_from(stations, paths_m, errors, settings)
     lost = np.ones_like(errors[0])
@@ -219,27 +189,12 @@ def drawn_errors(stations: Stations, paths_m: Sequence[NDArray[np.float64]]) -> 
 
 def scenario_derivatives(
     scores: Sequence[Derivatives],
-    errors: NDArray[np.float64],
-    others: NDArray[np.float64],
-    path_m: NDArray[np.float64],
+    errors: NDArray[np.float64],  # (stations, draws, h)
+    others: NDArray[np.float64],  # (draws, k) information of the packets of other robots
+    path_m: NDArray[np.float64],  # (h, 2)
     settings: FilteredTracking,
 ) -> PathDerivatives:
-    """:func:`scenario_gain` of one robot's path with derivatives, over the draws given.
-
-    Parameters
-    ----------
-    scores
-        Of each station's predicted power at the h places, with derivatives by the place.
-    errors
-        ``(stations, draws, h)`` as drawn along the path that the solver began from: they stay with
-        their stage as it moves.
-    others
-        ``(draws, k)`` information of the packets of other robots.
-    path_m
-        ``(h, 2)``.
-    settings
-        As there.
-    """
+    """:func:`scenario_gain` of one robot's path with derivatives, over the draws given."""
     if settings.held is not None:
         return _derivatives_of_estimates(scores, errors, others, path_m, settings)
     steps, draws = len(path_m), errors.shape[1]

@@ -44,30 +44,17 @@ LEAST_SCORE = -5.0
 
 @dataclass(frozen=True)
 class Search:
-    """A search for connection.
+    """A search for connection."""
 
-    Attributes
-    ----------
-    start_m
-        Where the robot stands.
-    threshold_dbm
-        Power from which on a place is connected.
-    disconnected_now
-        Given that it is not connected at the start. False where that is among the measurements.
-    beyond_m
-        What :func:`charged_distance_m` adds for a path that ends without connection.
-    step_m
-        Longest step, for what :func:`counted_legs_m` charges of waiting; None where it is free.
-    further_thresholds_dbm
-        The same of further stations.
-    """
-
-    start_m: tuple[float, float]
-    threshold_dbm: float
+    start_m: tuple[float, float]  # Where the robot stands
+    threshold_dbm: float  # Power from which on a place is connected
+    # Given that it is not connected at the start. False where that is among the measurements.
     disconnected_now: bool = True
+    # What :func:`charged_distance_m` adds for a path that ends without connection
     beyond_m: float = 0.0
+    # Longest step, for what :func:`counted_legs_m` charges of waiting; None where it is free
     step_m: float | None = None
-    further_thresholds_dbm: tuple[float, ...] = ()
+    further_thresholds_dbm: tuple[float, ...] = ()  # The same of further stations
 
     @property
     def thresholds_dbm(self) -> tuple[float, ...]:
@@ -77,7 +64,7 @@ class Search:
 
 def expected_distance_m(
     posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (h, 2)
     settings: Search,
     generator: np.random.Generator,
 ) -> float:
@@ -85,22 +72,6 @@ def expected_distance_m(
 
     :func:`planopt.channel.connection.first_passage.first_passage` has the distribution and the
     errors.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    path_m
-        ``(h, 2)`` q_1 .. q_h. A robot that is never connected drives to the end.
-    settings
-        Start and threshold.
-    generator
-        Source of randomness of the integration.
-
-    Raises
-    ------
-    InputError
-        `path_m` is no path, or the start is certain to be connected.
     """
     whole = _whole(path_m, settings)
     return first_passage(
@@ -117,23 +88,13 @@ def charged_distance_m(
     path_m: NDArray[np.float64],
     settings: Search,
     further: Sequence[ChannelPosterior] = (),
-    tried: NDArray[np.bool_] | None = None,
+    tried: NDArray[np.bool_] | None = None,  # (h,)
 ) -> float:
     """E[D] + beyond_m P(not connected at q_1 .. q_h): what a plan that has to stop at h is charged.
 
     E[D] alone is least for a robot that stands still, so that legs are those of
     :func:`counted_legs_m`. By filtering, from all measurements. Stations are independent: the
     probabilities of no connection to each of them multiply.
-
-    Parameters
-    ----------
-    posterior, path_m, settings
-        As of :func:`expected_distance_m`; what is known at the start is among the measurements.
-    further
-        Of further stations.
-    tried
-        ``(h,)`` which places are tries; at others it is known that there is no connection. None
-        for all.
     """
     whole = _whole(path_m, settings)
     tries = np.ones(len(path_m), dtype=np.bool_) if tried is None else tried
@@ -156,20 +117,10 @@ def counted_legs_m(legs_m: NDArray[np.float64], step_m: float | None) -> NDArray
 
 def charged_distances_m(
     stations: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-    legs_m: NDArray[np.float64],
+    legs_m: NDArray[np.float64],  # (c, h) what the steps count
     beyond_m: NDArray[np.float64] | float,
 ) -> NDArray[np.float64]:
-    """Return what c paths of h places are charged, as :func:`charged_distance_m`; ``(c,)``.
-
-    Parameters
-    ----------
-    stations
-        Of each: ``(c, h)`` mean above the threshold and ``(c, h, h)`` covariance at the places.
-    legs_m
-        ``(c, h)`` what the steps count.
-    beyond_m
-        Added where a path ends without connection; ``(c,)`` or the same for all.
-    """
+    """Return what c paths of h places are charged, as :func:`charged_distance_m`; ``(c,)``."""
     failing = np.ones_like(legs_m)
     for above_db, covariance_db2 in stations:
         failing *= filtered_failing(above_db, covariance_db2)
@@ -183,13 +134,8 @@ def charged_distances_m(
 def filtered_failing(
     above_db: NDArray[np.float64], covariance_db2: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Chance of no connection up to each place of c paths, by filtering (equation 4.18); (c, h).
-
-    Parameters
-    ----------
-    above_db, covariance_db2
-        ``(c, h)`` mean of the power less the threshold, and ``(c, h, h)`` its covariance.
-    """
+    """Chance of no connection up to each place of c paths, by filtering (equation 4.18); (c, h)."""
+    # Shapes: above_db, covariance_db2 (c, h).
     mean, covariance = above_db.copy(), covariance_db2.copy()
     below = np.empty_like(mean)
     for k in range(int(mean.shape[1])):
@@ -216,14 +162,8 @@ def search_length_m(
 
     The first try costs the way to its place, D, and each further one L, `TRY_SHARE` of the
     decorrelation distance: it is as likely to succeed as the first, and near it.
-
-    Parameters
-    ----------
-    distance_m, chance
-        ``(k,)`` D and P of places.
-    decorrelation_m
-        Of the shadowing.
     """
+    # Shapes: distance_m, chance (k,).
     odds_against = (1.0 - chance) / np.maximum(chance, LEAST_CHANCE)
     return distance_m + TRY_SHARE * decorrelation_m * odds_against
 

@@ -30,30 +30,13 @@ from planopt.targets.rounding import Derivatives, rounded_length
 
 def charged_distance_derivatives(
     channels: Sequence[LocalChannel],
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (h, 2)
     settings: Search,
     width_m: float,
     beyond: Derivatives | None = None,
     tried: NDArray[np.bool_] | None = None,
 ) -> PathDerivatives:
-    """:func:`planopt.objectives.until_connected.charged_distance_m`, filtered, with derivatives.
-
-    Parameters
-    ----------
-    channels
-        The measurements near the path, of each station.
-    path_m
-        ``(h, 2)``.
-    settings
-        Start and threshold.
-    width_m
-        Legs are rounded within this of zero.
-    beyond
-        What is charged beyond the last place, by that place, one row; None for
-        `settings.beyond_m` wherever the path ends.
-    tried
-        As of :func:`planopt.objectives.until_connected.charged_distance_m`, of paths nearby.
-    """
+    """:func:`planopt.objectives.until_connected.charged_distance_m`, filtered, with derivatives."""
     places = require_places(path_m)
     steps = len(places)
     stations = [_station(channel, places) for channel in channels]

@@ -18,20 +18,11 @@ PROOF_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Budget:
-    """Times by :func:`time.perf_counter`; infinite where there is no limit.
+    """Times by :func:`time.perf_counter`; infinite where there is no limit."""
 
-    Attributes
-    ----------
-    ends_s
-        No new polish begins any more.
-    search_ends_s
-        What searches have found by then has to do.
-    proof_ends_s
-        No further candidate is judged any more where there is one that may be released.
-    """
-
-    ends_s: float = math.inf
-    search_ends_s: float = math.inf
+    ends_s: float = math.inf  # No new polish begins any more
+    search_ends_s: float = math.inf  # What searches have found by then has to do
+    # No further candidate is judged any more where there is one that may be released
     proof_ends_s: float = math.inf
 
     @property

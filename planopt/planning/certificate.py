@@ -132,15 +132,7 @@ class Certificate:
 
 
 def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> str:
-    """Say what is wrong with a path (N + 1, 2), the robot's own place first; empty if all is well.
-
-    Parameters
-    ----------
-    certificate
-        What the verifier says of it.
-    positions_m
-        The path.
-    """
+    """Describe the faults of a path (N + 1, 2) from the robot on; empty if there are none."""
     parts = list(certificate.reasons)
     rule = certificate.rule
     if rule is not None and rule.slack_db > 0.0:
@@ -170,30 +162,17 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
 
 @dataclass(frozen=True)
 class Excused:
-    """A step that misses the bound, and what excuses it as far as the verifier found something.
+    """A step that misses the bound, and what excuses it as far as the verifier found something."""
 
-    Attributes
-    ----------
-    step
-        Its number; 1 is the first.
-    relaxation_db
-        By how many dB it misses the bound.
-    excuse
-        ``price``: the way is hardly dearer than the cheapest that the verifier found.
-        ``out_of_reach``: no place found within reach keeps the bound by then. ``slack``: within
-        ``constraints.slack_max_db``. ``none``: nothing excuses it, or the verifier found no way to
-        compare with.
-    path_cost_m, best_cost_m
-        With ``price``: of the way and of the cheapest found; else None.
-    best_margin_db
-        With ``out_of_reach``: the best margin found within reach, negative; else None.
-    """
-
-    step: int
-    relaxation_db: float
+    step: int  # Its number; 1 is the first
+    relaxation_db: float  # By how many dB it misses the bound
+    # price: the way is hardly dearer than the cheapest that the verifier found. out_of_reach: no
+    # place found within reach keeps the bound by then. slack: within constraints.slack_max_db.
+    # none: nothing excuses it, or the verifier found no way to compare with.
     excuse: str
-    path_cost_m: float | None = None
+    path_cost_m: float | None = None  # With price: of the way and of the cheapest found; else None
     best_cost_m: float | None = None
+    # With out_of_reach: the best margin found within reach, negative; else None
     best_margin_db: float | None = None
 
     @property
@@ -213,14 +192,7 @@ class Excused:
 
 
 def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
-    """Return the steps that miss p_min.
-
-    Parameters
-    ----------
-    proofs
-        Of one plan, whose steps are all told of; or one for each step of a run, of which the
-        first steps were driven.
-    """
+    """Return the steps that miss p_min."""
     if len(proofs) == 1:
         return [_excused(proofs[0], k, step) for k, step in enumerate(proofs[0].relaxed_steps)]
     return [

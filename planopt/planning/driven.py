@@ -47,17 +47,7 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
 def driven_starts(
     judge: Judge, situation: Situation, starts: list[Start], warm: Plan | None
 ) -> list[Start]:
-    """Starts that the robot can drive, best first; those that come too near to something last.
-
-    Parameters
-    ----------
-    judge, situation
-        Of the step.
-    starts
-        As the search found them, for a robot that turns and stops at will.
-    warm
-        The plan that led here, or None.
-    """
+    """Starts that the robot can drive, best first; those that come too near to something last."""
     problem = judge.problem
     dynamics, step_s = dynamics_of(problem), problem.planner.step_s
     found: list[Start] = []

@@ -51,15 +51,7 @@ nowhere."""
 
 
 class DrivenReach:
-    """Plans of one problem; keeps the solvers of its fallbacks.
-
-    Parameters
-    ----------
-    problem
-        That is to reach a goal.
-    scene
-        Its geometry.
-    """
+    """Plans of one problem; keeps the solvers of its fallbacks."""
 
     def __init__(self, problem: Problem, scene: Scene) -> None:
         self._problem = problem
@@ -75,21 +67,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> tuple[Candidate, Pivot | None]:
-        """Return what is released, and the pivot that it is charged by.
-
-        Parameters
-        ----------
-        situation, judge
-            Of the step.
-        start
-            What the search found, for a robot that turns and stops at will; None if nothing.
-        node_margin_db
-            As :func:`planopt.planning.programme.pivot.find_pivot` takes them.
-        warm
-            The plan that led here, or None.
-        budget
-            Of the step.
-        """
+        """Return what is released, and the pivot that it is charged by."""
         judge = _charging(judge, ReachCost(self._problem, judge.position_m, situation.power))
         if start is None:
             return without_start(judge, warm), None

@@ -22,17 +22,7 @@ BISECTIONS = 30
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
-    """Return whether a way from start to goal keeps a clearance.
-
-    Parameters
-    ----------
-    problem
-        A problem that is to reach a goal.
-    clearance_m
-        The clearance in metres.
-    without
-        An obstacle that is left out.
-    """
+    """Return whether a way from start to goal keeps a clearance."""
     free = shapely.box(*problem.workspace.bounds_m)
     for obstacle in problem.workspace.obstacles:
         if obstacle is not without:

@@ -51,18 +51,10 @@ from planopt.world.raster_files import read_raster
 
 @dataclass(frozen=True, eq=False)
 class TeamSeeds:
-    """Streams apart from those of truth and measurements, so that other tasks leave these alone.
+    """Streams apart from those of truth and measurements, so that other tasks leave these alone."""
 
-    Attributes
-    ----------
-    target
-        Of the target's way, its first estimate and the sensors' noise.
-    planners
-        One a robot, for planners that draw.
-    """
-
-    target: np.random.Generator
-    planners: tuple[np.random.Generator, ...]
+    target: np.random.Generator  # Of the target's way, its first estimate and the sensors' noise
+    planners: tuple[np.random.Generator, ...]  # One a robot, for planners that draw
 
 
 def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
@@ -86,20 +78,11 @@ FURTHER_STREAMS = 2
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """Ground truth and first measurements of one seed.
+    """Ground truth and first measurements of one seed."""
 
-    Attributes
-    ----------
-    truth
-        The channel as it is; None if the problem has none.
-    measurements
-        The first measurements.
-    further
-        The same of each further station, in the problem's order; they have none.
-    """
-
-    truth: Truth | None
-    measurements: Measurements
+    truth: Truth | None  # The channel as it is; None if the problem has none
+    measurements: Measurements  # The first measurements
+    # The same of each further station, in the problem's order; they have none
     further: tuple[Given, ...] = ()
 
     @property
@@ -114,24 +97,7 @@ class Given:
 
 
 def draw(problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None) -> Given:
-    """Draw the truth, and take or read the first measurements.
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    seed
-        Fixes the fading and the measured places; streams of their own, so that more measurements
-        leave the fading as it was, and more stations all that there was.
-    measurements
-        First measurements of each station, in place of those that the problem names.
-
-    Raises
-    ------
-    InputError
-        The seed is negative or no whole number, a file cannot be used, or there is nothing to
-        measure.
-    """
+    """Draw the truth, and take or read the first measurements."""
     if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
         raise InputError(
             f"is {seed!r}, should be a whole number, at least 0",
@@ -310,21 +276,7 @@ def with_measurements(
 def measurements_by_station(
     problem: Problem, measurements: GivenMeasurements
 ) -> tuple[Measurements, ...]:
-    """Return measurements that a user gave, one table for each station.
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    measurements
-        Measurements or a table of them (:func:`planopt.channel.as_measurements`); of several
-        stations a sequence with one for each, in the problem's order.
-
-    Raises
-    ------
-    InputError
-        There are not as many as stations, or something is no table of measurements.
-    """
+    """Return measurements that a user gave, one table for each station."""
     if isinstance(measurements, str | bytes | Path):
         raise InputError(
             f"is {measurements!r}, no table of measurements",
@@ -354,21 +306,7 @@ MOST_DRAWS = 10_000
 
 
 def with_drawn_starts(problem: Problem, seed: int) -> Problem:
-    """Return the problem with the starts that it draws: of robots near a place, and of a target.
-
-    Parameters
-    ----------
-    problem
-        The problem; returned itself where it draws none.
-    seed
-        Of a stream that nothing else draws from.
-
-    Raises
-    ------
-    InputError
-        No place is found that is clear of obstacles, and apart from the other robots; or, of a
-        target that stays free, none from which the straight path ahead does.
-    """
+    """Return the problem with the starts that it draws: of robots near a place, and of a target."""
     spread = any(robot.start_spread_m > 0.0 for robot in problem.robots)
     moved = any(target.start_distance_m is not None for target in problem.targets)
     if not spread and not moved:
@@ -455,13 +393,7 @@ def _is_free(
 def free_target_path(
     problem: Problem, draw_path: Callable[[], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Draw a target's states (n + 1, 4) until they stay free, where the target is to.
-
-    Raises
-    ------
-    InputError
-        None of many does.
-    """
+    """Draw a target's states (n + 1, 4) until they stay free, where the target is to."""
     if not problem.targets[0].stays_free:
         return draw_path()
     index = index_obstacles(problem.workspace)
@@ -480,13 +412,7 @@ def free_target_path(
 def free_places(
     problem: Problem, count: int, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw `count` places uniformly from the workspace outside obstacles; (count, 2).
-
-    Raises
-    ------
-    InputError
-        The obstacles leave no place.
-    """
+    """Draw `count` places uniformly from the workspace outside obstacles; (count, 2)."""
     index = index_obstacles(problem.workspace)
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     kept: list[NDArray[np.float64]] = []

@@ -14,34 +14,22 @@ from planopt.problems.problem import Problem
 
 @dataclass(frozen=True)
 class History:
-    """One robot's run so far; a step counts as connected when the place it ends at is, in truth.
+    """One robot's run so far; a step counts as connected when the place it ends at is, in truth."""
 
-    Attributes
-    ----------
-    steps, connected_steps
-        Steps driven, and those of them connected.
-    outage_steps, outage_m
-        Steps, and metres, driven since the last one connected, or since the start.
-    delivered_mbit
-        Data delivered before the deadline, where data are asked for.
-    has_circled
-        Whether the robot was once `CIRCLING_STEPS` steps about one place, where nothing moves that
-        it could have waited for.
-    crossing_cost_m, crossing_excess_m
-        On the way to a goal: what the first steps of plans that miss the bound have cost, and by
-        how much more than the cheapest paths from where they were planned.
-    missed_m
-        ``(n, 2)`` where earlier steps ended without connection.
-    """
-
-    steps: int = 0
+    steps: int = 0  # Steps driven, and those of them connected
     connected_steps: int = 0
+    # Steps, and metres, driven since the last one connected, or since the start
     outage_steps: int = 0
     outage_m: float = 0.0
-    delivered_mbit: float = 0.0
+    delivered_mbit: float = 0.0  # Data delivered before the deadline, where data are asked for
+    # Whether the robot was once `CIRCLING_STEPS` steps about one place, where nothing moves that it
+    # could have waited for
     has_circled: bool = False
+    # On the way to a goal: what the first steps of plans that miss the bound have cost, and by how
+    # much more than the cheapest paths from where they were planned
     crossing_cost_m: float = 0.0
     crossing_excess_m: float = 0.0
+    # (n, 2) where earlier steps ended without connection
     missed_m: NDArray[np.float64] = field(
         default_factory=lambda: np.zeros((0, 2)), repr=False, compare=False
     )
@@ -56,27 +44,13 @@ BEGINNING = History()
 
 def history_of(
     problem: Problem,
-    track_m: NDArray[np.float64],
-    connected: NDArray[np.bool_],
+    track_m: NDArray[np.float64],  # (n + 1, 2) where the robot was, the start first
+    connected: NDArray[np.bool_],  # (n,) whether it was connected after each step
     certificates: Iterable[Certificate] = (),
     *,
     gave_way: Sequence[bool] = (),
 ) -> History:
-    """The run along a track.
-
-    Parameters
-    ----------
-    problem
-        What is run.
-    track_m
-        ``(n + 1, 2)`` where the robot was, the start first.
-    connected
-        ``(n,)`` whether it was connected after each step.
-    certificates
-        Of the plans that led along it.
-    gave_way
-        Whether it gave way to another robot in each step; none where it never did.
-    """
+    """The run along a track."""
     priced = [each for each in certificates if each.step_excess_m is not None]
     count = len(connected)
     ends = np.flatnonzero(connected)

@@ -22,25 +22,13 @@ SHORTEST_IN_WORDS_M = 0.5
 
 @dataclass(frozen=True)
 class Hole:
-    """A stretch of a path that misses the bound on connectivity.
+    """A stretch of a path that misses the bound on connectivity."""
 
-    Attributes
-    ----------
-    from_m, to_m
-        ``(x, y)`` of its first and last place below the bound.
-    length_m
-        Driven below the bound, half of the steps in and out included.
-    least_connectivity
-        Least probability of connection in it.
-    to_end
-        Whether the path ends in it.
-    """
-
-    from_m: tuple[float, float]
+    from_m: tuple[float, float]  # (x, y) of its first and last place below the bound
     to_m: tuple[float, float]
-    length_m: float
-    least_connectivity: float
-    to_end: bool
+    length_m: float  # Driven below the bound, half of the steps in and out included
+    least_connectivity: float  # Least probability of connection in it
+    to_end: bool  # Whether the path ends in it
 
     @property
     def words(self) -> str:
@@ -88,21 +76,11 @@ class BlockedError(NoPlanError):
 
 
 def holes_along(
-    places_m: NDArray[np.float64],
-    connectivity: NDArray[np.float64],
-    is_below: NDArray[np.bool_],
+    places_m: NDArray[np.float64],  # (n, 2) of the path
+    connectivity: NDArray[np.float64],  # (n,) P(connected) there
+    is_below: NDArray[np.bool_],  # (n,) whether that misses the bound
 ) -> tuple[Hole, ...]:
-    """Find the holes of a path.
-
-    Parameters
-    ----------
-    places_m
-        ``(n, 2)`` of the path.
-    connectivity
-        ``(n,)`` P(connected) there.
-    is_below
-        ``(n,)`` whether that misses the bound.
-    """
+    """Find the holes of a path."""
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
     share = 0.5 * (is_below[:-1].astype(float) + is_below[1:]) * lengths
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_below.astype(int), [0]])))
@@ -124,17 +102,7 @@ def holes_along(
 def holes_on(
     problem: Problem, power: Prediction, places_m: NDArray[np.float64]
 ) -> tuple[Hole, ...]:
-    """Find the holes of a path of places (n, 2), by what is believed.
-
-    Parameters
-    ----------
-    problem
-        Its bound is asked of every place.
-    power
-        What is believed of them.
-    places_m
-        The path.
-    """
+    """Find the holes of a path of places (n, 2), by what is believed."""
     threshold = problem.stations[0].threshold_dbm
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     slack_db = problem.constraints.rule.slack_max_db or 0.0
@@ -142,17 +110,7 @@ def holes_on(
 
 
 def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses") -> list[str]:
-    """Lines for people about holes on the way to a goal; the longest where there are many.
-
-    Parameters
-    ----------
-    problem
-        With the price at which they are crossed.
-    holes
-        In the order of the path.
-    verb
-        Says when they are crossed.
-    """
+    """Lines for people about holes on the way to a goal; the longest where there are many."""
     holes = [hole for hole in holes if hole.length_m >= SHORTEST_IN_WORDS_M]
     if not holes:
         return []

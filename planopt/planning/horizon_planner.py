@@ -40,17 +40,7 @@ MERGED_STEPS = 2.0
 def is_worth_following(
     start: Start, best: Start, polished_m: Sequence[NDArray[np.float64]], longest_m: float
 ) -> bool:
-    """Return whether `start`, that has climbed, may lead to something better.
-
-    Parameters
-    ----------
-    start, best
-        The one in question, and the best of all starts.
-    polished_m
-        Paths (N, 2) that have been polished.
-    longest_m
-        Longest step.
-    """
+    """Return whether `start`, that has climbed, may lead to something better."""
     if start.worth < best.worth - CLOSE_SHARE * abs(best.worth):
         return False
     return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in polished_m)
@@ -65,23 +55,7 @@ SETTLED_SHARE = 3e-3
 
 
 class FallbackCascade:
-    """Makes a plan of starts; keeps the solvers that polish them.
-
-    Parameters
-    ----------
-    problem
-        With one robot; its planner settings say how.
-    ground
-        Its geometry.
-    thorough
-        Follow all starts, polish the best twice, and take it, instead of the first that is
-        verified.
-
-    Attributes
-    ----------
-    polish
-        What starts are polished by; None for a planner that does not polish.
-    """
+    """Makes a plan of starts; keeps the solvers that polish them."""
 
     def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
         self._problem = problem
@@ -103,19 +77,7 @@ class FallbackCascade:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """Try each fallback in turn; return the first verified candidate, else the least bad one.
-
-        Parameters
-        ----------
-        situation, judge
-            Of the step.
-        starts
-            Best first.
-        warm
-            The plan that led here, or None.
-        budget
-            Of the step.
-        """
+        """Try each fallback in turn; return the first verified candidate, else the least bad."""
         tried: list[Candidate] = []
         verified: list[Candidate] = []
         for number, start in enumerate(starts):
@@ -230,23 +192,7 @@ class FallbackCascade:
 
 
 class HorizonPlanner:
-    """Plans for one robot of a problem whose objective is a sum of terms.
-
-    Parameters
-    ----------
-    problem
-        With one robot; its planner settings say how.
-    ground
-        Its geometry.
-    thorough
-        Follow starts of several parts of the reachable places, polish the best twice, and take it,
-        instead of the first that is verified.
-
-    Attributes
-    ----------
-    cascade
-        What makes plans of starts.
-    """
+    """Plans for one robot of a problem whose objective is a sum of terms."""
 
     def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
         self.problem = problem
@@ -255,17 +201,7 @@ class HorizonPlanner:
         self.cascade = FallbackCascade(problem, ground, thorough)
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is.
-
-        Parameters
-        ----------
-        situation
-            What is known.
-        judge
-            What candidates are judged by; its objective is the situation's worth.
-        warm
-            The plan that led here, one step old; only used if it was verified.
-        """
+        """Plan from where the robot is."""
         begun = perf_counter()
         budget = budget_from(self.problem, begun)
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)

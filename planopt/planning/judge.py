@@ -23,45 +23,30 @@ from planopt.world.clearance import ObstacleIndex
 
 @dataclass(frozen=True)
 class Candidate:
-    """A path that may be released.
+    """A path that may be released."""
 
-    Attributes
-    ----------
-    path_m
-        ``(N, 2)``.
-    objective, lattice_objective
-        What it is worth, in the sense of the problem, and the same of the lattice path of the
-        same step.
-    rung, termination
-        Where it comes from.
-    certificate, verdict
-        What the verifier says; None and ``feasible_unverified`` before it was asked.
-    solve_s, iterations, multipliers, kkt_residual
-        Of the solver.
-    sound
-        Whether clearance, bounds, motion model and the distance from what moves are kept, whatever
-        connectivity is.
-    power
-        What the verifier predicted along the path, the robot's own place first.
-    drive
-        How the robot drives along the path; None for the single integrator.
-    """
-
-    path_m: NDArray[np.float64]
+    path_m: NDArray[np.float64]  # (N, 2)
+    # What it is worth, in the sense of the problem, and the same of the lattice path of the same
+    # step
     objective: float
     lattice_objective: float
-    rung: Rung
+    rung: Rung  # Where it comes from
     termination: Termination
+    # What the verifier says; None and feasible_unverified before it was asked
     certificate: Certificate | None = None
     verdict: Verdict = Verdict.FEASIBLE_UNVERIFIED
-    solve_s: float = 0.0
+    solve_s: float = 0.0  # Of the solver
     iterations: int = 0
     kkt_residual: float | None = None
     multipliers: dict[str, NDArray[np.float64]] = field(
         default_factory=dict[str, NDArray[np.float64]]
     )
+    # Whether clearance, bounds, motion model and the distance from what moves are kept, whatever
+    # connectivity is
     sound: bool = False
+    # What the verifier predicted along the path, the robot's own place first
     power: Prediction | None = None
+    # How the robot drives along the path; None for the single integrator
     drive: Drive | None = None
 
     @property
@@ -108,34 +93,20 @@ def with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:
 
 @dataclass(frozen=True)
 class Judge:
-    """Everything a candidate of one step is judged by.
+    """Everything a candidate of one step is judged by."""
 
-    Attributes
-    ----------
-    problem, index, belief
-        The problem, its obstacles, and what is believed of the channel.
-    position_m
-        ``(2,)`` where the robot is.
-    objective
-        What a path (N, 2) from there is worth.
-    circumstances
-        What else is known at the step.
-    reserved_m
-        ``(N, 2)`` the rest of the last plan, which the other robots keep clear of; None without.
-    rest
-        What the robot's state has beyond its place; nothing of a single integrator.
-    objective_of_drive
-        What a drive is worth, where that is not only by its places; None where it is.
-    """
-
-    problem: Problem
+    problem: Problem  # The problem, its obstacles, and what is believed of the channel
     index: ObstacleIndex
     belief: Belief
-    position_m: NDArray[np.float64]
-    objective: Callable[[NDArray[np.float64]], float]
+    position_m: NDArray[np.float64]  # (2,) where the robot is
+    objective: Callable[[NDArray[np.float64]], float]  # What a path (N, 2) from there is worth
+    # What else is known at the step
     circumstances: Circumstances = field(default_factory=Circumstances)
+    # (N, 2) the rest of the last plan, which the other robots keep clear of; None without
     reserved_m: NDArray[np.float64] | None = None
+    # What the robot's state has beyond its place; nothing of a single integrator
     rest: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    # What a drive is worth, where that is not only by its places; None where it is
     objective_of_drive: Callable[[Drive], float] | None = None
 
     @property

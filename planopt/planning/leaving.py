@@ -37,21 +37,8 @@ def leaving_path(
 
     Of the moves that come no nearer to anything than the robot is now, the shortest of those that
     lack least at their end. Out of obstacles that it is in they may lead through these.
-
-    Parameters
-    ----------
-    problem
-        Of one robot that is a single integrator.
-    index, moving
-        Obstacles that stand, and what moves.
-    position_m
-        ``(2,)`` where the robot is.
-
-    Returns
-    -------
-    (N, 2) array or None
-        None where it lacks nothing here, or no such move is better than standing.
     """
+    # Shapes: position_m (2,).
     horizon = problem.planner.horizon
     lengths = (problem.step_length_m - STEP_PAD_M) * np.arange(1, LENGTHS + 1) / LENGTHS
     angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS

@@ -197,13 +197,6 @@ def share_gained(gain: float, lattice: float, polished: float) -> float:
 
     NaN where the lattice path is worth next to nothing, less than `LEAST_BASE` of what the
     polished path is: a share of that tells of the base and not of the gain.
-
-    Parameters
-    ----------
-    gain
-        How much better the polished path is.
-    lattice, polished
-        Objectives of the lattice path and of the polished one.
     """
     if gain == 0.0:
         return 0.0
@@ -234,16 +227,8 @@ def shifted_path(
     None without a plan, for one that was not verified, and for one that today's robot cannot drive
     on today's map, be it for an obstacle, its place or its speed: nothing starts from such a plan.
     None, too, for a robot that cannot stop at will: see :func:`shifted_drive`.
-
-    Parameters
-    ----------
-    problem, index
-        As they are today.
-    position_m
-        ``(2,)`` where the robot is.
-    warm
-        The last plan.
     """
+    # Shapes: position_m (2,).
     if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
         return None
     rest = np.vstack([warm.positions_m[2:], warm.positions_m[-1:]])

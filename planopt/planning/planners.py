@@ -34,38 +34,12 @@ class Planner(Protocol):
     """Plans for one robot of a problem whose objective is a sum of terms."""
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is.
-
-        Parameters
-        ----------
-        situation
-            What is known.
-        judge
-            What candidates are judged by; its objective is the situation's worth.
-        warm
-            The plan that led here, one step old, or None.
-        """
+        """Plan from where the robot is."""
         ...
 
 
 def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
-    """The planner that `problem.planner.name` names.
-
-    Parameters
-    ----------
-    problem
-        With one robot and a sum of terms.
-    ground
-        Its geometry.
-    generator
-        For planners that draw; others leave it alone.
-
-    Raises
-    ------
-    InputError
-        The planner is not for the robot's dynamics or the problem's terms, knows the ground truth,
-        or cannot be imported.
-    """
+    """The planner that `problem.planner.name` names."""
     robot, kind = problem.robots[0], planner_kind(problem.planner.name)
     if kind.foresees:
         raise InputError(
@@ -97,13 +71,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
 def asked_plan(
     planner: Planner, situation: Situation, judge: Judge, warm: Plan | None = None
 ) -> Plan:
-    """Return what a planner plans; see :meth:`Planner.plan`.
-
-    Raises
-    ------
-    InputError
-        A planner from outside fails, or returns no plan of this problem.
-    """
+    """Return what a planner plans; see :meth:`Planner.plan`."""
     remedy = "return released(judge, path_m, begun_s), of a path (N, 2)"
     with calling(planner, "plan", key=KEY, remedy=remedy):
         plan = planner.plan(situation, judge, warm)

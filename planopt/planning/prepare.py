@@ -16,21 +16,11 @@ from planopt.problems.problem import Problem
 
 @dataclass(frozen=True)
 class Prepared:
-    """Ground truth, first measurements and belief of one seed.
+    """Ground truth, first measurements and belief of one seed."""
 
-    Attributes
-    ----------
-    truth
-        The channel as it is; None if the problem has none.
-    belief
-        What the first measurements tell.
-    further
-        The channels of further stations as they are.
-    """
-
-    truth: Truth | None
-    belief: Belief
-    further: tuple[Truth, ...] = ()
+    truth: Truth | None  # The channel as it is; None if the problem has none
+    belief: Belief  # What the first measurements tell
+    further: tuple[Truth, ...] = ()  # The channels of further stations as they are
 
     @property
     def truths(self) -> tuple[Truth, ...]:
@@ -42,21 +32,6 @@ class Prepared:
 def prepare(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> Prepared:
-    """Draw the truth, take or read the first measurements, fit the channel, condition on them.
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    seed
-        Of the fading and of the measured places.
-    measurements
-        First measurements of each station, in place of those that the problem names.
-
-    Raises
-    ------
-    InputError
-        As :func:`planopt.planning.given.draw`.
-    """
+    """Draw the truth, take or read the first measurements, fit the channel, condition on them."""
     given = draw(problem, seed, measurements)
     return Prepared(given.truth, learn_stations(problem, given), given.truths[1:])

@@ -49,39 +49,17 @@ LINES_PER_SEGMENT = 4
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """The place and belief of a robot, and the path that it would drive.
+    """The place and belief of a robot, and the path that it would drive."""
 
-    Attributes
-    ----------
-    belief, state
-        Of the stations' channels, and ``(s,)`` of the robot.
-    situation
-        What its step is planned on; beside it only moving obstacles move.
-    start
-        The path; None if no node is in reach.
-    wall_s
-        What it took to find.
-    """
-
-    belief: Belief
+    belief: Belief  # Of the stations' channels, and (s,) of the robot
     state: NDArray[np.float64]
-    situation: Situation
-    start: GlobalStart | None
-    wall_s: float
+    situation: Situation  # What its step is planned on; beside it only moving obstacles move
+    start: GlobalStart | None  # The path; None if no node is in reach
+    wall_s: float  # What it took to find
 
 
 class ReachPlanner:
-    """Plans for one problem; keeps what can be reused from step to step.
-
-    Parameters
-    ----------
-    problem
-        What to solve; its planner settings say how.
-    scene
-        Its geometry.
-    others
-        How many other robots it must keep from.
-    """
+    """Plans for one problem; keeps what can be reused from step to step."""
 
     def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self.problem = problem
@@ -107,35 +85,17 @@ class ReachPlanner:
     def plan(
         self,
         belief: Belief,
-        state: NDArray[np.float64],
+        state: NDArray[np.float64],  # (s,)
         warm: Plan | None = None,
         history: History = BEGINNING,
     ) -> Plan:
-        """Plan from `state` on what is believed now.
-
-        Parameters
-        ----------
-        belief
-            Of the stations' channels.
-        state
-            ``(s,)`` of the robot, its place first; of a single integrator its place.
-        warm
-            The plan that led here, one step old; only used if it was verified.
-        history
-            What has happened on the run before.
-        """
+        """Plan from `state` on what is believed now."""
         return self.release(self.outlook(belief, state, history), warm)
 
     def outlook(
         self, belief: Belief, state: NDArray[np.float64], history: History = BEGINNING
     ) -> Outlook:
-        """Search the path that the robot would drive if it were alone; arguments as of `plan`.
-
-        Raises
-        ------
-        NoPlanError
-            There is provably no path that keeps the bound.
-        """
+        """Search the path that the robot would drive if it were alone; arguments as of `plan`."""
         begun = perf_counter()
         circumstances = circumstances_of(
             self.problem, belief.posteriors, history, goal_grid=self._goal_grid
@@ -156,14 +116,7 @@ class ReachPlanner:
     def beside(
         self, outlook: Outlook, discs: MovingDiscs
     ) -> tuple[Outlook, NDArray[np.float64], bool] | None:
-        """Search a path that keeps from `discs` all the way to the goal; None if there is none.
-
-        Returns
-        -------
-        outlook, (T + 1, 2) array, bool
-            With that path to drive; where the robot would be after each step; whether it arrives,
-            or waits where it is in nobody's way.
-        """
+        """Search a path that keeps from `discs` all the way to the goal; None if there is none."""
         begun = perf_counter()
         if outlook.start is None:
             return None
@@ -185,21 +138,9 @@ class ReachPlanner:
         outlook: Outlook,
         warm: Plan | None = None,
         moving: MovingDiscs | None = None,
-        reserved_m: NDArray[np.float64] | None = None,
+        reserved_m: NDArray[np.float64] | None = None,  # (N, 2)
     ) -> Plan:
-        """Refine and verify the path of an outlook, or fall back.
-
-        Parameters
-        ----------
-        outlook
-            Of :meth:`outlook` or :meth:`beside`.
-        warm
-            As for :meth:`plan`.
-        moving
-            What the robot must keep from during the steps; None for the moving obstacles alone.
-        reserved_m
-            ``(N, 2)`` what the other robots keep clear of for this one; None for the last plan.
-        """
+        """Refine and verify the path of an outlook, or fall back."""
         begun = perf_counter() - outlook.wall_s
         problem, scene, position_m = self.problem, self.scene, outlook.state[:2]
         belief, state, start = outlook.belief, outlook.state, outlook.start

@@ -38,30 +38,7 @@ from planopt.planning.worth.serving_stages import scores_of, stage_predictor
 
 
 class Refiner:
-    """Attempts of one step, in the order of the fallbacks.
-
-    Parameters
-    ----------
-    nlp
-        The built solver.
-    scene
-        The geometry.
-    judge
-        What attempts are judged by.
-    cost
-        What it judges their worth by, the rest of the way included.
-    start
-        The global start.
-    ahead
-        The way on from wherever a path ends.
-    lattice_objective
-        Its cost.
-    budget
-        Once it is spent there are no more attempts.
-    rows_of
-        From a path to the rows of a rule of connectivity other than p_min at each step; None for
-        that.
-    """
+    """Attempts of one step, in the order of the fallbacks."""
 
     def __init__(
         self,

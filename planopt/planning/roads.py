@@ -14,13 +14,7 @@ from planopt.world.road_map import RoadMap, build_road_map
 
 
 def build_roads(problem: Problem, anchor_m: NDArray[np.float64]) -> RoadMap:
-    """Build the graph, with a node at `anchor_m` (2,).
-
-    Raises
-    ------
-    InputError
-        The step is too short, or too long, for the bounds.
-    """
+    """Build the graph, with a node at `anchor_m` (2,)."""
     try:
         lattice = build_lattice(
             problem.workspace,

@@ -99,17 +99,7 @@ def moved(
 def rows_again(
     situation: Situation, rows: RuleRows, candidate: Candidate, tried: list[Allocation]
 ) -> RuleRows | None:
-    """The risk of all steps together, shared out by what a candidate used; None if it is used up.
-
-    Parameters
-    ----------
-    situation, rows
-        What was asked.
-    candidate
-        What came out, judged.
-    tried
-        Earlier allocations; this one is put to them.
-    """
+    """Allocate the joint risk by what a candidate used; None if it is used up."""
     certificate = candidate.certificate
     if certificate is None or certificate.rule is None or not np.isfinite(candidate.path_m).all():
         return None

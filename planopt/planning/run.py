@@ -190,54 +190,33 @@ def exit_code(run: Run) -> int:
 
 @dataclass(frozen=True, eq=False)
 class RunSummary:
-    """A run without its steps, as comparisons list it.
+    """A run without its steps, as comparisons list it."""
 
-    Attributes
-    ----------
-    horizon, planner, cost_to_go, seed
-        What was run; `cost_to_go` is None if there is no goal.
-    outcome, reason
-        How it ended, and why in words.
-    exit_code
-        0 if it did what the problem asks with every step verified, 3 if some was not, 4 if it did
-        not.
-    metrics
-        Of all robots together, by name.
-    rungs
-        How often each fallback released a step, over all robots.
-    verified_rate
-        Share of all released steps whose plan was verified; NaN where nothing is to be verified.
-    step_s
-        ``(steps x robots,)`` wall time that planning one step of one robot took.
-    connectivity, connected
-        ``(steps x robots,)`` predicted probability of connection after each step, and whether
-        there was one; empty where no channel is learnt.
-    problem
-        Name of the problem.
-    sweep
-        Keys of the problem that a study changed, with their values.
-    traces
-        ``(steps + 1,)`` each, by name: ``trace_p``, the trace in m^2 of the station's covariance of
-        the target's position, ``normalised_trace_p``, the same over that of the first estimate,
-        and of the channel ``rms_db``, ``rms_without_multipath_db`` and
-        ``path_loss_variance_db2``; empty on the way to a goal.
-    """
-
-    horizon: int
+    horizon: int  # What was run; `cost_to_go` is None if there is no goal
     planner: str
     cost_to_go: str | None
     seed: int
-    outcome: str
+    outcome: str  # How it ended, and why in words
     reason: str
+    # 0 if it did what the problem asks with every step verified, 3 if some was not, 4 if it did not
     exit_code: int
-    metrics: dict[str, float]
-    rungs: dict[str, int]
+    metrics: dict[str, float]  # Of all robots together, by name
+    rungs: dict[str, int]  # How often each fallback released a step, over all robots
+    # Share of all released steps whose plan was verified; NaN where nothing is to be verified
     verified_rate: float
+    # (steps x robots,) wall time that planning one step of one robot took
     step_s: NDArray[np.float64]
+    # (steps x robots,) predicted probability of connection after each step, and whether there was
+    # one; empty where no channel is learnt
     connectivity: NDArray[np.float64]
     connected: NDArray[np.bool_]
-    problem: str = ""
+    problem: str = ""  # Name of the problem
+    # Keys of the problem that a study changed, with their values
     sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    # (steps + 1,) each, by name: trace_p, the trace in m^2 of the station's covariance of the
+    # target's position, normalised_trace_p, the same over that of the first estimate, and of the
+    # channel rms_db, rms_without_multipath_db and path_loss_variance_db2; empty on the way to a
+    # goal
     traces: Mapping[str, NDArray[np.float64]] = field(
         default_factory=dict[str, NDArray[np.float64]]
     )

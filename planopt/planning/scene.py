@@ -21,21 +21,11 @@ from planopt.world.separation import PackedPieces, pack_pieces
 
 @dataclass(frozen=True)
 class Ground:
-    """The free space for planning: obstacles, convex pieces, lattice.
+    """The free space for planning: obstacles, convex pieces, lattice."""
 
-    Attributes
-    ----------
-    index
-        For the verifier: the obstacles as they are.
-    pieces
-        For the solver: convex pieces.
-    road_map
-        The lattice graph.
-    """
-
-    index: ObstacleIndex
-    pieces: PackedPieces
-    road_map: RoadMap
+    index: ObstacleIndex  # For the verifier: the obstacles as they are
+    pieces: PackedPieces  # For the solver: convex pieces
+    road_map: RoadMap  # The lattice graph
 
 
 def build_ground(
@@ -44,11 +34,6 @@ def build_ground(
     """Build the geometry of a problem, with a node of the lattice at `anchor_m` (2,).
 
     Robots of one workspace share the obstacles of the ground `beside` that another has.
-
-    Raises
-    ------
-    InputError
-        The step is too short, or too long, for the bounds.
     """
     workspace = problem.workspace
     return Ground(
@@ -67,21 +52,12 @@ def first_moves(
 
 @dataclass(frozen=True)
 class Scene:
-    """Geometry of a problem that is to reach a goal, ready for planning.
+    """Geometry of a problem that is to reach a goal, ready for planning."""
 
-    Attributes
-    ----------
-    ground
-        Obstacles and lattice; its nodes are anchored at the goal, which is one of them.
-    goal_node
-        The goal's number in the lattice.
-    ways
-        Shortest ways round the obstacles to the goal.
-    """
-
+    # Obstacles and lattice; its nodes are anchored at the goal, which is one of them
     ground: Ground
-    goal_node: int
-    ways: Ways
+    goal_node: int  # The goal's number in the lattice
+    ways: Ways  # Shortest ways round the obstacles to the goal
 
     @property
     def index(self) -> ObstacleIndex:
@@ -101,25 +77,10 @@ class Scene:
 
 def build_scene(
     problem: Problem,
-    place_m: NDArray[np.float64] | None = None,
+    place_m: NDArray[np.float64] | None = None,  # (2,) where the robot is now; None at the start
     beside: Ground | None = None,
 ) -> Scene:
-    """Build the geometry of a problem's first robot.
-
-    Parameters
-    ----------
-    problem
-        Whose obstacles are those known now.
-    place_m
-        ``(2,)`` where the robot is now; None at the start.
-    beside
-        The ground of another robot in the same workspace, if there is one.
-
-    Raises
-    ------
-    NoPlanError
-        The obstacles cut the goal off from the start, or no path can end at it.
-    """
+    """Build the geometry of a problem's first robot."""
     clearance, goal_m = problem.constraints.clearance_m, problem.goal_m
     goal = np.asarray(goal_m)
     ground = build_ground(problem, goal, beside)
@@ -155,11 +116,6 @@ def build_scenes(
     """Build the geometry of each robot that is to reach a goal; None where none is.
 
     Parameters as of :func:`build_scene`, with a place (2,) of each robot.
-
-    Raises
-    ------
-    NoPlanError
-        As :func:`build_scene`, of any robot.
     """
     if problem.task != "reach":
         return None

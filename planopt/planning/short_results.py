@@ -48,13 +48,7 @@ def short_run(
 
 
 def only(several: Sequence[Kind], name: str) -> Kind:
-    """Return the only one of `several`.
-
-    Raises
-    ------
-    InputError
-        There are more; with `name` as what to use instead.
-    """
+    """Return the only one of `several`."""
     if len(several) != 1:
         raise InputError(f"there are {len(several)} robots", remedy=f"use {name}, one of each")
     return several[0]

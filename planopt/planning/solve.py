@@ -67,24 +67,7 @@ def solve(
 def solve_on(
     problem: Problem, belief: Belief, seed: int, scenes: Sequence[Scene] | None = None
 ) -> Solution:
-    """Plan for each robot from its start, on a belief that is given.
-
-    Parameters
-    ----------
-    problem
-        With the planner settings to use.
-    belief
-        Of the channel, the same for all robots.
-    seed
-        Of the first estimate of a target, and of planners that draw.
-    scenes
-        Geometry of each robot of a problem with goals, if it is built already.
-
-    Raises
-    ------
-    NoPlanError
-        Obstacles cut the goal off.
-    """
+    """Plan for each robot from its start, on a belief that is given."""
     return _solved(problem, belief, seed, build_scenes(problem) if scenes is None else scenes)
 
 

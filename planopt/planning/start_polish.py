@@ -44,17 +44,10 @@ from planopt.world.separation import PackedPieces, SeparatingLines, joined_lines
 
 @dataclass(frozen=True, eq=False)
 class StartLines:
-    """Lines of a start path.
+    """Lines of a start path."""
 
-    Attributes
-    ----------
-    path
-        Of its N segments.
-    still
-        Of where the robot stands after it, from what moves; None where nothing does by then.
-    """
-
-    path: SeparatingLines
+    path: SeparatingLines  # Of its N segments
+    # Of where the robot stands after it, from what moves; None where nothing does by then
     still: SeparatingLines | None
 
 
@@ -66,19 +59,7 @@ def lines_of_start(
     drive: Drive | None,
     count: int,
 ) -> StartLines:
-    """Lines of a start path (N + 1, 2), `count` a segment in all.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    pieces, discs
-        What stands and what moves.
-    path_m, drive
-        The path, the robot's place first, and how it is driven.
-    count
-        Lines a segment.
-    """
+    """Lines of a start path (N + 1, 2), `count` a segment in all."""
     clearance, step_length = problem.constraints.clearance_m, problem.step_length_m
     horizon = len(path_m) - 1
     tail = tail_count(discs, horizon)
@@ -108,17 +89,8 @@ def lines_repaired(
     start_path_m: NDArray[np.float64],
     path_m: NDArray[np.float64],
 ) -> SeparatingLines | None:
-    """The lines with what a polished path came too near to put in; None if nothing has none.
-
-    Parameters
-    ----------
-    problem, pieces, discs
-        As in :func:`lines_of_start`.
-    lines
-        What the result was kept from.
-    start_path_m, path_m
-        ``(N + 1, 2)`` the path that the lines are of, and the result.
-    """
+    """The lines with what a polished path came too near to put in; None if nothing has none."""
+    # Shapes: start_path_m, path_m (N + 1, 2).
     tail = tail_count(discs, len(path_m) - 1)
     first, last = split_lines(lines, int(lines.piece.shape[1]) - tail)
     found = lines_with_violated(
@@ -160,15 +132,7 @@ RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
 
 
 class StartPolish:
-    """Polishes starts of one problem; keeps the solvers that it has built.
-
-    Parameters
-    ----------
-    problem
-        With one robot; its planner is one that polishes.
-    ground
-        Its geometry.
-    """
+    """Polishes starts of one problem; keeps the solvers that it has built."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -203,19 +167,7 @@ class StartPolish:
         rung: Rung,
         budget: Budget | None = None,
     ) -> list[Candidate]:
-        """Return the judged candidates of a start; none once the budget is spent.
-
-        Parameters
-        ----------
-        situation, judge
-            Of the step.
-        start
-            Where to polish from.
-        rung
-            What the candidates are, unless they miss the bound.
-        budget
-            Of the step; None for no limit.
-        """
+        """Return the judged candidates of a start; none once the budget is spent."""
         budget = Budget() if budget is None else budget
         problem, moving = self._problem, situation.circumstances.moving
         nlp = self._nlp_for(moving)

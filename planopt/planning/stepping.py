@@ -38,36 +38,7 @@ Planning = Callable[[Problem, Sequence[NDArray[np.float64]]], PlanStep]
 
 
 class Stepper:
-    """The robots of one run.
-
-    Parameters
-    ----------
-    problem
-        The problem of all robots; later that with the obstacles that the last plans knew.
-    belief
-        Of the channel at the start, the same for all.
-    planning
-        Makes of the problem with the obstacles known now what plans a step (:func:`planning`).
-    watch
-        The target at the start; None without one.
-
-    Attributes
-    ----------
-    owns
-        The problem of each robot alone.
-    states
-        Of each robot ``(s,)`` at the start and after each step.
-    beliefs
-        Of each robot now.
-    plans, aims
-        Of each robot, one a step planned.
-    learnt
-        Of each robot, whether it learnt from a measurement after each step.
-    connected
-        ``(steps, robots)`` which robot was connected after each step.
-    watches
-        The target at the start and after each step; None throughout without one.
-    """
+    """The robots of one run."""
 
     def __init__(
         self,
@@ -89,13 +60,7 @@ class Stepper:
         self._warm: list[Plan | None] = [None for _ in numbers]
 
     def plan(self) -> list[Plan]:
-        """Plan from where the robots are; a plan for each.
-
-        Raises
-        ------
-        NoPlanError
-            There is provably no plan.
-        """
+        """Plan from where the robots are; a plan for each."""
         now = problem_at(self.problem, len(self.connected))
         if now is not self.problem:
             self._know(now)
@@ -157,22 +122,9 @@ class Stepper:
         states: Sequence[NDArray[np.float64]],
         measured: Sequence[Sequence[Measurements]],
         connected: Sequence[bool] | NDArray[np.bool_],
-        target_m: NDArray[np.float64] | None = None,
+        target_m: NDArray[np.float64] | None = None,  # (robots, 2)
     ) -> None:
-        """Take in what came of a step.
-
-        Parameters
-        ----------
-        states
-            Of each robot ``(s,)`` now, its place first.
-        measured
-            Of each robot the measurements of each station on the step; none where it took none.
-            Those nearer than the measuring distance to an earlier one are left out.
-        connected
-            Of each robot, whether it is connected now.
-        target_m
-            ``(robots, 2)`` where each robot saw the target, NaN where it did not.
-        """
+        """Take in what came of a step."""
         for number, state in enumerate(states):
             self.states[number].append(state)
             if not self._goes_on(number, state):
@@ -242,21 +194,9 @@ def plan_step(
     problem: Problem,
     scenes: Sequence[Scene] | None,
     seeds: TeamSeeds,
-    foreseen_m: Sequence[NDArray[np.float64]] | None = None,
+    foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2)
 ) -> PlanStep:
-    """Return what plans a step: to goals in a scene of each robot, or a team for its terms.
-
-    Parameters
-    ----------
-    problem
-        The problem of all robots.
-    scenes
-        Geometry of each robot that is to reach a goal; None for all other problems.
-    seeds
-        Of planners that draw.
-    foreseen_m
-        ``(T, 2)`` of each robot for the whole run, by a planner that knows the ground truth.
-    """
+    """Return what plans a step: to goals in a scene of each robot, or a team for its terms."""
     if scenes is not None:
         couriers = Couriers(problem, scenes)
         return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])

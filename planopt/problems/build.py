@@ -32,22 +32,7 @@ from planopt.world.workspace import Obstacle, Workspace
 
 
 def build(tables: ProblemFile, folder: Path, file: Path | None) -> Problem:
-    """The problem that `tables` describe.
-
-    Parameters
-    ----------
-    tables
-        The validated tables.
-    folder
-        Relative file names start here.
-    file
-        Where the tables came from, for messages.
-
-    Raises
-    ------
-    InputError
-        An obstacle cannot be read or is no valid polygon.
-    """
+    """The problem that `tables` describe."""
     return Problem(
         name=tables.problem.name,
         description=tables.problem.description,

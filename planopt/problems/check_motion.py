@@ -26,13 +26,7 @@ MOST_CORNERS = 64
 
 
 def check_dynamics(problem: Problem) -> None:
-    """Raise an error if some robot cannot be planned for as it moves.
-
-    Raises
-    ------
-    InputError
-        Its start is no state of its dynamics.
-    """
+    """Raise an error if some robot cannot be planned for as it moves."""
     for number, robot in enumerate(problem.robots):
         dynamics = robot.dynamics
         if dynamics is None:
@@ -51,13 +45,7 @@ def check_dynamics(problem: Problem) -> None:
 
 
 def check_own_map(problem: Problem, number: int) -> None:
-    """Raise an error if the dynamics of robot number `number` cannot be driven.
-
-    Raises
-    ------
-    InputError
-        A step from its start is not finite, or no state rests with the rest input.
-    """
+    """Raise an error if the dynamics of robot number `number` cannot be driven."""
     robot, step_s = problem.robots[number], problem.planner.step_s
     dynamics, start = robot.dynamics, robot.start_state
     if dynamics is None:
@@ -89,13 +77,7 @@ def check_own_map(problem: Problem, number: int) -> None:
 
 
 def check_stopping(problem: Problem, index: ObstacleIndex, number: int) -> None:
-    """Raise an error if robot number `number` cannot brake in time from its start.
-
-    Raises
-    ------
-    InputError
-        The way of braking comes too near to an obstacle or leaves the bounds.
-    """
+    """Raise an error if robot number `number` cannot brake in time from its start."""
     robot = problem.robots[number]
     if robot.dynamics is None:
         return

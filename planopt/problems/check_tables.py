@@ -21,26 +21,14 @@ from planopt.world.workspace import Obstacle
 
 
 def check_problem(problem: Problem) -> None:
-    """Raise the first fault of a problem: of its tables, or of several of them together.
-
-    Raises
-    ------
-    InputError
-        With the key of the problem file.
-    """
+    """Raise the first fault of a problem: of its tables, or of several of them together."""
     check_dynamics(problem)
     check_tables(problem)
     check(problem)
 
 
 def check_tables(problem: Problem) -> None:
-    """Raise the first fault of a problem's tables: types, ranges, what fits its task.
-
-    Raises
-    ------
-    InputError
-        With the key of the problem file.
-    """
+    """Raise the first fault of a problem's tables: types, ranges, what fits its task."""
     if isinstance(problem.objective, TermsObjective) and not problem.objective.terms:
         raise InputError("has no terms", key="objective.terms", remedy="one at least")
     for obstacle in (*problem.workspace.obstacles, *problem.workspace.timed):

@@ -125,14 +125,7 @@ NORMAL = "leave the key out"
 
 
 def check_calibration(problem: Problem) -> None:
-    """Raise what keeps a calibrated problem from being planned with.
-
-    Raises
-    ------
-    InputError
-        All parameters are to count as uncertain besides, or a term of the objective rests on the
-        normal law of several places together.
-    """
+    """Raise what keeps a calibrated problem from being planned with."""
     if problem.channel.calibration == "none":
         return
     if problem.constraints.rule.parameter_uncertainty == "all":
@@ -277,13 +270,7 @@ LARGEST_LATTICE_BYTES = 4 * 10**9
 
 
 def check_size(problem: Problem) -> None:
-    """Refuse a step so short for the bounds that the search would take many gigabytes.
-
-    Raises
-    ------
-    InputError
-        The estimate is above `LARGEST_LATTICE_BYTES`.
-    """
+    """Refuse a step so short for the bounds that the search would take many gigabytes."""
     horizon = problem.planner.horizon
     nodes = sum(
         node_estimate(problem.workspace, robot.speed_max_m_s * problem.planner.step_s)
@@ -306,16 +293,7 @@ LEAST_STEP_M = 1e-3
 
 
 def check(problem: Problem) -> None:
-    """Raise the first fault of `problem`.
-
-    Raises
-    ------
-    InputError
-        Bounds are reversed, a start or goal is out of bounds or too near to an obstacle, a robot
-        cannot stop in time from its start or moves less than a millimetre in a step, the channel's
-        tables do not fit each other, the truth or the lattice would be too large, or something is
-        asked of several stations that is there for one only.
-    """
+    """Raise the first fault of `problem`."""
     check_bounds(problem)
     index = index_obstacles(problem.workspace)
     for number, robot in enumerate(problem.robots):
@@ -367,15 +345,7 @@ ONE_STATION = "leave one entry of stations"
 
 
 def check_stations(problem: Problem) -> None:
-    """Raise what keeps a problem's stations from being planned with.
-
-    Raises
-    ------
-    InputError
-        A station has a key that does not go with the channel's tables, two stations have one name,
-        one map of gains or one column of a log, or something is asked that is only there for one
-        station.
-    """
+    """Raise what keeps a problem's stations from being planned with."""
     _check_keys(problem)
     if len(problem.stations) > 1:
         _check_own_channels(problem)

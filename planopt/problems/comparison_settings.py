@@ -37,20 +37,7 @@ def known_seeds(given: object) -> object:
 
 
 def require_swept(key: str, at: str | None = None) -> None:
-    """Raise an error for a key of a problem file that cannot be swept.
-
-    Parameters
-    ----------
-    key
-        The dotted key.
-    at
-        The key that names it, for messages; by default itself.
-
-    Raises
-    ------
-    InputError
-        It is of a table that cannot be swept.
-    """
+    """Raise an error for a key of a problem file that cannot be swept."""
     table = key.partition(".")[0].partition("[")[0]
     if table in OF_NO_RUN:
         raise InputError(
@@ -63,16 +50,9 @@ def require_swept(key: str, at: str | None = None) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingGroup:
-    """Settings of a comparison: the product of all lists.
+    """Settings of a comparison: the product of all lists."""
 
-    Attributes
-    ----------
-    horizons, planners, costs_to_go
-        In place of the problem's own, which are kept where there is none.
-    sweep
-        Values of further keys of the problem file, by dotted key.
-    """
-
+    # In place of the problem's own, which are kept where there is none
     horizons: Annotated[
         tuple[int, ...],
         Strict(False),
@@ -88,6 +68,7 @@ class SettingGroup:
         Strict(False),
         Field(description="geodesic, connected; left out: both where there is a goal."),
     ] = ()
+    # Values of further keys of the problem file, by dotted key
     sweep: Annotated[
         Mapping[str, Annotated[list[Any], Field(min_length=1)]] | None,
         Field(
@@ -102,23 +83,17 @@ class SettingGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonSettings:
-    """The settings of ``planopt compare`` where it is given none.
+    """The settings of ``planopt compare`` where it is given none."""
 
-    Attributes
-    ----------
-    seeds
-        How many random seeds, or a range such as ``100:120``, its end left out.
-    settings
-        Groups of settings, which stand one after the other; the first setting of the first group
-        is what others are paired with.
-    """
-
+    # How many random seeds, or a range such as 100:120, its end left out
     seeds: Annotated[
         Annotated[int, Field(ge=1, le=MOST_SEEDS)]
         | Annotated[str, Field(pattern=r"^\d{1,9}:\d{1,9}$")],
         BeforeValidator(known_seeds),
         Field(description='How many random seeds (30: 0 to 29), or "100:120" (100 to 119).'),
     ] = DEFAULT_SEEDS
+    # Groups of settings, which stand one after the other; the first setting of the first group is
+    # what others are paired with
     settings: Annotated[
         tuple[Annotated[SettingGroup, TableOf(SettingGroup, "SettingGroupTable")], ...],
         Strict(False),
@@ -165,13 +140,7 @@ def _table(group: SettingGroup) -> dict[str, Any]:
 
 
 def seeds_of(text: str | int, key: str = "seeds") -> range:
-    """Return the seeds of a number of them, or of a range such as ``100:200``, its end left out.
-
-    Raises
-    ------
-    InputError
-        It is neither, or there is none.
-    """
+    """Return the seeds of a number of them, or of a range such as ``100:200``, its end left out."""
     begin, colon, end = str(text).partition(":")
     try:
         chosen = range(int(begin), int(end)) if colon else range(int(begin))

@@ -22,33 +22,17 @@ _PLANNED = "planopt.planning.worth.rules"
 
 @dataclass(frozen=True)
 class RuleKind:
-    """A rule of connectivity that problems may name.
+    """A rule of connectivity that problems may name."""
 
-    Attributes
-    ----------
-    name
-        Value of the key ``constraints.connectivity``.
-    proven, planned
-        Classes of its halves, or where they are: ``module:name``, imported when they are needed.
-    keys
-        Keys of ``[constraints]`` that belong to this rule alone.
-    of_steps
-        Whether p_min is the probability of single steps.
-    by_step
-        Whether single steps are asked for, each by itself.
-    greatest
-        Whether the bound is a greatest value.
-    asks_without_p_min
-        Whether something is asked of the connection where p_min is 0.
-    """
-
-    name: str
+    name: str  # Value of the key constraints.connectivity
+    # Classes of its halves, or where they are: module:name, imported when they are needed
     proven: type | str
     planned: type | str
-    keys: tuple[str, ...] = ()
-    of_steps: bool = False
-    by_step: bool = False
-    greatest: bool = False
+    keys: tuple[str, ...] = ()  # Keys of [constraints] that belong to this rule alone
+    of_steps: bool = False  # Whether p_min is the probability of single steps
+    by_step: bool = False  # Whether single steps are asked for, each by itself
+    greatest: bool = False  # Whether the bound is a greatest value
+    # Whether something is asked of the connection where p_min is 0
     asks_without_p_min: bool = False
 
     def half(self, planned: bool) -> Any:
@@ -103,19 +87,7 @@ _registered: dict[str, RuleKind] = {}
 
 
 def register_rule(rule: type[Any]) -> None:
-    """Let problems name a rule of connectivity of one's own.
-
-    Parameters
-    ----------
-    rule
-        A :class:`planopt.planning.proof.rules.own.OwnRule`, which does this by itself; one that was
-        registered under its name before is replaced.
-
-    Raises
-    ------
-    InputError
-        Its ``kind`` is no word, or that of one of planopt's rules.
-    """
+    """Let problems name a rule of connectivity of one's own."""
     name = require_name(getattr(rule, "kind", ""), "a rule", OWN)
     _registered[name] = RuleKind(
         name, rule, f"{_PLANNED}.sums:PlannedOwn", asks_without_p_min=not rule.asks_p_min
@@ -128,13 +100,7 @@ def registered_rules() -> tuple[type[Any], ...]:
 
 
 def rule_kind(name: str) -> RuleKind:
-    """Return the rule of a name.
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
+    """Return the rule of a name."""
     found = (
         (OWN.get(name) or _registered.get(name)) if isinstance(cast("object", name), str) else None
     )
@@ -148,13 +114,7 @@ def rule_kind(name: str) -> RuleKind:
 
 
 def known_rule(name: str) -> str:
-    """Return the name of a rule, for the fields of tables.
-
-    Raises
-    ------
-    ValueError
-        There is no such rule.
-    """
+    """Return the name of a rule, for the fields of tables."""
     try:
         return rule_kind(name).name
     except InputError as error:

@@ -14,24 +14,12 @@ SUFFIX = ".toml"
 
 @dataclass(frozen=True)
 class LibraryEntry:
-    """One problem of the library.
+    """One problem of the library."""
 
-    Attributes
-    ----------
-    name
-        What :func:`planopt.problems.load.load` takes.
-    description
-        For people.
-    path
-        Its file.
-    task
-        What it asks for.
-    """
-
-    name: str
-    description: str
-    path: Path
-    task: str
+    name: str  # What :func:`planopt.problems.load.load` takes
+    description: str  # For people
+    path: Path  # Its file
+    task: str  # What it asks for
 
 
 def library_folder() -> Path:
@@ -56,13 +44,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
 
 
 def find_problem(path_or_name: Path | str) -> Path:
-    """The file of a problem given by path or by library name.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is a folder, or the library has no such problem.
-    """
+    """The file of a problem given by path or by library name."""
     path = path_of("path_or_name", path_or_name, "give the path or name of a problem")
     try:
         if path.is_file():

@@ -36,11 +36,6 @@ def check_files(problem: Problem) -> None:
 
     Apart from :func:`planopt.problems.checks.check`, because a saved plan can be judged without
     these files.
-
-    Raises
-    ------
-    InputError
-        A station's map or its log of measurements is not a file.
     """
     truth, measurements = problem.channel.truth, problem.channel.measurements
     none_taken = isinstance(measurements, SampledMeasurements) and measurements.count == 0
@@ -134,22 +129,7 @@ def load(path_or_name: Path | str) -> Problem:
 
 
 def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Problem:
-    """The problem in the tables of the schema, validated and checked.
-
-    Parameters
-    ----------
-    data
-        Tables as ``tomllib`` or ``json`` give them.
-    folder
-        Relative file names start here.
-    file
-        Where they came from, for messages.
-
-    Raises
-    ------
-    InputError
-        As :func:`load`, except that the truth's map and the log need not be there.
-    """
+    """The problem in the tables of the schema, validated and checked."""
     with located(ProblemFile, file):
         problem = build(ProblemFile.model_validate(data), folder, file)
         check(problem)

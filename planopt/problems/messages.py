@@ -58,25 +58,7 @@ def input_error(
     file: Path | str | None = None,
     table: str | None = None,
 ) -> InputError:
-    """One clear error for a failed validation.
-
-    Parameters
-    ----------
-    error
-        What pydantic raised.
-    model
-        The model that was validated.
-    file
-        The file that the data came from.
-    table
-        Key of `model` in the problem file, None for the whole file.
-
-    Returns
-    -------
-    InputError
-        For an unknown key if there is one, since a key with a slip in it is often missed as well;
-        otherwise for the first fault.
-    """
+    """One clear error for a failed validation."""
     faults = error.errors(include_url=False)
     fault = min(faults, key=lambda item: item["type"] != "extra_forbidden")
     path, fields, field = _resolve(fault["loc"], model)
@@ -207,17 +189,7 @@ def _within(fault: ErrorDetails, field: FieldInfo) -> str:
 def _resolve(
     location: KeyPath, model: type[BaseModel]
 ) -> tuple[KeyPath, dict[str, FieldInfo], FieldInfo | None]:
-    """Follow pydantic's path into the models.
-
-    Returns
-    -------
-    path
-        The path without the tags that pydantic inserts for alternatives of a table.
-    fields
-        Keys of the table that the last key belongs to.
-    field
-        The last key's definition; None if it is not known.
-    """
+    """Follow pydantic's path into the models."""
     path: list[str | int] = []
     fields: dict[str, FieldInfo] = {}
     field: FieldInfo | None = None

@@ -44,26 +44,6 @@ def with_overrides(
     """`problem` with the given settings in place of its own, checked; None keeps them.
 
     A problem made in Python, which no schema has seen, is held to what one from a file is.
-
-    Parameters
-    ----------
-    problem
-        The problem.
-    horizon
-        Steps ahead.
-    planner
-        Name of the planner.
-    cost_to_go
-        What the way beyond the horizon costs.
-    calibration
-        How probabilities of connection are calibrated.
-
-    Raises
-    ------
-    InputError
-        A value is not allowed by the schema, or does not fit the rest of the problem; the key is
-        the one of the problem file. Where the problem alone would pass, the error says which
-        settings were given and names no file, since the value is in none. Or `problem` is none.
     """
     require_motion(problem)
     given = {
@@ -163,21 +143,7 @@ def _changed(
 
 
 def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProblem:
-    """`problem` with other values for any keys of its problem file, checked.
-
-    Parameters
-    ----------
-    problem
-        Of motion planning or of a system.
-    changes
-        Values by dotted key: ``constraints.p_min``, ``robots[0].speed_max_m_s``, or
-        ``robots[*].speed_max_m_s`` for all robots.
-
-    Raises
-    ------
-    InputError
-        There is no such key, or its value is not allowed or does not fit the rest of the problem.
-    """
+    """`problem` with other values for any keys of its problem file, checked."""
     if not changes:
         return problem
     given = ", ".join(f"{key} = {value}" for key, value in changes.items())

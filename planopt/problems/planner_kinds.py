@@ -172,13 +172,7 @@ def planner_names() -> tuple[str, ...]:
 
 
 def planner_kind(name: str) -> PlannerKind:
-    """Return the planner of a name.
-
-    Raises
-    ------
-    InputError
-        There is none, or an installed one cannot be imported.
-    """
+    """Return the planner of a name."""
     if name in OWN or name in _registered:
         return OWN[name] if name in OWN else _registered[name]
     point = _installed().get(name)

@@ -34,23 +34,16 @@ class ReachObjective:
 
     The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
     driven where the probability of connection is P counts ``1 + outage_price (1 - P)`` metres.
-
-    Attributes
-    ----------
-    effort_weight_s2_m2
-        Seconds of travel that one second at 1 m/s is worth, in s^2/m^2.
-    cost_to_go
-        What the way beyond the horizon costs: ``geodesic`` (shortest way round the obstacles) or
-        ``connected`` (cheapest path at the outage price).
-    outage_price
-        What a metre that is certainly out of contact costs besides, in metres (a number).
-    outage_charge
-        Where that is charged: ``everywhere``, which is the expected cost, or ``below_p_min`` only.
     """
 
+    # Seconds of travel that one second at 1 m/s is worth, in s^2/m^2
     effort_weight_s2_m2: float = 0.1
+    # What the way beyond the horizon costs: geodesic (shortest way round the obstacles) or
+    # connected (cheapest path at the outage price)
     cost_to_go: CostToGo = "connected"
+    # What a metre that is certainly out of contact costs besides, in metres (a number)
     outage_price: float = 10.0
+    # Where that is charged: everywhere, which is the expected cost, or below_p_min only
     outage_charge: OutageCharge = "everywhere"
 
     @property
@@ -61,15 +54,9 @@ class ReachObjective:
 
 @dataclass(frozen=True)
 class TermsObjective:
-    """A weighted sum of named terms over the horizon, to be maximised.
+    """A weighted sum of named terms over the horizon, to be maximised."""
 
-    Attributes
-    ----------
-    terms
-        At least one; the first is the task's.
-    """
-
-    terms: tuple[Term, ...]
+    terms: tuple[Term, ...]  # At least one; the first is the task's
 
 
 Task = Literal["reach", "track", "learn", "map", "connect", "custom"]

@@ -22,14 +22,7 @@ DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Tables of the TOML file `path`.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, is not UTF-8, is larger than `LARGEST_TOML_BYTES`, or does not parse;
-        with the line where that is known.
-    """
+    """Tables of the TOML file `path`."""
     text = read_text(path, LARGEST_TOML_BYTES)
     deep = DEEP_KEY.search(text)
     if deep is not None:

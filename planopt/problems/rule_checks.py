@@ -14,14 +14,7 @@ MOST_PROBABLE_DRAWN = 0.9995
 
 
 def check_rule(problem: Problem) -> None:
-    """Raise what keeps a problem's rule of connectivity from being planned with.
-
-    Raises
-    ------
-    InputError
-        The task has no price for slack, a time is none at which a step of a run ends, or more data
-        are asked for than the link could deliver, or more surely than can be shown.
-    """
+    """Raise what keeps a problem's rule of connectivity from being planned with."""
     rule, planner = problem.constraints.rule, problem.planner
     if rule.connectivity == "data":
         _check_data(problem)

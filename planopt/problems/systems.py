@@ -28,25 +28,14 @@ ACTIONS = ("solve", "simulate")
 
 @dataclass(frozen=True)
 class Request:
-    """A request to a system.
+    """A request to a system."""
 
-    Attributes
-    ----------
-    seed
-        Of everything random.
-    horizons, planners
-        In place of the problem's own; empty for these. ``solve`` and ``simulate`` take one each.
-    on_step
-        Called after every step of a run.
-    animation
-        Whether a run is drawn as an animation as well.
-    """
-
-    seed: int = 0
+    seed: int = 0  # Of everything random
+    # In place of the problem's own; empty for these. solve and simulate take one each.
     horizons: Sequence[int] = ()
     planners: Sequence[str] = ()
-    on_step: Callable[[], None] = lambda: None
-    animation: bool = False
+    on_step: Callable[[], None] = lambda: None  # Called after every step of a run
+    animation: bool = False  # Whether a run is drawn as an animation as well
 
 
 AnyPlanner = TypeVar("AnyPlanner", bound=Table)
@@ -55,24 +44,7 @@ AnyPlanner = TypeVar("AnyPlanner", bound=Table)
 def asked_planners(
     own: AnyPlanner, request: Request, names: Sequence[str], with_horizon: Collection[str]
 ) -> list[AnyPlanner]:
-    """Return the planner tables that a request asks for, each name with each horizon.
-
-    Parameters
-    ----------
-    own
-        The problem's own table, with ``name`` and ``horizon``.
-    request
-        Names and horizons in place of its own.
-    names
-        All that there are.
-    with_horizon
-        Those that a horizon matters to; others have one.
-
-    Raises
-    ------
-    InputError
-        A name or a horizon is not allowed.
-    """
+    """Return the planner tables that a request asks for, each name with each horizon."""
     table = own.model_dump(include={"name", "horizon"})
     asked, horizons = request.planners or (table["name"],), request.horizons or (table["horizon"],)
     for name in asked:
@@ -94,36 +66,17 @@ def asked_planners(
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """The answer of a system.
+    """The answer of a system."""
 
-    Attributes
-    ----------
-    result
-        For Python: an object of the system's own.
-    data
-        The JSON object, without the problem.
-    words
-        Lines for people.
-    exit_code
-        0 verified, 3 not verified, 4 no plan or not reached.
-    save
-        Writes files beside the JSON file into a folder.
-    draw
-        Draws pictures into a folder; None for none.
-    failure
-        Why there is no result, if there is none.
-    step_s
-        Wall time of each step of a run, for comparisons.
-    """
-
-    result: Any
-    data: dict[str, Any]
-    words: tuple[str, ...]
-    exit_code: int
+    result: Any  # For Python: an object of the system's own
+    data: dict[str, Any]  # The JSON object, without the problem
+    words: tuple[str, ...]  # Lines for people
+    exit_code: int  # 0 verified, 3 not verified, 4 no plan or not reached
+    # Writes files beside the JSON file into a folder
     save: Callable[[Path], None] = lambda folder: None
-    draw: Callable[[Path], None] | None = None
-    failure: NoPlanError | None = None
-    step_s: Sequence[float] = ()
+    draw: Callable[[Path], None] | None = None  # Draws pictures into a folder; None for none
+    failure: NoPlanError | None = None  # Why there is no result, if there is none
+    step_s: Sequence[float] = ()  # Wall time of each step of a run, for comparisons
 
     def __repr__(self) -> str:
         """Return the words for people."""
@@ -132,43 +85,28 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """A kind of problems.
+    """A kind of problems."""
 
-    Attributes
-    ----------
-    model
-        The tables of its problem files; ``problem`` among them has name and description.
-    build
-        From validated tables and the folder that relative file names start at, to what
-        ``content`` of a problem is. Raises InputError for what the tables alone do not show.
-    tables
-        A problem in full as JSON-serialisable tables that can be read without other files.
-    words
-        A problem in lines of text.
-    files
-        Names of the files that answers write beside the JSON file, pictures included.
-    solve, simulate
-        Answer a request; None for what the task has not.
-    settings
-        Horizon and planner of each run that a comparison makes of a request, each once: horizons
-        count only for planners that have them. None if runs cannot be compared.
-    animates
-        Whether runs are drawn as an animation when that is asked for.
-    check
-        Judge a saved answer from its JSON file, what that says and its problem: reasons against
-        it, none if it holds.
-    """
-
+    # The tables of its problem files; problem among them has name and description
     model: type[Table]
+    # From validated tables and the folder that relative file names start at, to what content of a
+    # problem is. Raises InputError for what the tables alone do not show.
     build: Callable[[Any, Path], Any]
+    # A problem in full as JSON-serialisable tables that can be read without other files
     tables: Callable[[SystemProblem], dict[str, Any]]
-    words: Callable[[SystemProblem], tuple[str, ...]]
+    words: Callable[[SystemProblem], tuple[str, ...]]  # A problem in lines of text
+    # Names of the files that answers write beside the JSON file, pictures included
     files: tuple[str, ...]
+    # Judge a saved answer from its JSON file, what that says and its problem: reasons against it,
+    # none if it holds
     check: Callable[[Path, Mapping[str, Any], SystemProblem], list[str]]
+    # Answer a request; None for what the task has not
     solve: Callable[[SystemProblem, Request], Answer] | None = None
     simulate: Callable[[SystemProblem, Request], Answer] | None = None
+    # Horizon and planner of each run that a comparison makes of a request, each once: horizons
+    # count only for planners that have them. None if runs cannot be compared.
     settings: Callable[[SystemProblem, Request], Sequence[tuple[int, str]]] | None = None
-    animates: bool = False
+    animates: bool = False  # Whether runs are drawn as an animation when that is asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,23 +199,7 @@ class SystemProblem:
 
 
 def load_any(path_or_name: Path | str) -> Problem | SystemProblem:
-    """Load a problem of any kind.
-
-    Parameters
-    ----------
-    path_or_name
-        The path of a TOML file, or the name of a library problem such as ``munich_courier``.
-
-    Returns
-    -------
-    Problem | SystemProblem
-        A motion planning problem, or one of a task in :data:`SYSTEMS`.
-
-    Raises
-    ------
-    InputError
-        As :func:`planopt.problems.load.load`.
-    """
+    """Load a problem of any kind."""
     path = find_problem(path_or_name)
     found = system_from_tables(read_toml(path), folder=path.absolute().parent, file=path)
     return load_motion(path) if found is None else found
@@ -314,22 +236,7 @@ def system_of(task: str | None) -> System | None:
 
 
 def system_from_tables(data: object, *, folder: Path, file: Path | None) -> SystemProblem | None:
-    """Return the problem in tables, validated; None if its task is no system's.
-
-    Parameters
-    ----------
-    data
-        Tables as ``tomllib`` or ``json`` give them.
-    folder
-        Relative file names start here.
-    file
-        Where they came from, for messages.
-
-    Raises
-    ------
-    InputError
-        A key is unknown, or a value is not allowed.
-    """
+    """Return the problem in tables, validated; None if its task is no system's."""
     system = system_of(task_of_system(data))
     if system is None:
         return None
@@ -341,13 +248,7 @@ def system_from_tables(data: object, *, folder: Path, file: Path | None) -> Syst
 
 
 def judge_saved(file: Path, data: Mapping[str, Any]) -> list[str] | None:
-    """Return reasons against a saved answer; None if its problem is no system's.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read.
-    """
+    """Return reasons against a saved answer; None if its problem is no system's."""
     tables = data.get("problem_file")
     problem = system_from_tables(tables, folder=file.absolute().parent, file=file)
     return None if problem is None else problem.system.check(file, data, problem)

@@ -47,15 +47,7 @@ Data = TypeVar("Data")
 
 
 class TableOf:
-    """Marks a place of the schema where a table describes a dataclass.
-
-    Parameters
-    ----------
-    data
-        The dataclass.
-    name
-        Name of the table in the schema.
-    """
+    """Marks a place of the schema where a table describes a dataclass."""
 
     def __init__(self, data: type[Any], name: str) -> None:
         self._data, self._name = data, name
@@ -76,17 +68,7 @@ class TableOf:
 
 @lru_cache(maxsize=64)
 def table_of(data: type[Any], name: str, kind: Any = None, summary: str = "") -> type[BaseModel]:
-    """Return the table whose keys are the fields of a dataclass.
-
-    Parameters
-    ----------
-    data
-        The dataclass.
-    name
-        Name of the table in the schema.
-    kind, summary
-        Type and description of a key ``kind`` that the table has besides; None for none.
-    """
+    """Return the table whose keys are the fields of a dataclass."""
     hints = get_type_hints(data, include_extras=True)
     keys: dict[str, Any] = {}
     if kind is not None:

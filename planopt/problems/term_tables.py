@@ -47,13 +47,7 @@ ANY_TERM = AnyTerm()
 
 
 def read_term(value: object) -> Term:
-    """Return the term that a table describes.
-
-    Raises
-    ------
-    ValidationError
-        Its location begins with the kind, where that is known.
-    """
+    """Return the term that a table describes."""
     table = _adapter_of(registered_terms()).validate_python(value)
     kinds = {term.kind: term for term in registered_terms()}
     chosen = kinds[table.kind]

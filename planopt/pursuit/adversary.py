@@ -33,20 +33,12 @@ class AdversarialRecords:
     Of all records whose age and error are within the bounds at the distance of the pursuer from the
     place sampled, it gives the one that leaves the evader farthest from the reported place when the
     pursuer comes there, if the evader goes on as it did last.
-
-    Attributes
-    ----------
-    bounds
-        What must hold.
-    chase
-        The speeds.
-    in_order
-        Whether no record is older than the last one. Without it the pursuer may be sent back along
-        the trail, unless it keeps rule R itself.
     """
 
-    bounds: ServiceBounds
-    chase: Chase
+    bounds: ServiceBounds  # What must hold
+    chase: Chase  # The speeds
+    # Whether no record is older than the last one. Without it the pursuer may be sent back along
+    # the trail, unless it keeps rule R itself.
     in_order: bool = True
 
     def record(
@@ -82,20 +74,12 @@ class Escape:
 
     In each stage the report is off in a direction that makes this angle with that to the evader,
     and the evader runs straight the other way until the pursuer has come there.
-
-    Attributes
-    ----------
-    angle_rad
-        Between the error and the direction from the pursuer to the evader.
-    growth
-        Distance at the end of a stage over that at its start, at least 1.
-    nearest_share
-        Least distance during a stage over that at its start: whatever captures within less of the
-        first distance never does.
     """
 
-    angle_rad: float
-    growth: float
+    angle_rad: float  # Between the error and the direction from the pursuer to the evader
+    growth: float  # Distance at the end of a stage over that at its start, at least 1
+    # Least distance during a stage over that at its start: whatever captures within less of the
+    # first distance never does
     nearest_share: float
 
 
@@ -105,24 +89,6 @@ def find_escape(speed_ratio: float, relative_error: float) -> Escape:
     The distance grows by ``kappa + sqrt(1 + 2 kappa cos phi + kappa^2) / alpha`` in a stage, which
     is a for phi = 0. There the paths cross; at a small angle they do not, so that there is an
     escape whenever ``a > 1``.
-
-    Parameters
-    ----------
-    speed_ratio
-        alpha, above 1.
-    relative_error
-        kappa.
-
-    Raises
-    ------
-    InputError
-        a is at most 1, so that no evader escapes.
-
-    Examples
-    --------
-    >>> escape = find_escape(speed_ratio=1.2, relative_error=0.2)
-    >>> round(escape.growth, 3), round(escape.nearest_share, 3)
-    (1.0, 0.805)
     """
     require_number(speed_ratio, "speed_ratio", above=1.0)
     require_number(relative_error, "relative_error", least=0.0)

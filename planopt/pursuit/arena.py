@@ -44,27 +44,12 @@ GOLDEN, NARROWINGS = 0.5 * (math.sqrt(5.0) - 1.0), 34
 
 @dataclass(frozen=True)
 class Arena:
-    """Free space of a pursuit.
+    """Free space of a pursuit."""
 
-    Attributes
-    ----------
-    bounds_m
-        ``(x_min, y_min, x_max, y_max)``; None for open space.
-    obstacles
-        What nobody may enter; None for nothing.
-    clearance_m
-        How far everybody stays away from obstacles.
-
-    Raises
-    ------
-    InputError
-        There are obstacles without bounds or without a positive clearance, or more corners than
-        shortest paths are looked for among.
-    """
-
+    # (x_min, y_min, x_max, y_max); None for open space
     bounds_m: tuple[float, float, float, float] | None = None
-    obstacles: ObstacleIndex | None = None
-    clearance_m: float = 0.0
+    obstacles: ObstacleIndex | None = None  # What nobody may enter; None for nothing
+    clearance_m: float = 0.0  # How far everybody stays away from obstacles
 
     def __post_init__(self) -> None:
         if self.obstacles is not None and self.bounds_m is None:

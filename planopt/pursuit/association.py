@@ -26,22 +26,11 @@ from planopt.pursuit.service import SnapshotService, require_number
 
 @dataclass(frozen=True)
 class Detector:
-    """The detection probabilities of the motes.
+    """The detection probabilities of the motes."""
 
-    Attributes
-    ----------
-    miss_probability
-        That an object is not detected at an instant, each instant on its own.
-    false_alarms
-        Expected number of them on the whole grid at an instant, Poisson and uniform.
-
-    Raises
-    ------
-    InputError
-        A probability is not below 1, or a number is negative.
-    """
-
+    # That an object is not detected at an instant, each instant on its own
     miss_probability: float = 0.0
+    # Expected number of them on the whole grid at an instant, Poisson and uniform
     false_alarms: float = 0.0
 
     def __post_init__(self) -> None:
@@ -53,46 +42,23 @@ class Detector:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Everything that the grid detected.
+    """Everything that the grid detected."""
 
-    Attributes
-    ----------
-    sampled_s
-        ``(k,)`` instants, ascending.
-    positions_m
-        ``(k, 2)``.
-    objects
-        ``(k,)`` which object it is, -1 for false alarms: for whoever keeps score.
-    """
-
-    sampled_s: NDArray[np.float64]
-    positions_m: NDArray[np.float64]
+    sampled_s: NDArray[np.float64]  # (k,) instants, ascending
+    positions_m: NDArray[np.float64]  # (k, 2)
+    # (k,) which object it is, -1 for false alarms: for whoever keeps score
     objects: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Reports:
-    """Reports of unknown origin.
+    """Reports of unknown origin."""
 
-    Attributes
-    ----------
-    sampled_s
-        ``(k,)`` when they were sampled.
-    reported_m
-        ``(k, 2)`` centres of sub-cells.
-    errors_m
-        ``(k,)`` how far off they are at most.
-    levels
-        ``(k,)``.
-    numbers
-        ``(k,)`` of the detections that they report.
-    """
-
-    sampled_s: NDArray[np.float64]
-    reported_m: NDArray[np.float64]
-    errors_m: NDArray[np.float64]
-    levels: NDArray[np.int64]
-    numbers: NDArray[np.int64]
+    sampled_s: NDArray[np.float64]  # (k,) when they were sampled
+    reported_m: NDArray[np.float64]  # (k, 2) centres of sub-cells
+    errors_m: NDArray[np.float64]  # (k,) how far off they are at most
+    levels: NDArray[np.int64]  # (k,)
+    numbers: NDArray[np.int64]  # (k,) of the detections that they report
 
     def __len__(self) -> int:
         return len(self.sampled_s)
@@ -105,21 +71,7 @@ def draw_detections(
     times_s: tuple[float, float],
     generator: np.random.Generator,
 ) -> Detections:
-    """Draw what is detected at every instant from the first to the last time.
-
-    Parameters
-    ----------
-    service
-        The grid; its level-0 rounds sample at all instants.
-    tracks
-        The objects.
-    detector
-        How well it detects.
-    times_s
-        First and last time.
-    generator
-        Source of misses and false alarms.
-    """
+    """Draw what is detected at every instant from the first to the last time."""
     first, last = (int(np.floor(time_s / service.periods_s[0])) for time_s in times_s)
     instants_s = np.arange(first, last + 1) * service.periods_s[0]
     sampled, places, objects = [np.zeros(0)], [np.zeros((0, 2))], [np.zeros(0, dtype=np.int64)]
@@ -143,25 +95,8 @@ def draw_detections(
 def reports_at(
     service: SnapshotService, detections: Detections, mote: NDArray[np.int64], time_s: float
 ) -> Reports:
-    """Return what the last completed rounds tell a mote.
-
-    Parameters
-    ----------
-    service
-        The grid.
-    detections
-        Everything detected.
-    mote
-        ``(2,)`` column and row.
-    time_s
-        Now.
-
-    Returns
-    -------
-    Reports
-        From coarse to fine, old to new. What levels that share an instant both tell comes from the
-        finer one.
-    """
+    """Return what the last completed rounds tell a mote."""
+    # Shapes: mote (2,).
     found: dict[int, int] = {}
     instants_s = service.sample_numbers(time_s) * service.periods_s
     # A thousandth of a round off is another number's rounding, not another instant.
@@ -208,24 +143,13 @@ def merge_reports(first: Reports, second: Reports) -> Reports:
 
 @dataclass(frozen=True)
 class AssociationModel:
-    """The assumptions about evaders and detection.
+    """The assumptions about evaders and detection."""
 
-    Attributes
-    ----------
-    speed_max_m_s
-        No evader is faster.
-    detector
-        Misses and false alarms.
-    area_m2
-        Where false alarms are spread.
-    periods_s
-        ``(L + 1,)`` time between the samples of each level. A link that skips instants at which
-        both its levels sample says that the evader was missed there.
-    """
-
-    speed_max_m_s: float
-    detector: Detector
-    area_m2: float
+    speed_max_m_s: float  # No evader is faster
+    detector: Detector  # Misses and false alarms
+    area_m2: float  # Where false alarms are spread
+    # (L + 1,) time between the samples of each level. A link that skips instants at which both its
+    # levels sample says that the evader was missed there.
     periods_s: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -247,27 +171,8 @@ def associate(
     starts_error_m: NDArray[np.float64],
     model: AssociationModel,
 ) -> NDArray[np.int64]:
-    """Return which evader each report belongs to, -1 for none: the most likely chains together.
-
-    Parameters
-    ----------
-    reports
-        In the order of their sample times.
-    starts_s, starts_m, starts_error_m
-        ``(n,)``, ``(n, 2)`` and ``(n,)`` when and where each evader was last known to be, and how
-        far off that may be.
-    model
-        What is assumed.
-
-    Returns
-    -------
-    (k,) array
-
-    Raises
-    ------
-    InputError
-        Shapes do not belong together.
-    """
+    """Return which evader each report belongs to, -1 for none: the most likely chains together."""
+    # Shapes: starts_s, starts_m, starts_error_m (n,).
     count = len(starts_s)
     if starts_m.shape != (count, 2) or starts_error_m.shape != (count,):
         raise InputError(

@@ -41,13 +41,7 @@ ELASTICITY_STEP = 1e-5
 
 
 class NoDesignError(NoPlanError):
-    """No network meets the requirement.
-
-    Attributes
-    ----------
-    inequality, bits_per_axis
-        Of all numbers of bits, that with which most holds, and what fails with it.
-    """
+    """No network meets the requirement."""
 
     def __init__(self, inequality: Inequality, bits_per_axis: int) -> None:
         self.inequality, self.bits_per_axis = inequality, bits_per_axis
@@ -56,34 +50,14 @@ class NoDesignError(NoPlanError):
 
 @dataclass(frozen=True)
 class DesignTask:
-    """A pursuit to be served.
+    """A pursuit to be served."""
 
-    Attributes
-    ----------
-    network
-        Motes and radios.
-    chase
-        Speeds.
-    margin
-        delta: by how much ``a + x`` stays below 1.
-    bits_per_axis
-        c; None to choose it.
-    first_distance_m
-        From the pursuer to where the evader is sampled first.
-    capture_radius_m, deadline_s
-        How near and by when the evader is to be caught; None for no such requirement.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-    """
-
-    network: MoteNetwork
-    chase: Chase
-    margin: float = 0.01
-    bits_per_axis: int | None = None
-    first_distance_m: float | None = None
+    network: MoteNetwork  # Motes and radios
+    chase: Chase  # Speeds
+    margin: float = 0.01  # delta: by how much a + x stays below 1
+    bits_per_axis: int | None = None  # c; None to choose it
+    first_distance_m: float | None = None  # From the pursuer to where the evader is sampled first
+    # How near and by when the evader is to be caught; None for no such requirement
     capture_radius_m: float | None = None
     deadline_s: float | None = None
 
@@ -113,28 +87,17 @@ class DesignTask:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A network for a pursuit.
-
-    Attributes
-    ----------
-    slot_width_s, rate_divisor, bits_per_axis
-        s_w, r and c.
-    cost_w
-        What the network draws.
-    binding
-        Requirements that keep it from costing less: ``lemma``, ``payload``, ``deadline``,
-        ``capture_radius`` or a theorem's name.
-    guarantees
-        What each theorem says of the pursuit in this network.
-    """
+    """A network for a pursuit."""
 
     task: DesignTask
-    slot_width_s: float
+    slot_width_s: float  # s_w, r and c
     rate_divisor: int
     bits_per_axis: int
-    cost_w: float
+    cost_w: float  # What the network draws
+    # Requirements that keep it from costing less: lemma, payload, deadline, capture_radius or a
+    # theorem's name
     binding: tuple[str, ...]
-    guarantees: dict[Theorem, Guarantee]
+    guarantees: dict[Theorem, Guarantee]  # What each theorem says of the pursuit in this network
 
     @property
     def capture_time_s(self) -> float:
@@ -154,18 +117,6 @@ def cheapest_design(task: DesignTask) -> Design:
 
     For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power falls with the
     width.
-
-    Raises
-    ------
-    NoDesignError
-        No slot is wide enough for its payload and narrow enough for the Lemma.
-
-    Examples
-    --------
-    >>> network = MoteNetwork(6, 1.0, 250e3, 64, 16, 1e-6)
-    >>> found = cheapest_design(DesignTask(network, Chase(1.0, 2.0), margin=0.0))
-    >>> found.bits_per_axis, round(found.cost_w, 4)
-    (6, 24.2876)
     """
     return _scan(task, partial(_lemma_candidate, task))
 
@@ -175,11 +126,6 @@ def cheapest_rated_design(task: DesignTask) -> Design:
 
     Ages are then at most ``6 (1 + r) eta_s s_w`` frames a spacing: short slots and slow rounds
     cost up to half as much as long slots, if motes sleep in between.
-
-    Raises
-    ------
-    NoDesignError
-        As of :func:`cheapest_design`.
     """
     return _scan(task, partial(_rated_candidate, task))
 
@@ -189,13 +135,6 @@ def least_energy_design(task: DesignTask) -> Design:
 
     Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``: for each c least at half of
     the Lemma's slot width, if the payload fits and the deadline, if there is one, is met.
-
-    Raises
-    ------
-    InputError
-        The task has no first distance.
-    NoDesignError
-        As of :func:`cheapest_design`.
     """
     _first_distance_m(task)
     return _scan(task, partial(_energy_candidate, task), lambda design: design.energy_per_capture_j)
@@ -206,13 +145,6 @@ def sharp_design(task: DesignTask, theorem: Theorem = Theorem.SAMPLED_DISTANCE) 
 
     Within the deadline the evader is in the capture radius, floors included. All bounds grow with
     the slot, so that the widest is found by halving.
-
-    Raises
-    ------
-    InputError
-        The task lacks a first distance, a capture radius or a deadline.
-    NoDesignError
-        Even the slot that just carries its payload is too wide.
     """
     for key in ("first_distance_m", "capture_radius_m", "deadline_s"):
         if getattr(task, key) is None:
@@ -225,18 +157,6 @@ def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]
 
     Both are the Lemma's. Deadlines that no design meets are left out, and so are designs that
     another one beats in both.
-
-    Parameters
-    ----------
-    task
-        With a first distance.
-    deadlines_s
-        Bounds of the time to capture.
-
-    Raises
-    ------
-    InputError
-        The task has no first distance.
     """
     _first_distance_m(task)
     found: list[Design] = []
@@ -258,15 +178,6 @@ def sensitivities(
     """Return by how many per cent the optimum changes with one per cent more of a quantity.
 
     The number of bits stays that of the optimum.
-
-    Parameters
-    ----------
-    task
-        Of the optimum.
-    solve
-        :func:`cheapest_design` or another one whose slots change smoothly.
-    worth
-        What it minimises.
     """
     fixed = replace(task, bits_per_axis=solve(task).bits_per_axis)
     chase, network = fixed.chase, fixed.network

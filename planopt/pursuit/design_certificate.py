@@ -18,18 +18,10 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Requirement:
-    """An inequality that a design must meet.
+    """An inequality that a design must meet."""
 
-    Attributes
-    ----------
-    inequality
-        Which.
-    strict
-        Whether equality is a failure. Loads and margins may be met exactly.
-    """
-
-    inequality: Inequality
-    strict: bool = True
+    inequality: Inequality  # Which
+    strict: bool = True  # Whether equality is a failure. Loads and margins may be met exactly.
 
     @property
     def holds(self) -> bool:
@@ -51,17 +43,7 @@ def certify(
     rate_divisor: int,
     bits_per_axis: int,
 ) -> tuple[Requirement, ...]:
-    """Return every requirement on a network of these numbers, met or not.
-
-    Parameters
-    ----------
-    task
-        What is asked for. The margin counts for the Lemma where no capture radius is given.
-    theorem
-        What the guarantee rests on.
-    slot_width_s, rate_divisor, bits_per_axis
-        s_w, r and c.
-    """
+    """Return every requirement on a network of these numbers, met or not."""
     network, chase = task.network, task.chase
     payload = network.header_bits + network.slot_blocks * (network.record_bits + 2 * bits_per_axis)
     found = [

@@ -23,29 +23,15 @@ HEADINGS = 32
 
 @dataclass(frozen=True, eq=False)
 class EvaderView:
-    """The knowledge that an evader decides on.
+    """The knowledge that an evader decides on."""
 
-    Attributes
-    ----------
-    place_m, speed_m_s
-        Where it is, ``(2,)``, and how fast it may be.
-    pursuers_m, aims_m
-        ``(p, 2)`` where its pursuers are and where they drive to.
-    pursuer_speed_m_s
-        The fastest one's.
-    step_s
-        Until the next decision.
-    arena
-        Where it may go.
-    """
-
-    place_m: NDArray[np.float64]
+    place_m: NDArray[np.float64]  # Where it is, (2,), and how fast it may be
     speed_m_s: float
-    pursuers_m: NDArray[np.float64]
+    pursuers_m: NDArray[np.float64]  # (p, 2) where its pursuers are and where they drive to
     aims_m: NDArray[np.float64]
-    pursuer_speed_m_s: float
-    step_s: float
-    arena: Arena
+    pursuer_speed_m_s: float  # The fastest one's
+    step_s: float  # Until the next decision
+    arena: Arena  # Where it may go
 
 
 Decide = Callable[[EvaderView], NDArray[np.float64]]
@@ -71,15 +57,9 @@ class Static:
 
 @dataclass(frozen=True)
 class Wandering:
-    """It drives at full speed on a heading that turns at random.
+    """It drives at full speed on a heading that turns at random."""
 
-    Attributes
-    ----------
-    turn_std_rad
-        Standard deviation of its turn over a second.
-    """
-
-    turn_std_rad: float = 0.3
+    turn_std_rad: float = 0.3  # Standard deviation of its turn over a second
 
     def __post_init__(self) -> None:
         require_number(self.turn_std_rad, "turn_std_rad", least=0.0)
@@ -104,15 +84,9 @@ class Wandering:
 
 @dataclass(frozen=True)
 class Fleeing:
-    """It takes the step that leads farthest from the nearest pursuer, round obstacles.
+    """It takes the step that leads farthest from the nearest pursuer, round obstacles."""
 
-    Attributes
-    ----------
-    from_aims
-        Whether it flees from where its pursuers drive to instead.
-    """
-
-    from_aims: bool = False
+    from_aims: bool = False  # Whether it flees from where its pursuers drive to instead
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the greedy step."""
@@ -130,18 +104,10 @@ class Fleeing:
 
 @dataclass(frozen=True)
 class Zigzag:
-    """It flees from where its pursuers drive to, and turns to the other side ever so often.
+    """It flees from where its pursuers drive to, and turns to the other side ever so often."""
 
-    Attributes
-    ----------
-    period_s
-        Between turns.
-    angle_rad
-        To either side of straight away.
-    """
-
-    period_s: float
-    angle_rad: float = 1.0
+    period_s: float  # Between turns
+    angle_rad: float = 1.0  # To either side of straight away
 
     def __post_init__(self) -> None:
         require_number(self.period_s, "period_s", above=0.0)
@@ -165,23 +131,10 @@ class Zigzag:
 
 @dataclass(frozen=True)
 class Foresighted:
-    """It plans ahead: two legs that leave it farthest from pursuers that drive straight at it.
+    """It plans ahead: two legs that leave it farthest from pursuers that drive straight at it."""
 
-    Attributes
-    ----------
-    horizon
-        Steps that it plans.
-    plan_step_s
-        Length of one of them.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-    """
-
-    horizon: int
-    plan_step_s: float
+    horizon: int  # Steps that it plans
+    plan_step_s: float  # Length of one of them
 
     def __post_init__(self) -> None:
         require_count(self.horizon, "horizon", 1)

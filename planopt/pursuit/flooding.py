@@ -23,40 +23,22 @@ Part = tuple[slice, slice, slice, slice]
 
 @dataclass(frozen=True)
 class Flooding:
-    """The settings by which records spread.
+    """The settings by which records spread."""
 
-    Attributes
-    ----------
-    heads
-        Which mote is the head of a cell. From the first one, at the corner, the farthest mote of
-        the nine cells is ``2 * 2^j - 1`` hops away, and states come to it in ``2^j - 1`` hops; for
-        the middle one it is ``1.5 * 2^j`` and ``2^(j - 1)`` hops, which leaves a third of the round
-        to wait in.
-    border_relays
-        Whether motes at the edge of the nine cells send the record on as well. Nobody beyond them
-        needs it, but with lost hops they help others beside them.
-    slot_blocks
-        Blocks that fit into a slot; None for as many as there are.
-    repeats
-        In how many frames a mote sends each record that it floods.
-    gather_share
-        Share of a round's spare time in which heads wait for states that were not heard, instead
-        of leaving it to the flood.
-    hop_loss
-        Probability that a neighbour does not hear what a mote sends, each on its own. Hops to a
-        head are repeated until they are heard.
-
-    Raises
-    ------
-    InputError
-        `heads` is neither of both, `hop_loss` is no probability below 1, or a slot carries nothing.
-    """
-
+    # Which mote is the head of a cell. From the first one, at the corner, the farthest mote of the
+    # nine cells is 2 * 2^j - 1 hops away, and states come to it in 2^j - 1 hops; for the middle one
+    # it is 1.5 * 2^j and 2^(j - 1) hops, which leaves a third of the round to wait in.
     heads: Literal["first", "middle"] = "first"
+    # Whether motes at the edge of the nine cells send the record on as well. Nobody beyond them
+    # needs it, but with lost hops they help others beside them.
     border_relays: bool = True
-    slot_blocks: int | None = None
-    repeats: int = 1
+    slot_blocks: int | None = None  # Blocks that fit into a slot; None for as many as there are
+    repeats: int = 1  # In how many frames a mote sends each record that it floods
+    # Share of a round's spare time in which heads wait for states that were not heard, instead of
+    # leaving it to the flood
     gather_share: float = 0.0
+    # Probability that a neighbour does not hear what a mote sends, each on its own. Hops to a head
+    # are repeated until they are heard.
     hop_loss: float = 0.0
 
     def __post_init__(self) -> None:
@@ -75,28 +57,18 @@ class Flooding:
 
 @dataclass(frozen=True, eq=False)
 class FloodingRun:
-    """Counts from one start of the coarsest round to the next.
+    """Counts from one start of the coarsest round to the next."""
 
-    Attributes
-    ----------
-    frames
-        How many frames that is.
-    flood_blocks, gather_blocks
-        ``(L + 1,)`` blocks sent by all motes, by level: repeats of lost hops included.
-    motes_by_load
-        ``(most + 1,)`` in how many pairs of mote and frame so many blocks were sent.
-    due, late
-        ``(L + 1,)`` pairs of mote and record that a round owed, and those that missed its end.
-    states, missing
-        ``(L + 1,)`` states of motes sampled, and those that came too late to be flooded.
-    """
-
-    frames: int
+    frames: int  # How many frames that is
+    # (L + 1,) blocks sent by all motes, by level: repeats of lost hops included
     flood_blocks: NDArray[np.int64]
     gather_blocks: NDArray[np.int64]
+    # (most + 1,) in how many pairs of mote and frame so many blocks were sent
     motes_by_load: NDArray[np.int64]
+    # (L + 1,) pairs of mote and record that a round owed, and those that missed its end
     due: NDArray[np.int64]
     late: NDArray[np.int64]
+    # (L + 1,) states of motes sampled, and those that came too late to be flooded
     states: NDArray[np.int64]
     missing: NDArray[np.int64]
 
@@ -124,17 +96,6 @@ def flood_blocks_per_round(service: SnapshotService, border_relays: bool) -> NDA
     With n motes a side, s a cell's side and m cells a side, the nine cells of all records have
     ``(3 n - 2 s)^2`` motes on the grid, less than ``9 n^2`` as cells at the edge have fewer than
     eight neighbours; ``(3 n - 2 s - 2 m + 2)^2`` of them have somebody beyond them.
-
-    Parameters
-    ----------
-    service
-        The grid.
-    border_relays
-        As in :class:`Flooding`.
-
-    Returns
-    -------
-    (L + 1,) array
     """
     cell = 1 << np.arange(service.levels + 1)
     along = 3 * service.motes_per_side - 2 * cell
@@ -148,13 +109,6 @@ def mean_blocks_per_frame(border_relays: bool, levels: int | None = None) -> flo
 
     A level-j round of ``3 * 2^j`` frames has nine blocks a mote, ``(3 - 2^(1 - j))^2`` without
     those of the border: all levels together ``3 (2 - 2^-L) < 6``, or less than 2.2.
-
-    Parameters
-    ----------
-    border_relays
-        As in :class:`Flooding`.
-    levels
-        L; None for infinitely many.
     """
     last = 60 if levels is None else levels
     cell = np.exp2(np.arange(last + 1))
@@ -167,22 +121,7 @@ def simulate_flooding(
     flooding: Flooding,
     generator: np.random.Generator | None = None,
 ) -> FloodingRun:
-    """Run all levels from one common start to the next, frame by frame.
-
-    Parameters
-    ----------
-    service
-        The grid. Memory and time a frame grow as ``9 (L + 1) 4^L``.
-    flooding
-        How records spread.
-    generator
-        Source of losses; needed if there are any.
-
-    Raises
-    ------
-    InputError
-        Hops are lost, and a generator is missing.
-    """
+    """Run all levels from one common start to the next, frame by frame."""
     if generator is None:
         if flooding.hop_loss > 0.0:
             raise InputError("lost hops need a source of randomness", key="generator")

@@ -67,18 +67,10 @@ class Theorem(Enum):
 
 @dataclass(frozen=True)
 class Inequality:
-    """``left < right``.
+    """``left < right``."""
 
-    Attributes
-    ----------
-    words
-        What is compared.
-    left, right
-        Both sides, in `unit` ("" for ratios).
-    """
-
-    words: str
-    left: float
+    words: str  # What is compared
+    left: float  # Both sides, in `unit` ("" for ratios)
     right: float
     unit: str = ""
 
@@ -103,24 +95,12 @@ class Inequality:
 
 @dataclass(frozen=True)
 class Chase:
-    """A pursuer and an evader.
+    """A pursuer and an evader."""
 
-    Attributes
-    ----------
-    evader_speed_m_s, pursuer_speed_m_s
-        Largest speeds.
-    stage_delay_s
-        Time that a stage may take beyond straight driving and waiting: turning on the spot, and one
-        step of a control that acts in steps.
-
-    Raises
-    ------
-    InputError
-        A speed is not positive, the pursuer is no faster than the evader, or the delay is negative.
-    """
-
-    evader_speed_m_s: float
+    evader_speed_m_s: float  # Largest speeds
     pursuer_speed_m_s: float
+    # Time that a stage may take beyond straight driving and waiting: turning on the spot, and one
+    # step of a control that acts in steps
     stage_delay_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -148,30 +128,16 @@ class Chase:
 
 @dataclass(frozen=True, eq=False)
 class Guarantee:
-    """The guarantee of one theorem for a chase.
+    """The guarantee of one theorem for a chase."""
 
-    Attributes
-    ----------
-    theorem
-        Which.
-    inequalities
-        What it needs; it says nothing unless all hold.
-    ratio
-        Largest W of a stage over that of the stage before, far from the floor.
-    floor_m
-        Below which W need not fall; infinite unless all inequalities hold.
-    distances
-        Those that W counts.
-    """
-
-    theorem: Theorem
+    theorem: Theorem  # Which
     chase: Chase
     bounds: ServiceBounds
-    inequalities: tuple[Inequality, ...]
-    ratio: float
-    floor_m: float
+    inequalities: tuple[Inequality, ...]  # What it needs; it says nothing unless all hold
+    ratio: float  # Largest W of a stage over that of the stage before, far from the floor
+    floor_m: float  # Below which W need not fall; infinite unless all inequalities hold
     stages: tuple[Stage, ...]
-    distances: Distances = Distances.STRAIGHT
+    distances: Distances = Distances.STRAIGHT  # Those that W counts
 
     @property
     def holds(self) -> bool:
@@ -196,13 +162,6 @@ class Guarantee:
         A stage that begins with W takes no longer than its decrease of W times the largest time
         over decrease, which falls with W: the integral of that over W bounds the sum. Without
         floors it is constant, and the bound the W of the start times it.
-
-        Parameters
-        ----------
-        distance_m
-            From the pursuer to where the first record has the evader sampled.
-        capture_radius_m
-            Distance at which the evader is caught.
         """
         require_number(distance_m, "distance_m", least=0.0)
         require_number(capture_radius_m, "capture_radius_m", above=0.0)
@@ -237,24 +196,7 @@ class Guarantee:
 
 
 def guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Guarantee]:
-    """Return what each theorem says about a chase with a service of these bounds.
-
-    Parameters
-    ----------
-    chase
-        Speeds and delays.
-    bounds
-        What the service promises. Without `period_s_m` nothing is said of snapshots.
-
-    Examples
-    --------
-    >>> chase = Chase(evader_speed_m_s=1.0, pursuer_speed_m_s=2.0)
-    >>> found = guarantees(chase, ServiceBounds(age_s_m=0.4, relative_error=0.1))
-    >>> {theorem.value: bool(found[theorem].holds) for theorem in found}
-    {'lemma': False, 'any_instant': True, 'sampled_distance': True}
-    >>> print(*found[Theorem.LEMMA].inequalities)
-    a + x below 1: 1.05 < 1 fails by 0.05
-    """
+    """Return what each theorem says about a chase with a service of these bounds."""
     found = [
         _lemma(chase, bounds),
         _any_instant(chase, bounds),
@@ -274,28 +216,6 @@ def guarantees_among_obstacles(
     they are, and its errors times the detour factor. With straight distances its errors hold, and
     the pursuer comes nearer as slowly as its speed over the factor. Either will do; the second one
     is missing if the evader is as fast as that.
-
-    Parameters
-    ----------
-    chase, bounds
-        As in open space; stages take time at every corner as well.
-    detour
-        The largest length of a shortest path over that of the straight line.
-
-    Raises
-    ------
-    InputError
-        The factor is below 1.
-
-    Examples
-    --------
-    >>> chase = Chase(evader_speed_m_s=1.0, pursuer_speed_m_s=3.0)
-    >>> bounds = ServiceBounds(age_s_m=0.4, relative_error=0.05)
-    >>> found = guarantees_among_obstacles(chase, bounds, detour=2.0)
-    >>> for distances, each in found.items():
-    ...     print(distances.value, *each[Theorem.SAMPLED_DISTANCE].inequalities)
-    paths a below 1: 0.6 < 1 holds by 0.4
-    straight a below 1: 0.833333 < 1 holds by 0.1667
     """
     require_number(detour, "detour", least=1.0)
     found: dict[Distances, dict[Theorem, Guarantee]] = {}

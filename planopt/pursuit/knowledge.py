@@ -21,17 +21,10 @@ class Track:
     """The track of an object: straight and even between the given times.
 
     Before the first time it stood at its first position, after the last it stands at the last.
-
-    Attributes
-    ----------
-    times_s
-        ``(n,)`` ascending.
-    positions_m
-        ``(n, 2)``.
     """
 
-    times_s: NDArray[np.float64]
-    positions_m: NDArray[np.float64]
+    times_s: NDArray[np.float64]  # (n,) ascending
+    positions_m: NDArray[np.float64]  # (n, 2)
 
     def at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the position at each time (...); ``(..., 2)``."""
@@ -41,26 +34,14 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The last completed round of each level, for one object.
-
-    Attributes
-    ----------
-    time_s
-        When it is asked for.
-    sampled_s
-        ``(L + 1,)`` when each level sampled.
-    sampled_m, reported_m
-        ``(L + 1, 2)`` where the object was then, and what is reported.
-    cells
-        ``(L + 1, 2)`` the object's cell of each level then, column and row.
-    """
+    """The last completed round of each level, for one object."""
 
     service: SnapshotService
-    time_s: float
-    sampled_s: NDArray[np.float64]
-    sampled_m: NDArray[np.float64]
+    time_s: float  # When it is asked for
+    sampled_s: NDArray[np.float64]  # (L + 1,) when each level sampled
+    sampled_m: NDArray[np.float64]  # (L + 1, 2) where the object was then, and what is reported
     reported_m: NDArray[np.float64]
-    cells: NDArray[np.int64]
+    cells: NDArray[np.int64]  # (L + 1, 2) the object's cell of each level then, column and row
 
     @property
     def ages_s(self) -> NDArray[np.float64]:
@@ -95,29 +76,7 @@ class Snapshot:
 
 
 def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
-    """Return what the motes know at `time_s` of the object that moved along `track`.
-
-    Parameters
-    ----------
-    service
-        The grid and its rounds.
-    track
-        Where the object was.
-    time_s
-        Now.
-
-    Raises
-    ------
-    InputError
-        The object was outside the grid at a sample.
-
-    Examples
-    --------
-    >>> service = SnapshotService(levels=3, mote_spacing_m=1.0, frame_s=0.01, bits_per_axis=2)
-    >>> still = Track(np.zeros(1), np.array([[1.5, 1.5]]))
-    >>> snapshot(service, still, 10.0).level_map()[0].tolist()
-    [0, 0, 0, 1, 2, 2, 2, 2]
-    """
+    """Return what the motes know at `time_s` of the object that moved along `track`."""
     sampled_s = service.sample_numbers(time_s) * service.periods_s
     sampled_m = track.at(sampled_s)
     on_grid = (sampled_m >= 0.0) & (sampled_m <= service.side_m)

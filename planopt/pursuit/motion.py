@@ -45,15 +45,9 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class StraightMotion:
-    """A single integrator: it turns and stops at will.
+    """A single integrator: it turns and stops at will."""
 
-    Attributes
-    ----------
-    speed_max_m_s
-        Largest speed.
-    """
-
-    speed_max_m_s: float
+    speed_max_m_s: float  # Largest speed
 
     def __post_init__(self) -> None:
         require_number(self.speed_max_m_s, "speed_max_m_s", above=0.0)
@@ -79,15 +73,9 @@ class StraightMotion:
 
 @dataclass(frozen=True)
 class UnicycleMotion:
-    """A unicycle that turns on the spot and drives straight, or drives an arc where that is sooner.
+    """A unicycle that turns on the spot and drives straight, or drives an arc if that is faster."""
 
-    Attributes
-    ----------
-    robot
-        Its limits.
-    """
-
-    robot: Unicycle
+    robot: Unicycle  # Its limits
 
     @property
     def speed_max_m_s(self) -> float:

@@ -21,47 +21,23 @@ from planopt.pursuit.service import (
 
 @dataclass(frozen=True)
 class MoteNetwork:
-    """Motes and their radios.
+    """Motes and their radios."""
 
-    Attributes
-    ----------
-    levels
-        L: there are ``4^L`` motes.
-    mote_spacing_m
-        Distance between neighbours.
-    bit_rate_bit_s
-        R: what a slot carries in its width.
-    header_bits, record_bits
-        Bits of a frame beside its blocks, and of a block beside the position in it.
-    energy_j_per_bit
-        What a sent bit costs, with those who hear it.
-    idle_w
-        What a mote draws all the time.
-    slots_per_frame
-        eta_s: slots of a TDMA frame, at least those of a colouring.
-    slot_blocks
-        Blocks that a slot must carry. Six is the mean load; slots so short break rounds
-        (:func:`planopt.pursuit.flooding.simulate_flooding`), so that what keeps them is asked for
-        here.
-    border_relays
-        Whether motes at the border of nine cells send records on.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-    """
-
-    levels: int
-    mote_spacing_m: float
-    bit_rate_bit_s: float
+    levels: int  # L: there are 4^L motes
+    mote_spacing_m: float  # Distance between neighbours
+    bit_rate_bit_s: float  # R: what a slot carries in its width
+    # Bits of a frame beside its blocks, and of a block beside the position in it
     header_bits: float
     record_bits: float
-    energy_j_per_bit: float
-    idle_w: float = 0.0
+    energy_j_per_bit: float  # What a sent bit costs, with those who hear it
+    idle_w: float = 0.0  # What a mote draws all the time
+    # eta_s: slots of a TDMA frame, at least those of a colouring
     slots_per_frame: int = slots_per_frame()
+    # Blocks that a slot must carry. Six is the mean load; slots so short break rounds
+    # (:func:`planopt.pursuit.flooding.simulate_flooding`), so that what keeps them is asked for
+    # here.
     slot_blocks: int = 6
-    border_relays: bool = True
+    border_relays: bool = True  # Whether motes at the border of nine cells send records on
 
     def __post_init__(self) -> None:
         require_count(self.levels, "levels", 1, MAX_LEVELS)

@@ -24,18 +24,10 @@ TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class RelaxedDesign:
-    """An optimum over continuous compression and rate.
+    """An optimum over continuous compression and rate."""
 
-    Attributes
-    ----------
-    cost_w
-        Its power: at most that of any design with whole numbers.
-    slot_width_s, rate_divisor, relative_error
-        s_w, r and kappa.
-    """
-
-    cost_w: float
-    slot_width_s: float
+    cost_w: float  # Its power: at most that of any design with whole numbers
+    slot_width_s: float  # s_w, r and kappa
     rate_divisor: float
     relative_error: float
 
@@ -43,22 +35,7 @@ class RelaxedDesign:
 def relaxed_design(
     task: DesignTask, *, rated: bool = False, bits_per_axis: float | None = None
 ) -> RelaxedDesign:
-    """Solve for slot width and compression of least power under the Lemma.
-
-    Parameters
-    ----------
-    task
-        What is asked for.
-    rated
-        Whether r is chosen as well, at least 1.
-    bits_per_axis
-        Keep the compression at so many bits; None to choose it.
-
-    Raises
-    ------
-    NoPlanError
-        The programme has no solution.
-    """
+    """Solve for slot width and compression of least power under the Lemma."""
     import cvxpy as cp
 
     network, chase = task.network, task.chase
@@ -95,18 +72,6 @@ def least_energy_slot_s(task: DesignTask, bits_per_axis: int) -> float:
     """Solve for the slot width of least energy per capture at so many bits, by the Lemma's bound.
 
     Energy is a constant times ``A / (s (q - p s)) + B / (q - p s)``, which is convex.
-
-    Parameters
-    ----------
-    task
-        What is asked for.
-    bits_per_axis
-        c.
-
-    Raises
-    ------
-    NoPlanError
-        The programme has no solution.
     """
     import cvxpy as cp
 
@@ -130,20 +95,6 @@ def sharp_slot_s(task: DesignTask, bits_per_axis: int) -> float:
 
     The capture radius must be above the floor, and the bound of the time to capture below the
     deadline; at a fixed number of bits both are linear in the slot.
-
-    Parameters
-    ----------
-    task
-        What is asked for, with first distance, capture radius and deadline.
-    bits_per_axis
-        c.
-
-    Raises
-    ------
-    InputError
-        The task lacks one of them.
-    NoPlanError
-        The programme has no solution.
     """
     import cvxpy as cp
 

@@ -22,22 +22,12 @@ ARRIVED_SHARE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PursuerView:
-    """The knowledge that a pursuer decides on.
+    """The knowledge that a pursuer decides on."""
 
-    Attributes
-    ----------
-    time_s, step_s
-        Now, and until the next decision.
-    state
-        Its own; x and y first.
-    ask
-        Returns what is known here and now.
-    """
-
-    time_s: float
+    time_s: float  # Now, and until the next decision
     step_s: float
-    state: NDArray[np.float64]
-    ask: Ask
+    state: NDArray[np.float64]  # Its own; x and y first
+    ask: Ask  # Returns what is known here and now
 
     @property
     def place_m(self) -> NDArray[np.float64]:
@@ -60,27 +50,13 @@ class Driver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Quest:
-    """The task that a driver is given at the start.
+    """The task that a driver is given at the start."""
 
-    Attributes
-    ----------
-    motion
-        How it moves.
-    evader_speed_m_s
-        No evader is faster.
-    capture_radius_m
-        At which the evader is caught.
-    arena
-        Where it may go.
-    generator
-        Source of randomness.
-    """
-
-    motion: Motion
-    evader_speed_m_s: float
-    capture_radius_m: float
-    arena: Arena
-    generator: np.random.Generator
+    motion: Motion  # How it moves
+    evader_speed_m_s: float  # No evader is faster
+    capture_radius_m: float  # At which the evader is caught
+    arena: Arena  # Where it may go
+    generator: np.random.Generator  # Source of randomness
 
 
 class Policy(Protocol):
@@ -93,19 +69,13 @@ class Policy(Protocol):
 
 @dataclass(frozen=True)
 class DriveToReport:
-    """Drive to the reported place, round obstacles.
+    """Drive to the reported place, round obstacles."""
 
-    Attributes
-    ----------
-    retarget
-        Whether any fresher record is taken at once. Otherwise the next one is taken on arrival, in
-        stages, which is what the guarantees are about.
-    in_order
-        Rule R: never replace a record by one with an older sample time; of equal ones take the
-        more exact. Without it whatever record is there is taken.
-    """
-
+    # Whether any fresher record is taken at once. Otherwise the next one is taken on arrival, in
+    # stages, which is what the guarantees are about.
     retarget: bool = False
+    # Rule R: never replace a record by one with an older sample time; of equal ones take the more
+    # exact. Without it whatever record is there is taken.
     in_order: bool = True
 
     def begin(self, quest: Quest) -> Driver:

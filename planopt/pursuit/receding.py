@@ -24,25 +24,11 @@ class RecedingHorizon:
     """Predict the evader N plan steps ahead, drive to the first place where it can be met.
 
     A plan is made anew with every fresher record, and once a plan step.
-
-    Attributes
-    ----------
-    horizon
-        N.
-    plan_step_s
-        Length of a plan step.
-    manoeuvre_s
-        Time in which an evader forgets its velocity.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
     """
 
-    horizon: int
-    plan_step_s: float
-    manoeuvre_s: float
+    horizon: int  # N
+    plan_step_s: float  # Length of a plan step
+    manoeuvre_s: float  # Time in which an evader forgets its velocity
 
     def __post_init__(self) -> None:
         require_count(self.horizon, "horizon", 1)
@@ -56,21 +42,11 @@ class RecedingHorizon:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Position and velocity of an evader at a time; axes are independent and alike.
+    """Position and velocity of an evader at a time; axes are independent and alike."""
 
-    Attributes
-    ----------
-    time_s
-        When.
-    mean
-        ``(2, 2)`` rows position [m] and velocity [m/s], a column an axis.
-    covariance
-        ``(2, 2)`` of position and velocity on each axis.
-    """
-
-    time_s: float
-    mean: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    time_s: float  # When
+    mean: NDArray[np.float64]  # (2, 2) rows position [m] and velocity [m/s], a column an axis
+    covariance: NDArray[np.float64]  # (2, 2) of position and velocity on each axis
 
 
 def predicted(estimate: Estimate, time_s: float, speed_m_s: float, manoeuvre_s: float) -> Estimate:

@@ -15,21 +15,11 @@ from planopt.pursuit.service import SnapshotService
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The record of an evader.
+    """The record of an evader."""
 
-    Attributes
-    ----------
-    sampled_s
-        When it was seen.
-    reported_m
-        ``(2,)`` where, as far as is told.
-    error_m
-        How far off that is at most.
-    """
-
-    sampled_s: float
-    reported_m: NDArray[np.float64]
-    error_m: float
+    sampled_s: float  # When it was seen
+    reported_m: NDArray[np.float64]  # (2,) where, as far as is told
+    error_m: float  # How far off that is at most
 
 
 class RecordSource(Protocol):
@@ -51,24 +41,11 @@ class RecordSource(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SnapshotRecords:
-    """Records of the mote that the pursuer stands at: the freshest level that shows the evader.
+    """Records of the mote that the pursuer stands at: the freshest level that shows the evader."""
 
-    Attributes
-    ----------
-    service
-        The grid.
-    lost
-        ``(L + 1, k)`` which rounds of each level have no report of the evader at the pursuer's
-        mote, because it was missed or hops were lost; round n is column n modulo k. None if none
-        are.
-
-    Raises
-    ------
-    InputError
-        `lost` does not have a row for every level.
-    """
-
-    service: SnapshotService
+    service: SnapshotService  # The grid
+    # (L + 1, k) which rounds of each level have no report of the evader at the pursuer's mote,
+    # because it was missed or hops were lost; round n is column n modulo k. None if none are.
     lost: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:

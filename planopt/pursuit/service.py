@@ -36,24 +36,14 @@ class ServiceBounds:
 
     Its age is at most ``max(age_s_m * d, age_floor_s)``, its error at most
     ``max(relative_error * d, error_floor_m)``.
-
-    Attributes
-    ----------
-    age_s_m
-        sigma: seconds of age a metre, latency and time since the last round together.
-    relative_error
-        kappa = 1/k: metres of error a metre.
-    age_floor_s, error_floor_m
-        What age and error may be however near the object is.
-    period_s_m
-        Seconds between rounds a metre, for services whose rounds are nested as those of
-        :class:`SnapshotService` are; None for others.
     """
 
-    age_s_m: float
-    relative_error: float
-    age_floor_s: float = 0.0
+    age_s_m: float  # sigma: seconds of age a metre, latency and time since the last round together
+    relative_error: float  # kappa = 1/k: metres of error a metre
+    age_floor_s: float = 0.0  # What age and error may be however near the object is
     error_floor_m: float = 0.0
+    # Seconds between rounds a metre, for services whose rounds are nested as those of
+    # :class:`SnapshotService` are; None for others
     period_s_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -65,38 +55,19 @@ class ServiceBounds:
 
 @dataclass(frozen=True)
 class SnapshotService:
-    """Snapshots on a grid of ``2^levels`` by ``2^levels`` motes.
+    """Snapshots on a grid of ``2^levels`` by ``2^levels`` motes."""
 
-    Attributes
-    ----------
-    levels
-        L: the one cell of level L is the whole grid.
-    mote_spacing_m
-        Distance between neighbours. Mote (0, 0) stands half of it from both edges.
-    frame_s
-        A TDMA frame: slots a frame times slot width.
-    bits_per_axis
-        c: a cell's report tells positions to 2^-c of its side, but no finer than one mote.
-    hops_per_round
-        Frames of a level-0 round. More than the least, 3, leave time to repeat lost hops.
-    rate_divisor
-        r: a level's rounds start every r rounds' lengths.
-    endless
-        Whether the grid goes on beyond its edges, for pursuits in open space: cells of level L then
-        have neighbours too.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-    """
-
-    levels: int
+    levels: int  # L: the one cell of level L is the whole grid
+    # Distance between neighbours. Mote (0, 0) stands half of it from both edges.
     mote_spacing_m: float
-    frame_s: float
+    frame_s: float  # A TDMA frame: slots a frame times slot width
+    # c: a cell's report tells positions to 2^-c of its side, but no finer than one mote
     bits_per_axis: int
+    # Frames of a level-0 round. More than the least, 3, leave time to repeat lost hops.
     hops_per_round: int = HOPS_PER_ROUND
-    rate_divisor: int = 1
+    rate_divisor: int = 1  # r: a level's rounds start every r rounds' lengths
+    # Whether the grid goes on beyond its edges, for pursuits in open space: cells of level L then
+    # have neighbours too
     endless: bool = False
 
     def __post_init__(self) -> None:

@@ -28,74 +28,33 @@ STEP_PIECES = 4
 
 @dataclass(frozen=True, eq=False)
 class Pursuer:
-    """A pursuer.
+    """A pursuer."""
 
-    Attributes
-    ----------
-    start_m
-        ``(2,)``.
-    motion
-        How it moves.
-    policy
-        How it decides.
-    """
-
-    start_m: NDArray[np.float64]
-    motion: Motion
-    policy: Policy
+    start_m: NDArray[np.float64]  # (2,)
+    motion: Motion  # How it moves
+    policy: Policy  # How it decides
 
 
 @dataclass(frozen=True, eq=False)
 class Evader:
-    """An evader, a single integrator.
+    """An evader, a single integrator."""
 
-    Attributes
-    ----------
-    start_m
-        ``(2,)``.
-    speed_max_m_s
-        Largest speed.
-    behaviour
-        How it decides.
-    """
-
-    start_m: NDArray[np.float64]
-    speed_max_m_s: float
-    behaviour: Behaviour
+    start_m: NDArray[np.float64]  # (2,)
+    speed_max_m_s: float  # Largest speed
+    behaviour: Behaviour  # How it decides
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything about a pursuit but its randomness.
+    """Everything about a pursuit but its randomness."""
 
-    Attributes
-    ----------
-    pursuers, evaders
-        At least one of each.
-    source
-        Where pursuers have their records from.
-    capture_radius_m
-        An evader is caught once a pursuer is so near.
-    step_s
-        Everybody decides so often.
-    max_steps
-        It is given up after so many.
-    arena
-        Where it takes place.
-
-    Raises
-    ------
-    InputError
-        Nobody pursues or flees, or a number is out of range.
-    """
-
-    pursuers: tuple[Pursuer, ...]
+    pursuers: tuple[Pursuer, ...]  # At least one of each
     evaders: tuple[Evader, ...]
-    source: RecordSource
-    capture_radius_m: float
-    step_s: float
-    max_steps: int
-    arena: Arena = field(default_factory=Arena)
+    source: RecordSource  # Where pursuers have their records from
+    capture_radius_m: float  # An evader is caught once a pursuer is so near
+    step_s: float  # Everybody decides so often
+    max_steps: int  # It is given up after so many
+    arena: Arena = field(default_factory=Arena)  # Where it takes place
 
     def __post_init__(self) -> None:
         if not self.pursuers or not self.evaders:
@@ -109,26 +68,14 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Use:
-    """A record that a pursuer began to use.
+    """A record that a pursuer began to use."""
 
-    Attributes
-    ----------
-    pursuer, evader
-        Their numbers.
-    time_s, place_m
-        When and where.
-    record
-        What it was told.
-    sampled_m
-        ``(2,)`` where the evader truly was when it was sampled.
-    """
-
-    pursuer: int
+    pursuer: int  # Their numbers
     evader: int
-    time_s: float
+    time_s: float  # When and where
     place_m: NDArray[np.float64]
-    record: Record
-    sampled_m: NDArray[np.float64]
+    record: Record  # What it was told
+    sampled_m: NDArray[np.float64]  # (2,) where the evader truly was when it was sampled
 
     @property
     def age_s(self) -> float:
@@ -143,37 +90,18 @@ class Use:
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """The course of a pursuit.
+    """The course of a pursuit."""
 
-    Attributes
-    ----------
-    scene
-        Who pursued whom.
-    times_s
-        ``(n + 1,)``.
-    pursuers
-        For each, its states ``(n + 1, s)``.
-    evaders_m
-        ``(e, n + 1, 2)``; they stay where they are caught.
-    chased
-        ``(p, n)`` which evader each pursuer was after; -1 once all are caught.
-    aims_m
-        ``(p, n, 2)`` where each pursuer drove to in each step.
-    capture_s, captors
-        ``(e,)`` when each evader was caught, infinite if never, and by whom, -1 if by nobody.
-    uses
-        Records in the order in which pursuers began to use them.
-    """
-
-    scene: Scene
-    times_s: NDArray[np.float64]
-    pursuers: tuple[NDArray[np.float64], ...]
-    evaders_m: NDArray[np.float64]
-    chased: NDArray[np.int64]
-    aims_m: NDArray[np.float64]
+    scene: Scene  # Who pursued whom
+    times_s: NDArray[np.float64]  # (n + 1,)
+    pursuers: tuple[NDArray[np.float64], ...]  # For each, its states (n + 1, s)
+    evaders_m: NDArray[np.float64]  # (e, n + 1, 2); they stay where they are caught
+    chased: NDArray[np.int64]  # (p, n) which evader each pursuer was after; -1 once all are caught
+    aims_m: NDArray[np.float64]  # (p, n, 2) where each pursuer drove to in each step
+    # (e,) when each evader was caught, infinite if never, and by whom, -1 if by nobody
     capture_s: NDArray[np.float64]
     captors: NDArray[np.int64]
-    uses: tuple[Use, ...]
+    uses: tuple[Use, ...]  # Records in the order in which pursuers began to use them
 
     @property
     def outcome(self) -> str:
@@ -213,15 +141,6 @@ def simulate_pursuit(
     Each pursuer is after one evader until that is caught: first the pairs that are together the
     least apart by their first records, then whoever is free takes the nearest one that nobody is
     after, or the nearest at all.
-
-    Parameters
-    ----------
-    scene
-        Who pursues whom, and where.
-    generator
-        Source of all randomness.
-    on_step
-        Called after every step, for progress display.
     """
     return _Run(scene, generator, on_step).finish()
 

@@ -22,42 +22,22 @@ NOBODY = np.array([[0, 0], [-1, -1]])
 
 @dataclass(frozen=True)
 class Receiver:
-    """A pursuer that records are directed to.
+    """A pursuer that records are directed to."""
 
-    Attributes
-    ----------
-    track
-        Where it is: it announces its position at each sample.
-    speed_max_m_s
-        How far from there it may be until the record is replaced.
-    """
-
-    track: Track
-    speed_max_m_s: float
+    track: Track  # Where it is: it announces its position at each sample
+    speed_max_m_s: float  # How far from there it may be until the record is replaced
 
 
 @dataclass(frozen=True, eq=False)
 class Floods:
-    """Records of one object and level that are flooded.
+    """Records of one object and level that are flooded."""
 
-    Attributes
-    ----------
-    rounds
-        How many rounds were looked at.
-    sampled_s
-        ``(k,)`` when each was sampled.
-    cells
-        ``(k, 2)`` column and row of the cell whose record it is.
-    occupied
-        ``(k,)`` whether it tells that the object is in the cell, else that it left.
-    areas
-        ``(k, 2, 2)`` first and last column and row of the motes that send it once each.
-    """
-
-    rounds: int
-    sampled_s: NDArray[np.float64]
-    cells: NDArray[np.int64]
+    rounds: int  # How many rounds were looked at
+    sampled_s: NDArray[np.float64]  # (k,) when each was sampled
+    cells: NDArray[np.int64]  # (k, 2) column and row of the cell whose record it is
+    # (k,) whether it tells that the object is in the cell, else that it left
     occupied: NDArray[np.bool_]
+    # (k, 2, 2) first and last column and row of the motes that send it once each
     areas: NDArray[np.int64]
 
     @property
@@ -79,20 +59,6 @@ def record_floods(
     A record changes where the object's sub-cell does; where its cell does, that of the cell that it
     left changes too. Directed, it is also flooded where somebody is to be served who was not when
     it changed, and that the object left goes to all who were told that it was there.
-
-    Parameters
-    ----------
-    service
-        The grid. Motes at the border of the nine cells send as well.
-    track
-        Where the object is, from 0 on.
-    duration_s
-        Until when rounds start.
-    refresh_rounds
-        Flood the record of the object in every so manieth round even if it has not changed, for
-        motes that lost it; 1 for every round, None for never.
-    receiver
-        Flood only towards this pursuer; None for all motes of the nine cells.
     """
     require_number(duration_s, "duration_s", above=0.0)
     if refresh_rounds is not None:
@@ -131,11 +97,6 @@ def change_probability(share: float) -> float:
 
     Place and direction are uniform. For moves no longer than a side it is
     ``(4 share - share^2) / pi``.
-
-    Parameters
-    ----------
-    share
-        Length of the move over the square's side.
     """
     angles = (np.arange(4096) + 0.5) * (0.5 * np.pi / 4096)
     stays = np.maximum(0.0, 1.0 - share * np.cos(angles))
@@ -165,30 +126,14 @@ def expected_blocks_per_frame(service: SnapshotService, speed_m_s: float) -> flo
 def served_areas(
     service: SnapshotService,
     level: int,
-    cells: NDArray[np.int64],
-    sampled_s: NDArray[np.float64],
+    cells: NDArray[np.int64],  # (k, 2) cells of the records, column and row
+    sampled_s: NDArray[np.float64],  # (k,) when they are sampled
     receiver: Receiver,
 ) -> NDArray[np.int64]:
     """Return the motes that directed records of a level reach, as rectangles.
 
     A rectangle spans the head of the cell, its first mote, and those of the nine cells' motes where
     the receiver may be until the next round has ended. Paths in it are as short as on the grid.
-
-    Parameters
-    ----------
-    service, level
-        The grid and the level.
-    cells
-        ``(k, 2)`` cells of the records, column and row.
-    sampled_s
-        ``(k,)`` when they are sampled.
-    receiver
-        Whom they are for.
-
-    Returns
-    -------
-    (k, 2, 2) array
-        First and last column and row; the last is before the first where nobody is served.
     """
     lasts_s = service.rounds_s[level] + service.periods_s[level]
     reach_m = receiver.speed_max_m_s * lasts_s

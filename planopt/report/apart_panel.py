@@ -26,19 +26,9 @@ def draw_apart(
     panel: Panel,
     problem: Problem,
     motions: Sequence[TimedMotion],
-    t_s: NDArray[np.float64],
+    t_s: NDArray[np.float64],  # (n + 1,) when
 ) -> None:
-    """Draw the least distances during each step, and what must be kept.
-
-    Parameters
-    ----------
-    panel, problem
-        Where, and of what.
-    motions
-        Where each robot is, or is planned to be, over n steps from time 0 on.
-    t_s
-        ``(n + 1,)`` when.
-    """
+    """Draw the least distances during each step, and what must be kept."""
     lowest = 0.0
     curves: list[tuple[str, str, float, NDArray[np.float64]]] = []
     if len(motions) > 1:

@@ -32,13 +32,7 @@ SHOWN = 20
 
 
 def bench_text(data: Mapping[str, Any]) -> str:
-    """Return a report as plain text: scores, regressions, and what made the numbers.
-
-    Parameters
-    ----------
-    data
-        The JSON keys of ``planopt bench report``.
-    """
+    """Return a report as plain text: scores, regressions, and what made the numbers."""
     header = [
         *("planner", "cases", "solved [%]", "correct [%]", "verified [%]", "rejected", "errors"),
         *("fallback [%]", "median excess [%]", "largest excess [%]", "iterations", "mean [s]"),
@@ -94,15 +88,6 @@ def draw_bench(rows: Sequence[Row], best: Mapping[Question, float], manifest: Ma
 
     Four panels: the performance profile of times, the share of cases by how much worse their
     objective is than the best known, the rates, and the fallbacks that released plans.
-
-    Parameters
-    ----------
-    rows
-        All rows.
-    best
-        Best known objective of each question.
-    manifest
-        What made them.
     """
     from matplotlib.gridspec import GridSpec
 

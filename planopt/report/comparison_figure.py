@@ -67,26 +67,13 @@ WHOLE_RUN = "whole run"
 
 @dataclass(frozen=True)
 class Axis:
-    """The axis of the panels: the horizon, a swept key, or numbers of settings.
+    """The axis of the panels: the horizon, a swept key, or numbers of settings."""
 
-    Attributes
-    ----------
-    key
-        The swept key; None for the horizon or numbers.
-    label
-        With its unit.
-    several_problems
-        Whether series are told apart by problem.
-    names
-        Short names of the swept keys.
-    numbers
-        Of the settings, where these have different keys and stand side by side; else None.
-    """
-
-    key: str | None
-    label: str
-    several_problems: bool
-    names: Mapping[str, str]
+    key: str | None  # The swept key; None for the horizon or numbers
+    label: str  # With its unit
+    several_problems: bool  # Whether series are told apart by problem
+    names: Mapping[str, str]  # Short names of the swept keys
+    # Of the settings, where these have different keys and stand side by side; else None
     numbers: Mapping[Hashable, int] | None = None
 
     def place(self, one: RunSummary | Row) -> Any:

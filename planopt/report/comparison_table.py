@@ -138,15 +138,6 @@ def _paired(
     """Table of differences from the first setting, seed by seed, with their intervals.
 
     Those whose interval leaves out zero have a star. No line where there is no interval.
-
-    Parameters
-    ----------
-    settings
-        Rows by metric of each setting.
-    names
-        Headings and cells that name them.
-    metrics
-        Those that are shown.
     """
     known = [m for m in metrics if any(_difference(rows.get(m)) != MISSING for rows in settings)]
     if not known:

@@ -55,27 +55,14 @@ UNLINKED: dict[str, Any] = {"color": PURPLE, "marker": "x", "label": "no connect
 
 @dataclass(frozen=True, eq=False)
 class NetworkPicture:
-    """The run of a network that is drawn, and what it ran on.
+    """The run of a network that is drawn, and what it ran on."""
 
-    Attributes
-    ----------
-    name
-        Of the problem.
-    run, ground
-        What happened on what.
-    obstacles
-        Areas that agents may not enter.
-    events
-        What appeared.
-    radio
-        Links to base stations that agents are to keep; None for none.
-    """
-
-    name: str
-    run: NetworkRun
+    name: str  # Of the problem
+    run: NetworkRun  # What happened on what
     ground: Ground
-    obstacles: tuple[shapely.Polygon, ...]
-    events: tuple[Event, ...]
+    obstacles: tuple[shapely.Polygon, ...]  # Areas that agents may not enter
+    events: tuple[Event, ...]  # What appeared
+    # Links to base stations that agents are to keep; None for none
     radio: RadioLimits | None = None
 
     def links(self, step: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -203,20 +190,7 @@ def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]
 
 
 def animate_network(picture: NetworkPicture, path: Path) -> None:
-    """Write a GIF of a run: agents, their cells, events and teams.
-
-    Parameters
-    ----------
-    picture
-        What happened.
-    path
-        Ends in ``.gif``.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write a GIF of a run: agents, their cells, events and teams."""
     from matplotlib.collections import LineCollection
     from matplotlib.gridspec import GridSpec
 

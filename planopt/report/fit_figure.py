@@ -48,13 +48,7 @@ SHORT = {
 def draw_profiles(
     panels: Sequence[Panel], profiles: Sequence[Profile], fit: ChannelFit
 ) -> list[Artist]:
-    """Draw each profile with the 95 % cut, the set of values above it, and the fit's estimate.
-
-    Returns
-    -------
-    list[Artist]
-        For a legend of all panels.
-    """
+    """Draw each profile with the 95 % cut, the set of values above it, and the fit's estimate."""
     entries: list[Artist] = []
     for number, (panel, profile) in enumerate(zip(panels, profiles, strict=True)):
         name, (long_name, unit) = SHORT[profile.parameter], WORDS[profile.parameter]

@@ -102,23 +102,7 @@ def draw_layer(
     limits: tuple[float, float] | None = None,
     mark: float | None = None,
 ) -> None:
-    """Draw a raster below the obstacles, with its colour bar.
-
-    Parameters
-    ----------
-    panel, figure
-        Where.
-    raster
-        What; NaN stays blank.
-    colours
-        Name of the colour map.
-    label
-        Of the colour bar, with the unit.
-    limits
-        Ends of the colour scale; the raster's own if None.
-    mark
-        A value that is marked on the colour bar.
-    """
+    """Draw a raster below the obstacles, with its colour bar."""
     wide, high = raster.cell_m
     low, top = (None, None) if limits is None else limits
     layer = panel.imshow(
@@ -214,17 +198,7 @@ DARKEST, PALEST = 0.9, 0.3
 
 
 def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) -> list[Artist]:
-    """Draw where every moving obstacle is when, over the first `steps` steps; for a legend.
-
-    Parameters
-    ----------
-    panel, problem
-        Where, and of what.
-    steps
-        Over how many steps from time 0.
-    predicted
-        Whether all steps are ahead, so that discs are grown by what is not known of their way.
-    """
+    """Draw where every moving obstacle is when, over the first `steps` steps; for a legend."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
 

@@ -56,24 +56,7 @@ class _LaidOut(Protocol):
 
 
 def save_moving(figure: Figure, path: Path, count: int, show: Callable[[int], None]) -> None:
-    """Write a figure as it changes, whole or not at all.
-
-    Parameters
-    ----------
-    figure
-        With everything in it.
-    path
-        Ends in ``.gif``.
-    count
-        Steps that there are; of many some are shown, evenly among them.
-    show
-        Moves everything to a step.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write a figure as it changes, whole or not at all."""
     from matplotlib.animation import PillowWriter
 
     last = count - 1

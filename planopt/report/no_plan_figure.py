@@ -29,19 +29,7 @@ MESSAGE_WIDTH = 110
 def draw_no_plan(
     problem: Problem, belief: Belief, message: str, ways: Sequence[BlockedWay]
 ) -> Figure:
-    """Draw why there is no plan: the cheapest ways, and the holes in which a bound forbids them.
-
-    Parameters
-    ----------
-    problem
-        What was asked.
-    belief
-        What the map of P(connected) is drawn from.
-    message
-        Why there is no plan.
-    ways
-        Of all robots that have one.
-    """
+    """Draw why there is no plan: the cheapest ways, and the holes in which a bound forbids them."""
     from matplotlib.gridspec import GridSpec
 
     places = np.concatenate([one.way_m for one in ways])

@@ -29,15 +29,7 @@ CURVES = 5
 
 
 def draw_design(task: DesignTask, data: Mapping[str, Any]) -> Figure:
-    """Draw the answer to a design problem.
-
-    Parameters
-    ----------
-    task
-        What was asked for.
-    data
-        The JSON object of ``planopt solve``.
-    """
+    """Draw the answer to a design problem."""
     from matplotlib.gridspec import GridSpec
 
     figure = new_figure(13.0, 4.6)

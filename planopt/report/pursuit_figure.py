@@ -41,15 +41,7 @@ SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1
 
 
 def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
-    """Draw who went where, and how old and how far off the records were.
-
-    Parameters
-    ----------
-    name
-        Of the problem.
-    pursuit
-        What happened.
-    """
+    """Draw who went where, and how old and how far off the records were."""
     from matplotlib.gridspec import GridSpec
 
     figure = new_figure(12.0, 6.4)
@@ -81,15 +73,7 @@ def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
 
 
 def draw_knowledge(known: Snapshot, track: Track) -> Figure:
-    """Draw the age of every mote's report of one object, and the object's way.
-
-    Parameters
-    ----------
-    known
-        What the rounds that have ended tell.
-    track
-        Where the object was.
-    """
+    """Draw the age of every mote's report of one object, and the object's way."""
     from matplotlib.gridspec import GridSpec
 
     figure = new_figure(7.4, 6.0)
@@ -116,19 +100,8 @@ def draw_knowledge(known: Snapshot, track: Track) -> Figure:
 def draw_view(
     service: SnapshotService, tracks: Sequence[Track], mote: NDArray[np.int64], time_s: float
 ) -> Figure:
-    """Draw the snapshot that one mote has: how old and how coarse its news of every place is.
-
-    Parameters
-    ----------
-    service
-        The grid and its rounds.
-    tracks
-        Objects, which it knows by the records of the finest level that shows each.
-    mote
-        ``(2,)`` column and row.
-    time_s
-        Now.
-    """
+    """Draw the snapshot that one mote has: how old and how coarse its news of every place is."""
+    # Shapes: mote (2,).
     from matplotlib.gridspec import GridSpec
 
     figure = new_figure(7.4, 6.6)
@@ -177,22 +150,7 @@ def draw_view(
 
 
 def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
-    """Write a GIF of a pursuit: who is where, and the record that each pursuer goes by.
-
-    Parameters
-    ----------
-    name
-        Of the problem.
-    pursuit
-        What happened.
-    path
-        Ends in ``.gif``.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write a GIF of a pursuit: who is where, and the record that each pursuer goes by."""
     from matplotlib.gridspec import GridSpec
 
     figure = new_figure(6.4, 6.8)

@@ -25,18 +25,6 @@ def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str)
 
     Bars are 95 % intervals over groups, where there are enough groups; below each bin stands how
     many predictions of the first series it holds.
-
-    Parameters
-    ----------
-    series
-        Reliability tables by the name of what predicted.
-    title
-        Of the figure.
-
-    Raises
-    ------
-    InputError
-        There is no bin to draw.
     """
     from matplotlib.gridspec import GridSpec
 

@@ -62,15 +62,7 @@ MEANING = {
 
 
 def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
-    """Return the plan and the verdict of an independent check in words, a line each.
-
-    Parameters
-    ----------
-    plan
-        The plan.
-    constraints
-        What it had to keep.
-    """
+    """Return the plan and the verdict of an independent check in words, a line each."""
     proof = plan.certificate
     clearance = (
         f"least clearance {proof.min_clearance_m:.3f} m of the whole swept path, "

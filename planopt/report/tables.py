@@ -12,24 +12,12 @@ from planopt.studies.comparison import Comparison
 
 @dataclass(frozen=True)
 class MetricName:
-    """The name, unit and form of a metric.
+    """The name, unit and form of a metric."""
 
-    Attributes
-    ----------
-    words
-        Its name for people.
-    unit
-        Its unit as shown.
-    scale
-        What its value is multiplied by.
-    digits
-        Digits after the point in tables.
-    """
-
-    words: str
-    unit: str
-    scale: float
-    digits: int
+    words: str  # Its name for people
+    unit: str  # Its unit as shown
+    scale: float  # What its value is multiplied by
+    digits: int  # Digits after the point in tables
 
 
 METRIC_NAMES = {
@@ -101,15 +89,7 @@ def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
 def reliability_lines(
     bins: Sequence[ReliabilityBin], what: str, groups: str | None = None
 ) -> list[str]:
-    """Table of predicted against true connection, one line a bin; no line without bins.
-
-    Parameters
-    ----------
-    bins
-        As :func:`planopt.channel.validation.calibration.reliability` gives them.
-    what, groups
-        What was predicted and what it is grouped by, in the plural; None for one group.
-    """
+    """Table of predicted against true connection, one line a bin; no line without bins."""
     if not bins:
         return []
     title = "predicted against true connection"

@@ -79,19 +79,9 @@ def draw_team_ground(
     panels: Sequence[Panel],
     problem: Problem,
     belief: Belief,
-    places_m: NDArray[np.float64],
+    places_m: NDArray[np.float64],  # (n, 2) what the maps have to show
 ) -> list[Artist]:
-    """Draw a panel for each of :func:`layers_of`, without robots; the artists, for a legend.
-
-    Parameters
-    ----------
-    figure, panels
-        Where.
-    problem, belief
-        What is known of the channel, here of one robot.
-    places_m
-        ``(n, 2)`` what the maps have to show.
-    """
+    """Draw a panel for each of :func:`layers_of`, without robots; the artists, for a legend."""
     workspace = problem.workspace
     window = team_window(problem, places_m)
     mean, deviation, chance = believed_rasters(problem, belief, window)

@@ -46,19 +46,8 @@ POINTS = 16
 def driven_line(
     problem: Problem, places_m: NDArray[np.float64], drive: Drive | None, first: int = 0
 ) -> tuple[NDArray[np.float64], list[int]]:
-    """Points (k, 2) of a line through places, and which of them are the places.
-
-    Parameters
-    ----------
-    problem
-        Whose steps they are of.
-    places_m
-        ``(n + 1, 2)``.
-    drive
-        How the robot drives from place to place; None if straight.
-    first
-        Begin with the place of this number.
-    """
+    """Points (k, 2) of a line through places, and which of them are the places."""
+    # Shapes: places_m (n + 1, 2).
     if drive is None or len(drive.inputs) <= first:
         return places_m[first:], list(range(len(places_m) - first))
     ways = drive.dynamics.ways(drive.states[first:-1], drive.inputs[first:], problem.planner.step_s)

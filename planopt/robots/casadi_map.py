@@ -32,14 +32,7 @@ from planopt.world.ways import PointWay, StepWay
 
 
 class ComponentFunction:
-    """A function of (state, input), called with the components of both.
-
-    Parameters
-    ----------
-    function
-        A ``casadi.Function`` of two column vectors. Its directional derivative stands for the
-        imaginary part, to first order: that is what complex differentiation needs.
-    """
+    """A function of (state, input), called with the components of both."""
 
     def __init__(self, function: Any) -> None:
         self._function = function
@@ -77,19 +70,7 @@ Derivative = Callable[[Components, Components], Components]
 def runge_kutta(
     derivative: Derivative, state: Components, control: Components, step_s: float, substeps: int
 ) -> list[Components]:
-    """The states after each of `substeps` equal parts of a step of constant input.
-
-    Parameters
-    ----------
-    derivative
-        The continuous model.
-    state, control
-        At the start of the step.
-    step_s
-        Duration of the whole step.
-    substeps
-        How many parts; the error falls with their fourth power.
-    """
+    """The states after each of `substeps` equal parts of a step of constant input."""
     part = step_s / substeps
     found: list[Components] = []
     for _ in range(substeps):
@@ -359,13 +340,7 @@ class CasadiMap:
 
 
 def check_casadi_map(dynamics: CasadiMap) -> None:
-    """Raise the first fault of its function, names, bounds and parts.
-
-    Raises
-    ------
-    InputError
-        With the attribute as its key.
-    """
+    """Raise the first fault of its function, names, bounds and parts."""
     function: object = dynamics.function
     if not isinstance(function, ca.Function):
         raise InputError(

@@ -47,13 +47,7 @@ def rolled_out(
     inputs: NDArray[np.float64],
     step_s: float,
 ) -> Drive:
-    """Return where `inputs` (N, m) lead from `state` (s,).
-
-    Raises
-    ------
-    InputError
-        The dynamics have no finite state after a step.
-    """
+    """Return where `inputs` (N, m) lead from `state` (s,)."""
     states = [np.asarray(state, dtype=np.float64)]
     for control in inputs:
         states.append(state_after(dynamics, states[-1], control, step_s))
@@ -63,13 +57,7 @@ def rolled_out(
 def state_after(
     dynamics: Dynamics, state: NDArray[np.float64], control: NDArray[np.float64], step_s: float
 ) -> NDArray[np.float64]:
-    """Return the state (s,) after a step from a state (s,) with an input (m,).
-
-    Raises
-    ------
-    InputError
-        It has another size, or is not finite though state and input are.
-    """
+    """Return the state (s,) after a step from a state (s,) with an input (m,)."""
     with calling(dynamics, "step"):
         after = np.array(dynamics.step(tuple(state), tuple(control), step_s), dtype=np.float64)
     given = np.concatenate([state, control])

@@ -21,21 +21,11 @@ Components = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Disc:
-    """A limit that a pair of components lies in a disc: squares over the radius's, less 1.
+    """A limit that a pair of components lies in a disc: squares over the radius's, less 1."""
 
-    Attributes
-    ----------
-    limit
-        Its number among the limits.
-    names
-        Of the pair: components of the state after a step, or of the input.
-    radius
-        Largest length of the pair.
-    """
-
-    limit: int
-    names: tuple[str, str]
-    radius: float
+    limit: int  # Its number among the limits
+    names: tuple[str, str]  # Of the pair: components of the state after a step, or of the input
+    radius: float  # Largest length of the pair
 
 
 class Dynamics(Protocol):

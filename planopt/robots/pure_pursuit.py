@@ -7,13 +7,7 @@ from numpy.typing import NDArray
 
 
 class PurePursuit:
-    """Follows a robot along a path without turning back.
-
-    Parameters
-    ----------
-    path_m
-        ``(n, 2)`` corners of the path, n at least 1.
-    """
+    """Follows a robot along a path without turning back."""
 
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         lengths = np.linalg.norm(np.diff(path_m, axis=0), axis=1)
@@ -29,16 +23,7 @@ class PurePursuit:
     def ahead_m(
         self, place_m: NDArray[np.float64], lookahead_m: float
     ) -> tuple[NDArray[np.float64], float]:
-        """The point (2,) to head for from `place_m` (2,), and how much of the path is left.
-
-        Parameters
-        ----------
-        place_m
-            Where the robot is. The nearest point of the path is looked for from where it was last
-            time up to one and a half lookaheads farther.
-        lookahead_m
-            How far ahead of it the point is.
-        """
+        """The point (2,) to head for from `place_m` (2,), and how much of the path is left."""
         tried = np.linspace(self._at_m, self._at_m + 1.5 * lookahead_m, 33)
         away = np.linalg.norm(self._points(tried) - place_m, axis=1)
         self._at_m = float(min(tried[int(away.argmin())], self._along_m[-1]))
@@ -46,15 +31,7 @@ class PurePursuit:
         return target, float(self._along_m[-1] - self._at_m)
 
     def speed_m_s(self, acceleration_m_s2: float, swing_m: float) -> float:
-        """Return how fast a robot may be now that is to stop at the end and not to swing out far.
-
-        Parameters
-        ----------
-        acceleration_m_s2
-            What it brakes and turns with.
-        swing_m
-            About how far from the path it may come at a turn.
-        """
+        """Return the speed from which a robot can stop at the end without swinging out."""
         turn = np.append(self._turn, np.inf)[-len(self._corner_m) :]
         # To change its direction it takes turn v / a seconds, in which it drives twice the swing.
         square = 2.0 * acceleration_m_s2 * swing_m / np.maximum(turn, 1e-9)

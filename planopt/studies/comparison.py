@@ -181,17 +181,7 @@ def has_horizon(one: RunSummary | Row) -> bool:
 def sweep_words(
     one: RunSummary | Row, left_out: str | None = None, names: Mapping[str, str] | None = None
 ) -> str:
-    """Return the changed keys of a setting with their values, in words.
-
-    Parameters
-    ----------
-    one
-        Of the setting.
-    left_out
-        A key that is said elsewhere.
-    names
-        Of keys, where they are not called by themselves.
-    """
+    """Return the changed keys of a setting with their values, in words."""
     called = names or {}
     return ", ".join(
         f"{called.get(key, key)} = {value}" for key, value in one.sweep.items() if key != left_out
@@ -216,16 +206,7 @@ def setting_words(
 
 
 def short_keys(settings: Iterable[RunSummary | Row]) -> dict[str, str]:
-    """Return the swept keys with as many of their last parts as tell them apart.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace as Setting
-    >>> short_keys([Setting(sweep={"channel.truth.n_pl": 2, "planner.step_s": 1})])
-    {'channel.truth.n_pl': 'n_pl', 'planner.step_s': 'step_s'}
-    >>> short_keys([Setting(sweep={"channel.truth.n_pl": 2, "channel.fit.given.n_pl": 1})])
-    {'channel.truth.n_pl': 'truth.n_pl', 'channel.fit.given.n_pl': 'given.n_pl'}
-    """
+    """Return the swept keys with as many of their last parts as tell them apart."""
     keys = list(dict.fromkeys(key for one in settings for key in one.sweep))
     if len(keys) < 2:
         return {key: key for key in keys}

@@ -52,26 +52,7 @@ REMEDY = "run the comparison again"
 def save_comparison(
     comparison: Comparison, folder: Path, *, parquet: bool = False, pictures_follow: bool = False
 ) -> None:
-    """Save a comparison; :func:`load_result` reads it.
-
-    Parameters
-    ----------
-    comparison
-        What is saved.
-    folder
-        Made if it is missing; a comparison that it had is replaced.
-    parquet
-        Whether the runs are saved as Parquet as well.
-    pictures_follow
-        Whether pictures will be added.
-
-    Raises
-    ------
-    InputError
-        pyarrow is missing, or a problem has parts from Python, which no file can hold.
-    OutputError
-        The folder cannot be written; what it had is still there.
-    """
+    """Save a comparison; :func:`load_result` reads it."""
     if parquet:
         require_pyarrow()
     tables = [_tables(problem) for problem in (comparison.problem, *comparison.others)]

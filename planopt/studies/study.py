@@ -59,15 +59,9 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class FinishedRuns:
-    """A folder of finished runs.
+    """A folder of finished runs."""
 
-    Attributes
-    ----------
-    folder
-        Made when the first run is kept.
-    """
-
-    folder: Path
+    folder: Path  # Made when the first run is kept
 
     def find(self, key: Mapping[str, Any], kind: type[Value]) -> Value | None:
         """Return the result that was kept for `key`, or None: of another type, or damaged."""
@@ -91,13 +85,7 @@ class FinishedRuns:
         return found
 
     def keep(self, key: Mapping[str, Any], result: object) -> None:
-        """Keep a result, whole or not at all.
-
-        Raises
-        ------
-        OutputError
-            The folder cannot be written.
-        """
+        """Keep a result, whole or not at all."""
         write_text(self._file(key), strict_text({"key": key, "result": encoded(result)}))
 
     def tidy(self) -> None:
@@ -109,20 +97,7 @@ class FinishedRuns:
 
 
 def run_key(problem: Problem | Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return all that decides a run: problem, seed and program.
-
-    Parameters
-    ----------
-    problem
-        With the settings of the run; or its tables.
-    seed
-        Of everything drawn.
-
-    Raises
-    ------
-    InputError
-        A file that the problem names cannot be read, or the problem has parts from Python.
-    """
+    """Return all that decides a run: problem, seed and program."""
     tables = problem_to_dict(problem) if isinstance(problem, Problem) else problem
     return {"problem": _deciding(tables), "seed": seed, "program": dict(program())}
 
@@ -176,24 +151,13 @@ Group = TypeVar("Group")
 
 @dataclass(frozen=True)
 class Study(Generic[Item, Shared, Result]):
-    """The functions that do each item of a study; they must be picklable.
+    """The functions that do each item of a study; they must be picklable."""
 
-    Attributes
-    ----------
-    kind
-        Type of a result, as :mod:`planopt.files.typed_json` reads it back.
-    prepare
-        Makes what the items of one group share, from the first of them that is not finished.
-    work
-        Makes an item's result.
-    key
-        All that decides an item's result, as JSON.
-    """
-
-    kind: type[Result]
+    kind: type[Result]  # Type of a result, as :mod:`planopt.files.typed_json` reads it back
+    # Makes what the items of one group share, from the first of them that is not finished
     prepare: Callable[[Item], Shared]
-    work: Callable[[Item, Shared], Result]
-    key: Callable[[Item], Mapping[str, Any]]
+    work: Callable[[Item, Shared], Result]  # Makes an item's result
+    key: Callable[[Item], Mapping[str, Any]]  # All that decides an item's result, as JSON
 
 
 @dataclass(frozen=True)
@@ -212,31 +176,7 @@ def run_study(
     backend: str = "loky",
     record: FinishedRuns | None = None,
 ) -> Iterator[list[Finished[Result]]]:
-    """Do all items; yield the results of each group, in order, when it is finished.
-
-    Parameters
-    ----------
-    study
-        How an item is done.
-    groups
-        Items that share their preparation and are done one after the other by one process.
-    workers
-        Processes. Results do not depend on their number, but for measured times.
-    backend
-        One of `BACKENDS`. Dask and Ray run on this machine, or on the cluster that the variable
-        ``DASK_SCHEDULER_ADDRESS`` or ``RAY_ADDRESS`` of the environment names; there the cluster
-        decides how many processes there are.
-    record
-        Where every result is kept as soon as it is there, and taken from if it is kept already. On
-        other machines it should be in a shared folder: else only groups that are finished are kept.
-
-    Raises
-    ------
-    InputError
-        There is no worker or no such backend, or its package is not installed.
-    OutputError
-        The record cannot be written.
-    """
+    """Do all items; yield the results of each group, in order, when it is finished."""
     if workers < 1:
         raise InputError(
             f"{workers} is less than 1",

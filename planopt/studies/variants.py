@@ -87,13 +87,7 @@ def several(values: object) -> Sequence[Any] | None:
 
 
 def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
-    """Return the swept values of each key.
-
-    Raises
-    ------
-    InputError
-        It is no mapping.
-    """
+    """Return the swept values of each key."""
     if sweep is None:
         return None
     if not isinstance(sweep, Mapping):
@@ -109,13 +103,7 @@ def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
 
 
 def chosen_seeds(seeds: object) -> list[int]:
-    """Return the seeds that are asked for, or as many of them.
-
-    Raises
-    ------
-    InputError
-        They are no whole numbers, negative or repeated, or there is none.
-    """
+    """Return the seeds that are asked for, or as many of them."""
     remedy = "a number of seeds such as 30, or seeds such as [0, 1] or range(100, 200)"
     if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
         seeds = range(int(cast("int", seeds)))

@@ -17,22 +17,10 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class TargetModel:
-    """The model ``x+ = A x + B w``, ``x = (p, p')``, w of covariance Theta (equation 4.7).
+    """The model ``x+ = A x + B w``, ``x = (p, p')``, w of covariance Theta (equation 4.7)."""
 
-    Attributes
-    ----------
-    step_s
-        epsilon: the time step.
-    acceleration_covariance_m2_s4
-        ``(2, 2)`` Theta. B Theta B' has rank 2 of 4: it has no inverse.
-
-    Raises
-    ------
-    InputError
-        The step is not positive, or the covariance is none.
-    """
-
-    step_s: float
+    step_s: float  # epsilon: the time step
+    # (2, 2) Theta. B Theta B' has rank 2 of 4: it has no inverse.
     acceleration_covariance_m2_s4: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -60,18 +48,10 @@ class TargetModel:
 
 @dataclass(frozen=True, eq=False)
 class TargetPrediction:
-    """The predicted track of the target, h steps ahead, without further measurements.
+    """The predicted track of the target, h steps ahead, without further measurements."""
 
-    Attributes
-    ----------
-    mean
-        ``(h, 4)`` x_hat_{t+k|t}, k = 1 .. h: metres and metres per second.
-    covariance
-        ``(h, 4, 4)`` P_{t+k|t}.
-    """
-
-    mean: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    mean: NDArray[np.float64]  # (h, 4) x_hat_{t+k|t}, k = 1 .. h: metres and metres per second.
+    covariance: NDArray[np.float64]  # (h, 4, 4) P_{t+k|t}
 
     @property
     def positions_m(self) -> NDArray[np.float64]:
@@ -86,28 +66,11 @@ class TargetPrediction:
 
 def simulate_target(
     model: TargetModel,
-    start: NDArray[np.float64],
+    start: NDArray[np.float64],  # (4,) x_0: position in metres, velocity in metres per second
     steps: int,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """States x_0 .. x_steps of one target; ``(steps + 1, 4)``.
-
-    Parameters
-    ----------
-    model
-        How it moves.
-    start
-        ``(4,)`` x_0: position in metres, velocity in metres per second.
-    steps
-        At least 0.
-    generator
-        Source of the accelerations.
-
-    Raises
-    ------
-    InputError
-        `start` is no state, or `steps` is negative.
-    """
+    """States x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
     state = require_state(start)
     if steps < 0:
         raise InputError(f"{steps!r} is no number of steps", key="steps")
@@ -126,22 +89,8 @@ def simulate_target(
 def predict_target(
     model: TargetModel, mean: NDArray[np.float64], covariance: NDArray[np.float64], steps: int
 ) -> TargetPrediction:
-    """Predict `steps` >= 1 steps ahead: A^k x_hat, and P+ = A P A' + B Theta B'.
-
-    Parameters
-    ----------
-    model
-        How it moves.
-    mean, covariance
-        ``(4,)`` x_hat_{t|t} and ``(4, 4)`` P_{t|t}.
-    steps
-        h.
-
-    Raises
-    ------
-    InputError
-        The estimate is none, or `steps` is below 1.
-    """
+    """Predict `steps` >= 1 steps ahead: A^k x_hat, and P+ = A P A' + B Theta B'."""
+    # Shapes: mean, covariance (4,).
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     if steps < 1:
         raise InputError(f"{steps!r} is too few", key="steps", remedy="give at least 1")
@@ -178,18 +127,10 @@ def require_covariance(matrix: NDArray[np.float64], size: int, key: str) -> NDAr
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """An estimate in information form (equation 4.9).
+    """An estimate in information form (equation 4.9)."""
 
-    Attributes
-    ----------
-    vector
-        ``(4,)`` chi = J x_hat.
-    matrix
-        ``(4, 4)`` J = P^-1; zero where nothing is known.
-    """
-
-    vector: NDArray[np.float64]
-    matrix: NDArray[np.float64]
+    vector: NDArray[np.float64]  # (4,) chi = J x_hat
+    matrix: NDArray[np.float64]  # (4, 4) J = P^-1; zero where nothing is known
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -205,13 +146,7 @@ class InformationState:
 def information_state(
     mean: NDArray[np.float64], covariance: NDArray[np.float64]
 ) -> InformationState:
-    """The estimate of mean ``(4,)`` and covariance ``(4, 4)``, which must have an inverse.
-
-    Raises
-    ------
-    InputError
-        They are no estimate, or the covariance is singular.
-    """
+    """The estimate of mean ``(4,)`` and covariance ``(4, 4)``, which must have an inverse."""
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     matrix = covariance_of(spread)
     return InformationState(matrix @ state, matrix)
@@ -249,28 +184,11 @@ def predicted_information(model: TargetModel, matrix: NDArray[np.float64]) -> ND
 
 def update(
     state: InformationState,
-    measured_m: NDArray[np.float64],
-    noise_covariance_m2: NDArray[np.float64],
-    delivered: NDArray[np.bool_],
+    measured_m: NDArray[np.float64],  # (n, 2)
+    noise_covariance_m2: NDArray[np.float64],  # (n, 2, 2) Lambda_i
+    delivered: NDArray[np.bool_],  # (n,) lambda_i
 ) -> InformationState:
-    """Count the packets that arrived: chi += H' Lambda^-1 z, J += H' Lambda^-1 H for each.
-
-    Parameters
-    ----------
-    state
-        The prediction.
-    measured_m
-        ``(n, 2)`` z_i of the n robots; a row that was not delivered is not read.
-    noise_covariance_m2
-        ``(n, 2, 2)`` Lambda_i.
-    delivered
-        ``(n,)`` lambda_i.
-
-    Raises
-    ------
-    InputError
-        Shapes do not agree, or a delivered measurement is not finite.
-    """
+    """Count the packets that arrived: chi += H' Lambda^-1 z, J += H' Lambda^-1 H for each."""
     count = len(delivered)
     if measured_m.shape != (count, 2) or noise_covariance_m2.shape != (count, 2, 2):
         raise InputError(

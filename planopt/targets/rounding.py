@@ -15,21 +15,11 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Numbers at n places with derivatives by the place.
+    """Numbers at n places with derivatives by the place."""
 
-    Attributes
-    ----------
-    value
-        ``(...)``.
-    gradient
-        ``(..., 2)`` per metre.
-    hessian
-        ``(..., 3)`` per square metre: xx, xy, yy.
-    """
-
-    value: NDArray[np.float64]
-    gradient: NDArray[np.float64]
-    hessian: NDArray[np.float64]
+    value: NDArray[np.float64]  # (...)
+    gradient: NDArray[np.float64]  # (..., 2) per metre
+    hessian: NDArray[np.float64]  # (..., 3) per square metre: xx, xy, yy
 
     @staticmethod
     def of(rows: NDArray[np.float64]) -> Derivatives:
@@ -59,16 +49,8 @@ def radial(
     slope: NDArray[np.float64],
     bend: NDArray[np.float64],
 ) -> Derivatives:
-    """Derivatives of f(|x|) at offsets x (..., 2).
-
-    Parameters
-    ----------
-    offset_m
-        x.
-    value, slope, bend
-        ``(...)`` f, f' / r and (f'' - f' / r) / r^2: the gradient is ``slope x``, the Hessian
-        ``slope I + bend x x'``.
-    """
+    """Derivatives of f(|x|) at offsets x (..., 2)."""
+    # Shapes: value, slope, bend (...).
     rows = np.empty((*value.shape, 6))
     rows[..., 0] = value
     steep = slope[..., None]

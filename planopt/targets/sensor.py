@@ -20,26 +20,11 @@ CUSP_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Sensor:
-    """The sensor model ``g(r) = varpi (r - r_s)^2 + nu`` (equation 4.8).
+    """The sensor model ``g(r) = varpi (r - r_s)^2 + nu`` (equation 4.8)."""
 
-    Attributes
-    ----------
-    growth
-        varpi > 0: how fast noise grows away from the sweet spot, m^2 per m^2.
-    least_noise_m2
-        nu > 0: g at the sweet spot.
-    sweet_spot_m
-        r_s >= 0: the distance to the target that is best.
-
-    Raises
-    ------
-    InputError
-        A number is out of its range.
-    """
-
-    growth: float
-    least_noise_m2: float
-    sweet_spot_m: float
+    growth: float  # varpi > 0: how fast noise grows away from the sweet spot, m^2 per m^2
+    least_noise_m2: float  # nu > 0: g at the sweet spot
+    sweet_spot_m: float  # r_s >= 0: the distance to the target that is best
 
     def __post_init__(self) -> None:
         for key in ("growth", "least_noise_m2", "sweet_spot_m"):
@@ -51,17 +36,8 @@ class Sensor:
 def sensing_information(
     sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the information of a packet, ``tr Phi^-1(q, p) = 1 / g(|q - p|)``, per m^2.
-
-    Parameters
-    ----------
-    sensor
-        Its model.
-    positions_m
-        ``(..., 2)`` q.
-    target_m
-        ``(..., 2)`` p, for all positions or each of them.
-    """
+    """Return the information of a packet, ``tr Phi^-1(q, p) = 1 / g(|q - p|)``, per m^2."""
+    # Shapes: positions_m (..., 2); target_m (..., 2).
     # In place: searches ask for all nodes within reach, step after step.
     found = np.asarray(positions_m[..., 0] - target_m[..., 0])
     found *= found
@@ -86,23 +62,11 @@ def noise_covariance_m2(
 
 def sense(
     sensor: Sensor,
-    positions_m: NDArray[np.float64],
-    target_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],  # (n, 2) where the robots are
+    target_m: NDArray[np.float64],  # (2,) where the target is
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Measured positions z = p + noise of covariance Phi(q, p), one for each of `positions_m`.
-
-    Parameters
-    ----------
-    sensor
-        Its model.
-    positions_m
-        ``(n, 2)`` where the robots are.
-    target_m
-        ``(2,)`` where the target is.
-    generator
-        Source of the noise.
-    """
+    """Measured positions z = p + noise of covariance Phi(q, p), one for each of `positions_m`."""
     deviation = np.sqrt(2.0 / sensing_information(sensor, positions_m, target_m))
     return target_m + deviation[:, None] * generator.standard_normal(positions_m.shape)
 

@@ -17,21 +17,11 @@ from planopt.world.workspace import Obstacle, Workspace
 
 @dataclass(frozen=True)
 class ObstacleIndex:
-    """Obstacles with a spatial index over them.
+    """Obstacles with a spatial index over them."""
 
-    Attributes
-    ----------
-    obstacles
-        As in the workspace.
-    polygons
-        ``(k,)`` their polygons, for vectorised calls.
-    tree
-        Spatial index; its numbers count into `obstacles`.
-    """
-
-    obstacles: tuple[Obstacle, ...]
-    polygons: NDArray[np.object_]
-    tree: shapely.STRtree
+    obstacles: tuple[Obstacle, ...]  # As in the workspace
+    polygons: NDArray[np.object_]  # (k,) their polygons, for vectorised calls
+    tree: shapely.STRtree  # Spatial index; its numbers count into `obstacles`
 
 
 def index_obstacles(workspace: Workspace) -> ObstacleIndex:
@@ -68,53 +58,21 @@ def is_clear(
 
     A distance of 0 is contact, and where it is a way's it may lead right through: it is never
     enough, also where no clearance is wanted.
-
-    Parameters
-    ----------
-    distance_m
-        Of places or ways, in metres; NaN is not enough.
-    wanted_m, tolerance_m
-        The clearance, and how much less passes.
     """
     return (distance_m > 0.0) & (distance_m >= wanted_m - tolerance_m)
 
 
 def clearance_m(index: ObstacleIndex, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of every position to the nearest obstacle.
-
-    Parameters
-    ----------
-    index
-        The obstacles.
-    positions_m
-        ``(n, 2)``.
-
-    Returns
-    -------
-    (n,) array
-        Metres; 0 inside and on an obstacle, infinite without obstacles, NaN where a coordinate is
-        not finite, so that no comparison with a margin holds there.
-    """
+    """Distance of every position to the nearest obstacle."""
+    # Shapes: positions_m (n, 2).
     finite = np.asarray(np.isfinite(positions_m).all(axis=1))
     points = np.asarray(shapely.points(positions_m[finite]), np.object_)
     return _spread(_nearest_m(index, points), finite)
 
 
 def swept_clearance_m(index: ObstacleIndex, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of every straight segment of a path to the nearest obstacle, exact.
-
-    Parameters
-    ----------
-    index
-        The obstacles.
-    path_m
-        ``(n, 2)`` waypoints, n at least 1; equal neighbours are allowed.
-
-    Returns
-    -------
-    (n - 1,) array
-        As in :func:`clearance_m`, for the whole segment.
-    """
+    """Distance of every straight segment of a path to the nearest obstacle, exact."""
+    # Shapes: path_m (n, 2).
     return segment_clearance_m(index, path_m[:-1], path_m[1:])
 
 
@@ -137,21 +95,8 @@ def segments_clear(
 
     The same as :func:`is_clear` of :func:`segment_clearance_m`, for searches: how near an obstacle
     comes that is too near, or far enough, is not measured.
-
-    Parameters
-    ----------
-    index
-        The obstacles.
-    starts_m, ends_m
-        ``(n, 2)``.
-    wanted_m, tolerance_m
-        As :func:`is_clear` takes them.
-
-    Returns
-    -------
-    (n,) array
-        False where a coordinate is not finite.
     """
+    # Shapes: starts_m, ends_m (n, 2).
     clear = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     rows = np.flatnonzero(clear)
     if index.obstacles and rows.size:

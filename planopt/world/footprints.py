@@ -37,25 +37,7 @@ _Ring = list[tuple[float, float]]
 
 
 def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obstacle:
-    """Check the rings of a footprint and make it an obstacle.
-
-    Parameters
-    ----------
-    name
-        What messages call it; at most `LONGEST_NAME` printable characters.
-    exterior
-        A sequence of ``(x, y)`` in metres, closed or not, in either direction; further
-        coordinates (a height) are left out.
-    holes
-        Likewise.
-
-    Raises
-    ------
-    InputError
-        The name cannot be printed or is too long, a ring is not made of pairs of finite numbers
-        or has fewer than three different corners, or the polygon is invalid (its boundary crosses
-        itself, a hole is outside) and cannot be repaired without changing its area.
-    """
+    """Check the rings of a footprint and make it an obstacle."""
     check_name(name)
     shell = _ring(name, exterior)
     polygon = shapely.Polygon(shell, [_ring(name, hole) for hole in holes])
@@ -83,14 +65,7 @@ def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obst
 
 
 def check_name(name: str) -> None:
-    """Refuse the name of an obstacle that cannot be written or shown.
-
-    Raises
-    ------
-    InputError
-        It is no text, is longer than `LONGEST_NAME`, or has a character that cannot be printed,
-        such as a terminal code or half of a surrogate pair.
-    """
+    """Refuse the name of an obstacle that cannot be written or shown."""
     if not isinstance(cast("object", name), str):
         raise InputError(
             f"is {name!r}, should be text",

@@ -42,21 +42,11 @@ MOVES.flags.writeable = False
 
 @dataclass(frozen=True)
 class NearPairs:
-    """Nodes and the obstacles near them.
+    """Nodes and the obstacles near them."""
 
-    Attributes
-    ----------
-    node
-        ``(p,)`` numbers into the positions asked for.
-    obstacle
-        ``(p,)`` numbers into the index.
-    distance_m
-        ``(p,)`` their distance, exact.
-    """
-
-    node: NDArray[np.int64]
-    obstacle: NDArray[np.int64]
-    distance_m: NDArray[np.float64]
+    node: NDArray[np.int64]  # (p,) numbers into the positions asked for
+    obstacle: NDArray[np.int64]  # (p,) numbers into the index
+    distance_m: NDArray[np.float64]  # (p,) their distance, exact
 
 
 def near_pairs(index: ObstacleIndex, positions_m: NDArray[np.float64], reach_m: float) -> NearPairs:
@@ -80,33 +70,12 @@ def blocked_ways(
 
 def open_moves(
     index: ObstacleIndex,
-    positions_m: NDArray[np.float64],
-    free: NDArray[np.bool_],
+    positions_m: NDArray[np.float64],  # (ny, nx, 2) node positions
+    free: NDArray[np.bool_],  # (ny, nx) nodes that keep the clearance
     near: NearPairs,
     clearance_m: float,
 ) -> NDArray[np.bool_]:
-    """Return whether every node's moves end on a node and keep the clearance.
-
-    Parameters
-    ----------
-    index
-        The obstacles.
-    positions_m
-        ``(ny, nx, 2)`` node positions.
-    free
-        ``(ny, nx)`` nodes that keep the clearance.
-    near
-        Pairs of a node (counted row by row) and an obstacle, at least all within the clearance
-        plus the longest move.
-    clearance_m
-        Least distance from every obstacle.
-
-    Returns
-    -------
-    (21, ny, nx) array
-        In the order of `MOVES`. Half of the moves are tested, the others are the same ways
-        driven back, and a straight move of two spacings is two moves of one.
-    """
+    """Return whether every node's moves end on a node and keep the clearance."""
     result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
     result[0] = free
     places = positions_m.reshape(-1, 2)
@@ -188,51 +157,21 @@ REACH_TOLERANCE_M = 1e-9
 
 @dataclass(frozen=True)
 class Lattice:
-    """A square lattice over the workspace.
+    """A square lattice over the workspace."""
 
-    Attributes
-    ----------
-    origin_m
-        ``(2,)`` position of node ``[0, 0]``.
-    spacing_m
-        Distance of neighbours.
-    shape
-        ``(ny, nx)``.
-    free
-        ``(ny, nx)`` whether the node keeps the clearance.
-    open_moves
-        ``(21, ny, nx)`` whether the way from the node along ``MOVES[k]`` ends on a node and keeps
-        the clearance.
-    """
-
-    origin_m: NDArray[np.float64]
-    spacing_m: float
-    shape: tuple[int, int]
-    free: NDArray[np.bool_]
+    origin_m: NDArray[np.float64]  # (2,) position of node [0, 0]
+    spacing_m: float  # Distance of neighbours
+    shape: tuple[int, int]  # (ny, nx)
+    free: NDArray[np.bool_]  # (ny, nx) whether the node keeps the clearance
+    # (21, ny, nx) whether the way from the node along MOVES[k] ends on a node and keeps the
+    # clearance
     open_moves: NDArray[np.bool_]
 
 
 def build_lattice(
     workspace: Workspace, anchor_m: NDArray[np.float64], step_m: float, clearance_m: float
 ) -> Lattice:
-    """Lay the lattice through `anchor_m` (2,) over the inside of the bounds.
-
-    Parameters
-    ----------
-    workspace
-        Bounds and obstacles. Nodes on the border of the bounds are left out.
-    anchor_m
-        A place that nodes are counted from; a node itself if it is within the bounds.
-    step_m
-        Longest way of one step, over 0.
-    clearance_m
-        Least distance from every obstacle.
-
-    Raises
-    ------
-    InputError
-        There is no node within the bounds, or there are more than `MAX_NODES`.
-    """
+    """Lay the lattice through `anchor_m` (2,) over the inside of the bounds."""
     spacing = step_m / LONGEST_MOVE
     x_0, nx = _axis(workspace, anchor_m, spacing, 0)
     y_0, ny = _axis(workspace, anchor_m, spacing, 1)
@@ -267,30 +206,12 @@ def nearest_node(lattice: Lattice, position_m: NDArray[np.float64]) -> tuple[int
 def moves_from(
     index: ObstacleIndex,
     lattice: Lattice,
-    position_m: NDArray[np.float64],
+    position_m: NDArray[np.float64],  # (2,) where the robot is
     reach_m: float,
     clearance_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """First moves of a plan: from a place off the lattice to the nodes around it.
-
-    Parameters
-    ----------
-    index
-        The obstacles that the lattice was built for.
-    lattice
-        The lattice.
-    position_m
-        ``(2,)`` where the robot is.
-    reach_m
-        Longest way.
-    clearance_m
-        What the straight way must keep; not more than the lattice keeps.
-
-    Returns
-    -------
-    iy, ix, ok
-        ``(n,)`` each: the nodes within reach, and whether the straight way there is open.
-    """
+    """First moves of a plan: from a place off the lattice to the nodes around it."""
+    # Shapes: returns (n,).
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
     reach = (reach_m + REACH_TOLERANCE_M) / lattice.spacing_m

@@ -26,17 +26,8 @@ def closest_approach_m(
 
     Seen from the second point the first one moves straight, from r to r + d; it is nearest at the
     share ``t = clip(-r . d / d . d, 0, 1)`` of the time, at the distance ``|r + t d|``.
-
-    Parameters
-    ----------
-    first_starts_m, first_ends_m, second_starts_m, second_ends_m
-        ``(..., 2)`` where each begins and ends; they broadcast.
-
-    Returns
-    -------
-    (...) array
-        Metres; NaN where a coordinate is not finite.
     """
+    # Shapes: first_starts_m, first_ends_m, second_starts_m, second_ends_m (..., 2).
     return np.asarray(
         np.linalg.norm(
             nearest_to_origin_m(first_starts_m - second_starts_m, first_ends_m - second_ends_m),
@@ -69,21 +60,7 @@ CLOSE_SHARE = 1e-9
 
 
 def way_distance_m(first: TimedWay, second: TimedWay, at_most_m: float = math.inf) -> float:
-    """Least distance of two ways of one step at equal times, never too large.
-
-    Parameters
-    ----------
-    first, second
-        The ways.
-    at_most_m
-        A distance of which it is enough to know that they keep it: then no less than this less
-        `CLOSE_M` is said.
-
-    Returns
-    -------
-    float
-        Metres, at most `CLOSE_M` too small, and by how much is unknown of the ways themselves.
-    """
+    """Least distance of two ways of one step at equal times, never too large."""
     unknown = first.within_m + second.within_m
     curving = first.curving_m + second.curving_m
     if not math.isfinite(curving + unknown):

@@ -30,34 +30,17 @@ TOUCHING_M = 1e-9
 
 def moving_lines(
     discs: MovingDiscs,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (N + 1, 2) the start path, the robot's own place first
     clearance_m: float,
     count: int,
     reach_m: float,
-    needed: NDArray[np.bool_] | None = None,
+    needed: NDArray[np.bool_] | None = None,  # (m, N)
     pad_m: float = 0.0,
 ) -> SeparatingLines:
     """Lines of every segment from the discs nearest to it.
 
     Like lines of obstacles they touch the disc, and the clearance is still to be kept from them: a
     disc that asks for another distance counts as so much larger or smaller.
-
-    Parameters
-    ----------
-    discs
-        What moves.
-    path_m
-        ``(N + 1, 2)`` the start path, the robot's own place first.
-    clearance_m
-        What will be kept from the lines.
-    count
-        Lines a segment, at most.
-    reach_m
-        Discs farther away than this are left out.
-    needed
-        ``(m, N)`` which discs come before all others, whatever their distance.
-    pad_m
-        How much larger discs count, for what is not known of where the robot is on its way when.
     """
     steps = len(path_m) - 1
     lines = SeparatingLines(
@@ -104,30 +87,12 @@ def tail_lines(
     discs: MovingDiscs,
     motion: TimedMotion,
     planned: int,
-    standstill_m: NDArray[np.float64],
+    standstill_m: NDArray[np.float64],  # (2,)
     clearance_m: float,
     count: int,
     reach_m: float,
 ) -> tuple[SeparatingLines, SeparatingLines]:
-    """Lines of the last place, as of N segments of which only the last has some, and of standstill.
-
-    Parameters
-    ----------
-    discs
-        What moves, over T steps.
-    motion
-        Of the start path and of stopping after it.
-    planned
-        N, of its steps.
-    standstill_m
-        ``(2,)`` where it stands after it, or a place beyond that, of which the lines will be asked.
-    clearance_m
-        What will be kept from the lines.
-    count
-        Lines at most.
-    reach_m
-        Discs farther away than this are left out.
-    """
+    """Separating lines of the last position, as of N segments, and of a stationary robot."""
     last, still = _empty(planned, count), _empty(1, count)
     whole = motion.lasting(discs.steps)
     own, bulges = whole.places_m[planned:], whole.bulges_m[planned:]

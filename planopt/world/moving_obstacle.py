@@ -22,33 +22,16 @@ from planopt.world.timed_motion import TimedMotion, TimedWay
 
 @dataclass(frozen=True, eq=False)
 class MovingDiscs:
-    """The predicted places of m discs over the next T steps: planned ones, and of braking.
+    """The predicted places of m discs over the next T steps: planned ones, and of braking."""
 
-    Attributes
-    ----------
-    names
-        What messages call them.
-    centres_m
-        ``(m, T + 1, 2)`` now and at each step's end.
-    radius_m
-        ``(m, T)`` during each step.
-    least_m
-        ``(m,)`` how far a robot must stay from the disc.
-    is_robot
-        ``(m,)`` whether it is another robot; robots are points.
-    ways
-        ``(m,)`` of each disc the ways of its T steps; none where it goes straight and evenly.
-    bulges_m
-        ``(m, T)`` how far each may be from that.
-    """
-
-    names: tuple[str, ...]
-    centres_m: NDArray[np.float64]
-    radius_m: NDArray[np.float64]
-    least_m: NDArray[np.float64]
-    is_robot: NDArray[np.bool_]
+    names: tuple[str, ...]  # What messages call them
+    centres_m: NDArray[np.float64]  # (m, T + 1, 2) now and at each step's end
+    radius_m: NDArray[np.float64]  # (m, T) during each step
+    least_m: NDArray[np.float64]  # (m,) how far a robot must stay from the disc
+    is_robot: NDArray[np.bool_]  # (m,) whether it is another robot; robots are points
+    # (m,) of each disc the ways of its T steps; none where it goes straight and evenly
     ways: tuple[tuple[TimedWay, ...], ...] = ()
-    bulges_m: NDArray[np.float64] = field(init=False)
+    bulges_m: NDArray[np.float64] = field(init=False)  # (m, T) how far each may be from that
 
     def __post_init__(self) -> None:
         bulges = [self.motion(number).bulges_m for number in range(len(self))]
@@ -107,17 +90,8 @@ def passing_gaps_m(
     starts_m: NDArray[np.float64],
     ends_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the spare distance of straight ways in one step from every disc; (m, ...).
-
-    Parameters
-    ----------
-    discs
-        What moves.
-    step
-        0 is the first.
-    starts_m, ends_m
-        ``(..., 2)`` places at the step's begin and end.
-    """
+    """Return the spare distance of straight ways in one step from every disc; (m, ...)."""
+    # Shapes: starts_m, ends_m (..., 2).
     shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
     before = discs.centres_m[:, step].reshape(shape)
     after = discs.centres_m[:, step + 1].reshape(shape)
@@ -135,20 +109,8 @@ def path_distances_m(discs: MovingDiscs, path_m: NDArray[np.float64]) -> NDArray
 
 
 def ways_gap_m(discs: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least of all gaps along each of many ways; infinite without discs.
-
-    Parameters
-    ----------
-    discs
-        What moves.
-    ways_m
-        ``(c, N + 1, 2)``.
-
-    Returns
-    -------
-    (c,) array
-        Metres more than must be kept; negative where a way comes too near.
-    """
+    """Least of all gaps along each of many ways; infinite without discs."""
+    # Shapes: ways_m (c, N + 1, 2).
     if not len(discs):
         return np.full(len(ways_m), np.inf)
     places = int(ways_m.shape[1])
@@ -226,17 +188,6 @@ def predicted_discs(
 
     A disc moves straight during a step. Where its way turns within one, the disc of that step is as
     much larger as the turn leads away from the straight way, so that it covers the true one.
-
-    Parameters
-    ----------
-    obstacles
-        What moves.
-    now_s
-        The time at which the first step begins.
-    step_s, steps
-        Duration of a step, and how many, N.
-    clearance_m
-        Least distance from every disc.
     """
     times = now_s + step_s * np.arange(steps + 1, dtype=np.float64)
     centres = np.array([centres_at(obstacle, times) for obstacle in obstacles])

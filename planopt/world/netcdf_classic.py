@@ -31,38 +31,19 @@ STREAMING = 2**32 - 1
 
 @dataclass(frozen=True)
 class ClassicVariable:
-    """The place of a variable in a file.
+    """The place of a variable in a file."""
 
-    Attributes
-    ----------
-    dimensions, shape
-        Names and lengths.
-    attributes
-        Numbers as arrays, text as bytes.
-    dtype
-        Of its values in the file.
-    begin
-        Offset of its first value, in bytes.
-    record_bytes
-        Distance between its records; None if its first dimension is not the record dimension.
-    """
-
-    dimensions: tuple[str, ...]
+    dimensions: tuple[str, ...]  # Names and lengths
     shape: tuple[int, ...]
-    attributes: Mapping[str, NDArray[Any] | bytes]
-    dtype: np.dtype[Any]
-    begin: int
+    attributes: Mapping[str, NDArray[Any] | bytes]  # Numbers as arrays, text as bytes
+    dtype: np.dtype[Any]  # Of its values in the file
+    begin: int  # Offset of its first value, in bytes
+    # Distance between its records; None if its first dimension is not the record dimension
     record_bytes: int | None
 
 
 def classic_variables(content: bytes) -> dict[str, ClassicVariable]:
-    """Return the variables of a NetCDF-3 file by name.
-
-    Raises
-    ------
-    InputError
-        The header is damaged or cut off.
-    """
+    """Return the variables of a NetCDF-3 file by name."""
     offsets = SIGNATURES.get(content[:4])
     if offsets is None:
         raise InputError("neither NetCDF-3 nor NetCDF-4")
@@ -93,13 +74,7 @@ def classic_variables(content: bytes) -> dict[str, ClassicVariable]:
 
 
 def classic_values(content: bytes, variable: ClassicVariable) -> NDArray[Any]:
-    """Return the values of a variable.
-
-    Raises
-    ------
-    InputError
-        The file ends before them.
-    """
+    """Return the values of a variable."""
     item = variable.dtype.itemsize
     rows = variable.shape[0] if variable.shape else 1
     row_bytes = math.prod(variable.shape[1:]) * item

@@ -55,19 +55,7 @@ def is_grid(path: Path | str | None) -> bool:
 
 
 def read_grid(path: Path) -> OccupancyGrid:
-    """Read an occupancy grid, by the ending of its file.
-
-    Parameters
-    ----------
-    path
-        One of `GRID_READERS`; the module says what stands in it.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged, a key is missing or wrong, the map is turned (yaw), a cell is
-        no number, or there are more than :data:`planopt.world.occupancy_grid.MOST_CELLS` cells.
-    """
+    """Read an occupancy grid, by the ending of its file."""
     return GRID_READERS[path.suffix.lower()](path)
 
 

@@ -88,22 +88,7 @@ class OccupancyGrid:
 def grid_obstacles(
     grid: OccupancyGrid, name: str, unknown: UnknownCells = "occupied"
 ) -> tuple[Obstacle, ...]:
-    """Return the obstacles of a grid: all cells that are closed to robots, and no place beside.
-
-    Parameters
-    ----------
-    grid
-        The grid. Places outside of it are in no obstacle.
-    name
-        Of the obstacles, which are numbered.
-    unknown
-        What unknown cells are taken for.
-
-    Raises
-    ------
-    InputError
-        The outlines have more than `MOST_EDGES` edges.
-    """
+    """Return the obstacles of a grid: all cells that are closed to robots, and no place beside."""
     closed = grid.occupied | grid.unknown if unknown == "occupied" else grid.occupied
     if not closed.any():
         return ()
@@ -116,24 +101,12 @@ def grid_obstacles(
 
 @dataclass(frozen=True)
 class _Edges:
-    """Edges between a component and what is beside it, each with its closed cell on its left.
+    """Edges between a component and what is beside it, each with its closed cell on its left."""
 
-    Attributes
-    ----------
-    end
-        ``(e, 2)`` column and row of the corner that each ends at.
-    label
-        ``(e,)`` which component its closed cell belongs to, from 1 on.
-    following
-        ``(e,)`` the next edge along the outline.
-    turns
-        ``(e,)`` whether that has another direction.
-    """
-
-    end: NDArray[np.intp]
-    label: NDArray[np.intp]
-    following: NDArray[np.intp]
-    turns: NDArray[np.bool_]
+    end: NDArray[np.intp]  # (e, 2) column and row of the corner that each ends at
+    label: NDArray[np.intp]  # (e,) which component its closed cell belongs to, from 1 on
+    following: NDArray[np.intp]  # (e,) the next edge along the outline
+    turns: NDArray[np.bool_]  # (e,) whether that has another direction
 
 
 def _edges(closed: NDArray[np.bool_]) -> _Edges:

@@ -25,19 +25,12 @@ UNEVEN_CELLS = 1e-3
 
 @dataclass(frozen=True)
 class Raster:
-    """Values on a regular grid.
+    """Values on a regular grid."""
 
-    Attributes
-    ----------
-    x_m, y_m
-        ``(nx,)`` and ``(ny,)`` coordinates of the cell centres, ascending and evenly spaced.
-    values
-        ``(ny, nx)``, row 0 at the smallest y. NaN where there is no value.
-    """
-
+    # (nx,) and (ny,) coordinates of the cell centres, ascending and evenly spaced
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
-    values: NDArray[np.float64]
+    values: NDArray[np.float64]  # (ny, nx), row 0 at the smallest y. NaN where there is no value.
 
     __repr__ = short_repr
 
@@ -48,21 +41,7 @@ class Raster:
 
 
 def read_npz_raster(path: Path, variable: str) -> Raster:
-    """Read one variable of an ``npz`` file with its axes ``x`` and ``y``.
-
-    Parameters
-    ----------
-    path
-        The file.
-    variable
-        Name of a numeric array ``(ny, nx)``.
-
-    Raises
-    ------
-    InputError
-        The file is missing or not an npz, holds no such variable (the message lists what it
-        holds), or the axes do not fit the variable or are not ascending and even.
-    """
+    """Read one variable of an ``npz`` file with its axes ``x`` and ``y``."""
     x, y, values = npz_arrays(path, ("x", "y", variable))
     return checked_raster(x, y, values, path, variable)
 
@@ -86,12 +65,6 @@ def checked_raster(
     """The raster of arrays that were read from `path`; None if they are from no file.
 
     Minus infinity, the decibels of nothing, becomes NaN.
-
-    Raises
-    ------
-    InputError
-        The axes do not fit `values` or are not ascending and even within
-        `LARGEST_COORDINATE_M`, or a value is infinite.
     """
     for name, axis in (("x", x), ("y", y)):
         if axis.ndim != 1 or axis.size < 2:
@@ -142,25 +115,8 @@ def cell_centres_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.flo
 def nearest_cells(
     raster: Raster, positions_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The cell that every position is nearest to.
-
-    Parameters
-    ----------
-    raster
-        The grid.
-    positions_m
-        ``(n, 2)``. On the line between two cells the one with the larger coordinate is taken.
-
-    Returns
-    -------
-    iy, ix
-        ``(n,)`` each.
-
-    Raises
-    ------
-    InputError
-        A position is not finite, or farther than one cell outside the outermost cells.
-    """
+    """The cell that every position is nearest to."""
+    # Shapes: positions_m (n, 2); returns (n,).
     first = np.array([raster.x_m[0], raster.y_m[0]])
     last_cell = np.array([raster.x_m.size, raster.y_m.size]) - 1
     cells = np.floor((positions_m - first) / np.array(raster.cell_m) + 0.5)
@@ -190,14 +146,7 @@ def _is_even(axis_m: NDArray[np.float64]) -> bool:
 
 
 def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
-    """Return arrays of an npz file as floats.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read as npz (:func:`planopt.files.npz.read_npz`), or one of `names` is
-        not in it or not numeric.
-    """
+    """Return arrays of an npz file as floats."""
     arrays = read_npz(path, names)
     found: list[NDArray[np.float64]] = []
     for name in names:

@@ -46,14 +46,7 @@ def write_csv(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def read_csv(path: Path, variable: str) -> Raster:
-    """Read one variable; rows may come in any order, an empty cell or ``nan`` is no value.
-
-    Raises
-    ------
-    InputError
-        The file is missing or no text, a column is missing, a cell is not a number, or the rows
-        are not each cell of an even grid once.
-    """
+    """Read one variable; rows may come in any order, an empty cell or ``nan`` is no value."""
     text = read_text(path)
     rows = csv.reader(io.StringIO(text))
     no_cells: list[str] = []
@@ -134,23 +127,7 @@ TURNED_M = 1e-2
 
 
 def read_sionna_map(path: Path, variable: str) -> Raster:
-    """Read a linear quantity of a planar radio map in dB.
-
-    Parameters
-    ----------
-    path
-        An npz with `variable` on ``(transmitter, iy, ix)`` or ``(iy, ix)`` and ``cell_centers`` on
-        ``(iy, ix, 3)``.
-    variable
-        Its name, such as ``path_gain``; with several transmitters ``path_gain[2]`` is that of the
-        third. NaN in the result where it is zero.
-
-    Raises
-    ------
-    InputError
-        The file holds no such variable, the transmitter is not there or not named, the plane is
-        turned, or a value is negative.
-    """
+    """Read a linear quantity of a planar radio map in dB."""
     name, index = _name_and_index(variable)
     gain, centres = npz_arrays(path, (name, CENTRES))
     if gain.ndim == 3:
@@ -220,42 +197,12 @@ GEOTIFF = (".tif", ".tiff")
 
 
 def read_raster(path: Path, variable: str) -> Raster:
-    """Read one variable of a raster file.
-
-    Parameters
-    ----------
-    path
-        CSV, npz (planopt's, or a radio map of Sionna RT), NetCDF or GeoTIFF, by ending.
-    variable
-        Its name in the file: a column, array, variable or band description.
-
-    Raises
-    ------
-    InputError
-        The ending is not known, or the file cannot be read as such.
-    """
+    """Read one variable of a raster file."""
     return READERS[raster_ending(path)](path, variable)
 
 
 def write_rasters(path: Path, rasters: Mapping[str, Raster], units: Mapping[str, str]) -> None:
-    """Write rasters of the same axes into one file, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        Ends in one of `READERS`.
-    rasters
-        By variable name; NaN is no value.
-    units
-        Of each variable.
-
-    Raises
-    ------
-    InputError
-        The ending is not known, or its format needs an extra that is not installed.
-    OutputError
-        The file cannot be written.
-    """
+    """Write rasters of the same axes into one file, whole or not at all."""
     check_raster_output(path)
     ending = raster_ending(path)
 
@@ -279,13 +226,7 @@ def check_raster_output(path: Path) -> None:
 
 
 def raster_ending(path: Path) -> str:
-    """The ending of a raster file, in small letters.
-
-    Raises
-    ------
-    InputError
-        It is not one of `READERS`.
-    """
+    """The ending of a raster file, in small letters."""
     ending = path.suffix.lower()
     if ending not in READERS:
         raise InputError(

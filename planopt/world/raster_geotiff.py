@@ -63,12 +63,6 @@ def read_geotiff(path: Path, variable: str) -> Raster:
 
     The file alone is read, from memory: no sidecar files, and no other format whatever the
     content says (GDAL's virtual formats read files that nobody named).
-
-    Raises
-    ------
-    InputError
-        The file is missing or no GeoTIFF, declares too many cells, has no such band, is rotated,
-        or has no coordinates or such in degrees.
     """
     rasterio = import_rasterio(path)
     content = read_bytes(path)

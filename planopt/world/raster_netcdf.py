@@ -44,14 +44,7 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], units: Mapping[str, 
 
 
 def read_netcdf(path: Path, variable: str) -> Raster:
-    """Read one variable on the dimensions ``y, x`` with their coordinates; y may descend.
-
-    Raises
-    ------
-    InputError
-        The file is missing or no NetCDF, is NetCDF-4 and h5netcdf is not installed, or holds no
-        such variable on an even grid.
-    """
+    """Read one variable on the dimensions ``y, x`` with their coordinates; y may descend."""
     content = read_bytes(path)
     if content.startswith(HDF5_SIGNATURE):
         y, x, values = _newer(path, content, variable)

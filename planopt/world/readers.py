@@ -35,30 +35,7 @@ _Part = TypeVar("_Part")
 
 
 def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obstacle, ...]:
-    """Read the obstacles of a file, by its ending.
-
-    Parameters
-    ----------
-    path
-        ``.geojson``: areas as FeatureCollection, Feature or geometry. ``.wkt``: one geometry, or
-        one per line. ``.json``: GeoJSON, or a building file
-        ``{"buildings": [{"name", "exterior": [[x, y], ...], "holes": [[[x, y], ...], ...]}]}``
-        (holes optional, other keys ignored). ``.yaml``, ``.csv``: occupancy grids
-        (:mod:`planopt.world.occupancy_files`).
-    unknown
-        What cells of which an occupancy grid knows nothing are taken for.
-
-    Returns
-    -------
-    tuple of Obstacle
-        In the order of the file; every part of a MultiPolygon is an obstacle.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or parsed, something in it is not an area, or a polygon is
-        invalid (:func:`planopt.world.footprints.footprint`). Names the file and the feature.
-    """
+    """Read the obstacles of a file, by its ending."""
     ending = path.suffix.lower()
     if is_grid(path):
         try:
@@ -81,24 +58,12 @@ def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obst
 
 
 def obstacle_from_ring(name: str, ring: Sequence[Sequence[float]]) -> Obstacle:
-    """Make an obstacle of its corners ``[[x, y], ...]`` in metres, closed or not.
-
-    Raises
-    ------
-    InputError
-        See :func:`planopt.world.footprints.footprint`.
-    """
+    """Make an obstacle of its corners ``[[x, y], ...]`` in metres, closed or not."""
     return footprint(name, ring)
 
 
 def obstacle_from_wkt(name: str, text: str) -> Obstacle:
-    """Make an obstacle of a WKT polygon in metres.
-
-    Raises
-    ------
-    InputError
-        Not WKT, not exactly one polygon, or an invalid one.
-    """
+    """Make an obstacle of a WKT polygon in metres."""
     obstacles = list(obstacles_of_geometry(name, _parsed_wkt(name, text)))
     if len(obstacles) != 1:
         raise InputError(
@@ -126,13 +91,7 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
 
 
 def _tolerant_wkt(text: str) -> shapely.Geometry | None:
-    """The geometry of `text`, its rings closed where they are not, or None.
-
-    Raises
-    ------
-    InputError
-        It is nested deeper than `DEEPEST`.
-    """
+    """The geometry of `text`, its rings closed where they are not, or None."""
     letters = np.frombuffer(text.encode(), dtype=np.uint8)
     depth = np.cumsum((letters == ord("(")).astype(np.int64) - (letters == ord(")")))
     if depth.max(initial=0) > DEEPEST:

@@ -20,34 +20,17 @@ from planopt.world.lattice import MOVES, Lattice, node_positions
 
 @dataclass(frozen=True)
 class RoadMap:
-    """Free lattice nodes and the moves between them.
+    """Free lattice nodes and the moves between them."""
 
-    Attributes
-    ----------
-    lattice
-        The lattice it was built from.
-    nodes_m
-        ``(n, 2)`` positions.
-    rows, columns
-        ``(n,)`` their lattice indices ``iy, ix``.
-    number
-        ``(ny, nx)`` node number on the lattice, -1 where not free.
-    sources
-        ``(n, 21)`` the node from which each of `MOVES` arrives here; n where that move is closed.
-    lengths_m
-        ``(21,)`` lengths of the moves.
-    edge_from, edge_to, edge_length_m, edge_start
-        The moves but "stay", sorted by `edge_from`, in compressed rows.
-    """
-
-    lattice: Lattice
-    nodes_m: NDArray[np.float64]
-    rows: NDArray[np.intp]
+    lattice: Lattice  # The lattice it was built from
+    nodes_m: NDArray[np.float64]  # (n, 2) positions
+    rows: NDArray[np.intp]  # (n,) their lattice indices iy, ix
     columns: NDArray[np.intp]
-    number: NDArray[np.intp]
+    number: NDArray[np.intp]  # (ny, nx) node number on the lattice, -1 where not free
+    # (n, 21) the node from which each of `MOVES` arrives here; n where that move is closed
     sources: NDArray[np.intp]
-    lengths_m: NDArray[np.float64]
-    edge_from: NDArray[np.int32]
+    lengths_m: NDArray[np.float64]  # (21,) lengths of the moves
+    edge_from: NDArray[np.int32]  # The moves but "stay", sorted by `edge_from`, in compressed rows
     edge_to: NDArray[np.int32]
     edge_length_m: NDArray[np.float64]
     edge_start: NDArray[np.int32]
@@ -55,17 +38,11 @@ class RoadMap:
 
 @dataclass(frozen=True)
 class Ways:
-    """Shortest ways from every node to the goal.
+    """Shortest ways from every node to the goal."""
 
-    Attributes
-    ----------
-    cost_m
-        ``(n,)`` weighted length of the way; infinite where there is none (or beyond the limit).
-    next_node
-        ``(n,)`` the next node on it; negative at the goal and where there is no way.
-    """
-
+    # (n,) weighted length of the way; infinite where there is none (or beyond the limit)
     cost_m: NDArray[np.float64]
+    # (n,) the next node on it; negative at the goal and where there is no way
     next_node: NDArray[np.int32]
 
 
@@ -106,23 +83,11 @@ def build_road_map(lattice: Lattice) -> RoadMap:
 def shortest_ways(
     road_map: RoadMap,
     goal_node: int,
-    node_factor: NDArray[np.float64] | None = None,
+    node_factor: NDArray[np.float64] | None = None,  # (n,) at least 1, or None for plain lengths
     *,
     limit_m: float = math.inf,
 ) -> Ways:
-    """Shortest ways to `goal_node`, each metre weighted by the mean factor of its edge's ends.
-
-    Parameters
-    ----------
-    road_map
-        The graph; its moves are symmetric.
-    goal_node
-        Where the ways lead.
-    node_factor
-        ``(n,)`` at least 1, or None for plain lengths.
-    limit_m
-        Nodes whose ways cost more count as those that no way leads to: less is looked at.
-    """
+    """Shortest ways to `goal_node`, each metre weighted by the mean factor of its edge's ends."""
     weights = road_map.edge_length_m
     if node_factor is not None:
         # Twice as fast as with both ends looked up: edges are sorted by their first end.

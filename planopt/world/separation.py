@@ -33,17 +33,6 @@ def convex_pieces(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], ...]:
     The constrained Delaunay triangles are merged over their common edges, longest first, as long
     as the result stays convex (Hertel and Mehlhorn 1983: at most four times the least number of
     pieces). No vertex is added, so pieces meet in whole edges.
-
-    Parameters
-    ----------
-    polygon
-        A valid polygon in metres, holes allowed; repeated and collinear vertices do no harm.
-
-    Returns
-    -------
-    tuple of (v, 2) arrays
-        Corners of each piece, counter-clockwise, not closed, none of them collinear. A convex
-        polygon is one piece. Pieces are true to `FLAT_M`.
     """
     outline = _ring(polygon)
     if not polygon.interiors and _is_convex(outline):
@@ -119,29 +108,18 @@ EMPTY_OFFSET_M = -1.0
 
 @dataclass(frozen=True)
 class PackedPieces:
-    """The convex pieces of all obstacles as padded arrays.
+    """The convex pieces of all obstacles as padded arrays."""
 
-    Attributes
-    ----------
-    vertices_m
-        ``(k, v, 2)`` corners, counter-clockwise, padded by repeating the last one.
-    normals
-        ``(k, v, 2)`` outward unit normals of the edges that start at those corners, padded by
-        repeating the last one.
-    corners
-        ``(k,)`` number of true corners.
-    lower_m, upper_m
-        ``(k, 2)`` corners of the bounding boxes, for the search of candidates.
-    obstacle
-        ``(k,)`` number of the obstacle in the workspace that the piece is of.
-    """
-
+    # (k, v, 2) corners, counter-clockwise, padded by repeating the last one
     vertices_m: NDArray[np.float64]
+    # (k, v, 2) outward unit normals of the edges that start at those corners, padded by repeating
+    # the last one
     normals: NDArray[np.float64]
-    corners: NDArray[np.int64]
+    corners: NDArray[np.int64]  # (k,) number of true corners
+    # (k, 2) corners of the bounding boxes, for the search of candidates
     lower_m: NDArray[np.float64]
     upper_m: NDArray[np.float64]
-    obstacle: NDArray[np.int64]
+    obstacle: NDArray[np.int64]  # (k,) number of the obstacle in the workspace that the piece is of
 
 
 @dataclass(frozen=True)
@@ -150,26 +128,16 @@ class SeparatingLines:
 
     For both ends q of the segment ``normal . q - offset >= gap``, and for every corner v of the
     piece ``normal . v <= offset``.
-
-    Attributes
-    ----------
-    normals
-        ``(s, c, 2)`` unit normals, pointing from the piece to the segment; 0 in empty slots.
-    offsets
-        ``(s, c)`` in metres; `EMPTY_OFFSET_M` in empty slots.
-    gaps
-        ``(s, c)`` distance in metres, or minus the depth of the overlap; infinite in empty slots.
-    piece
-        ``(s, c)`` number of the piece; -1 in empty slots.
-    start_offsets
-        ``(s, c)`` offsets that hold at the segment's start, where a line moves with what it keeps
-        the segment from; None where all stand still and `offsets` hold at both ends.
     """
 
+    # (s, c, 2) unit normals, pointing from the piece to the segment; 0 in empty slots
     normals: NDArray[np.float64]
-    offsets: NDArray[np.float64]
+    offsets: NDArray[np.float64]  # (s, c) in metres; `EMPTY_OFFSET_M` in empty slots
+    # (s, c) distance in metres, or minus the depth of the overlap; infinite in empty slots
     gaps: NDArray[np.float64]
-    piece: NDArray[np.int64]
+    piece: NDArray[np.int64]  # (s, c) number of the piece; -1 in empty slots
+    # (s, c) offsets that hold at the segment's start, where a line moves with what it keeps the
+    # segment from; None where all stand still and `offsets` hold at both ends
     start_offsets: NDArray[np.float64] | None = None
 
     @property
@@ -241,19 +209,8 @@ def separating_lines(
     count: int,
     reach_m: float,
 ) -> SeparatingLines:
-    """The best separating line of every segment from each of the pieces nearest to it.
-
-    Parameters
-    ----------
-    pieces
-        The obstacles, packed.
-    starts_m, ends_m
-        ``(s, 2)`` ends of the segments; they may coincide.
-    count
-        Lines per segment, c.
-    reach_m
-        Pieces farther from the segment than this are left out.
-    """
+    """The best separating line of every segment from each of the pieces nearest to it."""
+    # Shapes: starts_m, ends_m (s, 2).
     segment, piece = _candidates(pieces, starts_m, ends_m, reach_m)
     normals, offsets, gaps = _best_lines(pieces, starts_m[segment], ends_m[segment], piece)
     order = np.lexsort((gaps, segment))
@@ -271,19 +228,10 @@ def lines_for(
     pieces: PackedPieces,
     starts_m: NDArray[np.float64],
     ends_m: NDArray[np.float64],
-    piece_ids: NDArray[np.int64],
+    piece_ids: NDArray[np.int64],  # (s, c)
 ) -> SeparatingLines:
-    """The best separating lines of every segment from the given pieces.
-
-    Parameters
-    ----------
-    pieces
-        The obstacles, packed.
-    starts_m, ends_m
-        ``(s, 2)`` ends of the segments.
-    piece_ids
-        ``(s, c)`` which pieces, in slots that are kept; -1 leaves the slot empty.
-    """
+    """The best separating lines of every segment from the given pieces."""
+    # Shapes: starts_m, ends_m (s, 2).
     slots = np.nonzero(piece_ids >= 0)
     piece = piece_ids[slots]
     normals, offsets, gaps = _best_lines(pieces, starts_m[slots[0]], ends_m[slots[0]], piece)

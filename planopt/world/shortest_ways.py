@@ -31,25 +31,15 @@ MAX_CORNERS = 600
 
 @dataclass(frozen=True, eq=False)
 class ShortestWays:
-    """Ways from one place, none longer than a radius.
+    """Ways from one place, none longer than a radius."""
 
-    Attributes
-    ----------
-    start_m, radius_m
-        Where they begin, and how long they may be.
-    closed
-        What they may not lead through.
-    joined
-        The part of the workspace that they may lead to; None where nothing is closed.
-    corners_m, length_m, before
-        ``(n, 2)`` corners that they turn at, ``(n,)`` how long the way to each is, ascending, and
-        which corner it comes from last, -1 for the start.
-    """
-
-    start_m: NDArray[np.float64]
+    start_m: NDArray[np.float64]  # Where they begin, and how long they may be
     radius_m: float
-    closed: shapely.STRtree
+    closed: shapely.STRtree  # What they may not lead through
+    # The part of the workspace that they may lead to; None where nothing is closed
     joined: shapely.Geometry | None
+    # (n, 2) corners that they turn at, (n,) how long the way to each is, ascending, and which
+    # corner it comes from last, -1 for the start
     corners_m: NDArray[np.float64]
     length_m: NDArray[np.float64]
     before: NDArray[np.intp]

@@ -42,15 +42,9 @@ class TimedWay(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class EvenWay:
-    """Straight and even.
+    """Straight and even."""
 
-    Attributes
-    ----------
-    ends_m
-        ``(2, 2)`` where it begins and ends.
-    """
-
-    ends_m: NDArray[np.float64]
+    ends_m: NDArray[np.float64]  # (2, 2) where it begins and ends
 
     @property
     def breaks(self) -> NDArray[np.float64]:
@@ -75,18 +69,10 @@ class EvenWay:
 
 @dataclass(frozen=True, eq=False)
 class TimedMotion:
-    """A motion over n steps, after which it stands.
+    """A motion over n steps, after which it stands."""
 
-    Attributes
-    ----------
-    places_m
-        ``(n + 1, 2)`` now and at each step's end.
-    ways
-        Of each step; none where all are straight and even.
-    """
-
-    places_m: NDArray[np.float64]
-    ways: tuple[TimedWay, ...] = ()
+    places_m: NDArray[np.float64]  # (n + 1, 2) now and at each step's end
+    ways: tuple[TimedWay, ...] = ()  # Of each step; none where all are straight and even
 
     @property
     def steps(self) -> int:

@@ -25,26 +25,15 @@ from planopt.world.timed_motion import WHOLE_STEP, TimedWay
 
 
 def arc_segment_distances_m(
-    start_m: NDArray[np.float64],
+    start_m: NDArray[np.float64],  # (2,) where the arc begins
     heading_rad: float,
     length_m: float,
     turn_rad: float,
     from_m: NDArray[np.float64],
     to_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Distance of an arc from each of n segments; (n,).
-
-    Parameters
-    ----------
-    start_m
-        ``(2,)`` where the arc begins.
-    heading_rad
-        Direction of its tangent there.
-    length_m, turn_rad
-        Its length, negative where it is driven backward, and its turn, which is not 0.
-    from_m, to_m
-        ``(n, 2)`` ends of the segments.
-    """
+    """Distance of an arc from each of n segments; (n,)."""
+    # Shapes: from_m, to_m (n, 2).
     signed = length_m / turn_rad
     radius = abs(signed)
     centre = start_m + signed * np.array([-math.sin(heading_rad), math.cos(heading_rad)])
@@ -112,18 +101,12 @@ class StepWay(Way, TimedWay, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PointWay:
-    """A way of which only points are known.
+    """A way of which only points are known."""
 
-    Attributes
-    ----------
-    places_m
-        ``(k, 2)``, k at least 1; of a timed way at equal times, from begin to end.
-    within_m
-        The way is nowhere farther than this from the straight lines between them; of a timed way,
-        from even motion on them.
-    """
-
+    # (k, 2), k at least 1; of a timed way at equal times, from begin to end
     places_m: NDArray[np.float64]
+    # The way is nowhere farther than this from the straight lines between them; of a timed way,
+    # from even motion on them
     within_m: float
 
     @property
@@ -152,15 +135,9 @@ class PointWay:
 
 @dataclass(frozen=True, eq=False)
 class Parabola:
-    """p(t) = start + t along + t^2 bend for t from 0 to 1.
+    """p(t) = start + t along + t^2 bend for t from 0 to 1."""
 
-    Attributes
-    ----------
-    start_m, along_m, bend_m
-        ``(2,)`` each.
-    """
-
-    start_m: NDArray[np.float64]
+    start_m: NDArray[np.float64]  # (2,) each
     along_m: NDArray[np.float64]
     bend_m: NDArray[np.float64]
 
@@ -200,24 +177,12 @@ class Parabola:
 
 @dataclass(frozen=True, eq=False)
 class Arc:
-    """A circular arc, a straight line where it does not turn.
+    """A circular arc, a straight line where it does not turn."""
 
-    Attributes
-    ----------
-    start_m
-        ``(2,)``.
-    heading_rad
-        Direction of the tangent at the start.
-    length_m
-        Negative where it is driven backward.
-    turn_rad
-        By how much the tangent turns from start to end.
-    """
-
-    start_m: NDArray[np.float64]
-    heading_rad: float
-    length_m: float
-    turn_rad: float
+    start_m: NDArray[np.float64]  # (2,)
+    heading_rad: float  # Direction of the tangent at the start
+    length_m: float  # Negative where it is driven backward
+    turn_rad: float  # By how much the tangent turns from start to end
 
     @property
     def bulge_m(self) -> float:

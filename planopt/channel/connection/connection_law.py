@@ -79,18 +79,10 @@ LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class ConnectionLaw:
-    """The probability of connection as a function of the prediction's score.
+    """The probability of connection as a function of the prediction's score."""
 
-    Attributes
-    ----------
-    intercept
-        Logit of the probability where the predicted mean is at the threshold.
-    slope
-        By how much the logit grows with a deviation; above 0.
-    """
-
-    intercept: float = 0.0
-    slope: float = NEUTRAL_SLOPE
+    intercept: float = 0.0  # Logit of the probability where the predicted mean is at the threshold
+    slope: float = NEUTRAL_SLOPE  # By how much the logit grows with a deviation; above 0
 
     def quantile(self, p_min: float) -> float:
         """q_p: the score from which on the probability is at least `p_min`, between 0 and 1."""
@@ -122,15 +114,6 @@ class ConnectionLaw:
         Its probability of a power of at least the threshold is the calibrated one, and so is the
         power that it exceeds with probability `p_min`, and with it the margin in dB. Where `p_min`
         asks for nothing (0), it has the slope of the calibrated law at the threshold.
-
-        Parameters
-        ----------
-        raw
-            Mean and deviation at n places; NaN stays NaN.
-        threshold_dbm
-            From which power on a place is connected.
-        p_min
-            The bound, below 1.
         """
         deviation = np.maximum(raw.deviation_db, LEAST_DEVIATION_DB)
         score = (raw.mean_db - threshold_dbm) / deviation
@@ -150,18 +133,10 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate and its 95 % confidence interval.
+    """An estimate and its 95 % confidence interval."""
 
-    Attributes
-    ----------
-    value
-        The estimate.
-    low, high
-        Ends of the interval.
-    """
-
-    value: float
-    low: float
+    value: float  # The estimate
+    low: float  # Ends of the interval
     high: float
 
 
@@ -247,17 +222,8 @@ SETTLED = 1e-9
 def fit_connection_law(
     scores: NDArray[np.float64], connected: NDArray[np.bool_], weights: NDArray[np.float64]
 ) -> ConnectionLaw:
-    """Return the mode of intercept and slope given outcomes.
-
-    Parameters
-    ----------
-    scores
-        ``(n,)`` (mean - threshold) / deviation of predictions.
-    connected
-        ``(n,)`` whether the power was at least the threshold.
-    weights
-        ``(n,)`` how much each outcome counts; 1 is once.
-    """
+    """Return the mode of intercept and slope given outcomes."""
+    # Shapes: scores (n,); connected (n,); weights (n,).
     intercept, log_slope = 0.0, math.log(NEUTRAL_SLOPE)
     prior = np.array([INTERCEPT_STD**-2, LOG_SLOPE_STD**-2])
     columns = np.ones((len(scores), 2))
@@ -279,20 +245,8 @@ def leave_one_out(posterior: ChannelPosterior, rows: NDArray[np.intp]) -> Predic
 
     The parameters xi, beta and omega stay those fitted to all, and a Gaussian site that stands for
     a censored measurement stays as it is.
-
-    Parameters
-    ----------
-    posterior
-        At least two measurements; theta known or estimated by generalised least squares.
-    rows
-        ``(k,)`` which of them.
-
-    Returns
-    -------
-    Prediction
-        ``(k,)`` of the power that would be measured, as
-        :meth:`planopt.channel.posterior.ChannelPosterior.predict` gives it.
     """
+    # Shapes: rows (k,); returns (k,).
     if not posterior.has_factor:
         return _from_nearest(posterior, rows)
     unit = np.zeros((len(posterior.measurements), len(rows)))
@@ -345,44 +299,19 @@ REMEMBERED = 500
 
 @dataclass(frozen=True, eq=False)
 class ConnectionOutcomes:
-    """Outcomes of predictions of one station's connection, and the law fitted to them.
+    """Outcomes of predictions of one station's connection, and the law fitted to them."""
 
-    Attributes
-    ----------
-    threshold_dbm
-        From which power on a place is connected.
-    scores
-        ``(n,)`` (mean - threshold) / deviation of each prediction.
-    connected
-        ``(n,)`` whether the power was at least the threshold.
-    left_out
-        How many of them, the first ones, are at first measurements.
-    law
-        Fitted to the outcomes.
-    """
-
-    threshold_dbm: float
+    threshold_dbm: float  # From which power on a place is connected
+    # (n,) (mean - threshold) / deviation of each prediction
     scores: NDArray[np.float64] = field(repr=False)
+    # (n,) whether the power was at least the threshold
     connected: NDArray[np.bool_] = field(repr=False)
-    left_out: int
-    law: ConnectionLaw
+    left_out: int  # How many of them, the first ones, are at first measurements
+    law: ConnectionLaw  # Fitted to the outcomes
 
 
 def calibrate_posterior(posterior: ChannelPosterior, threshold_dbm: float) -> ChannelPosterior:
-    """Begin the calibration of a posterior from its measurements, each left out in turn.
-
-    Parameters
-    ----------
-    posterior
-        From the first measurements; theta known or estimated by generalised least squares.
-    threshold_dbm
-        From which power on a place is connected.
-
-    Returns
-    -------
-    ChannelPosterior
-        The same with outcomes. Posteriors that extend it go on with them.
-    """
+    """Begin the calibration of a posterior from its measurements, each left out in turn."""
     count = len(posterior.measurements)
     chosen = np.unique(np.linspace(0, count - 1, min(count, LEFT_OUT)).round().astype(np.intp))
     begun = ConnectionOutcomes(
@@ -398,17 +327,7 @@ def calibrate_posterior(posterior: ChannelPosterior, threshold_dbm: float) -> Ch
 def add_outcomes(
     outcomes: ConnectionOutcomes, prediction: Prediction, measured: Measurements
 ) -> ConnectionOutcomes:
-    """Count what was measured on the way, and fit the law again.
-
-    Parameters
-    ----------
-    outcomes
-        So far.
-    prediction
-        Of the powers of `measured`, made without them.
-    measured
-        n measurements.
-    """
+    """Count what was measured on the way, and fit the law again."""
     scores, connected = _compared(prediction, measured, outcomes.threshold_dbm)
     first = outcomes.left_out
     latest = max(first, len(outcomes.scores) + len(scores) - REMEMBERED)

@@ -41,7 +41,7 @@ STRAIGHT = 1e-9
 
 def line_prefix_probabilities(
     parameters: ChannelParameters,
-    positions_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],  # (h, 2) on a straight line, without turning back
     threshold_dbm: float,
     event: Literal["connected", "disconnected"],
 ) -> NDArray[np.float64]:
@@ -50,23 +50,6 @@ def line_prefix_probabilities(
     J_0(s) = N(s; 0, xi^2) g_0(s), J_k(s) = g_k(s) int N(s; rho s', xi^2 (1 - rho^2)) J_{k-1}(s')
     ds', rho = exp(-leg / beta), g_k(s) = P(event at k | shadowing s) (equation 3.13); the integral
     of J_k is the value. Exact to about 1e-12.
-
-    Parameters
-    ----------
-    parameters
-        The channel; its theta is taken as known.
-    positions_m
-        ``(h, 2)`` on a straight line, without turning back.
-    threshold_dbm
-        Power from which on a place is connected.
-    event
-        What happens at every place.
-
-    Raises
-    ------
-    InputError
-        `positions_m` is no straight path, there is no multipath, or a leg or the multipath is so
-        small that the integral would need more than `MAX_NODES` nodes.
     """
     places = require_places(positions_m)
     legs = leg_lengths_m(places)

@@ -97,23 +97,15 @@ ERRORS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class PrefixProbabilities:
-    """P(X_1 <= u_1, ..., X_k <= u_k) for k = 1 .. h.
+    """P(X_1 <= u_1, ..., X_k <= u_k) for k = 1 .. h."""
 
-    Attributes
-    ----------
-    probability
-        ``(h,)`` never increasing.
-    error
-        ``(h,)`` three standard errors; zero where the value is exact.
-    """
-
-    probability: NDArray[np.float64]
-    error: NDArray[np.float64]
+    probability: NDArray[np.float64]  # (h,) never increasing
+    error: NDArray[np.float64]  # (h,) three standard errors; zero where the value is exact
 
 
 def prefix_probabilities(
-    bound: NDArray[np.float64],
-    covariance: NDArray[np.float64],
+    bound: NDArray[np.float64],  # (h,) u
+    covariance: NDArray[np.float64],  # (h, h), may be singular
     generator: np.random.Generator,
     tolerance: float = 1e-4,
 ) -> PrefixProbabilities:
@@ -121,23 +113,6 @@ def prefix_probabilities(
 
     A. Genz, Numerical computation of multivariate normal probabilities, 1992, with baker's
     transformed Richtmyer lattices.
-
-    Parameters
-    ----------
-    bound
-        ``(h,)`` u.
-    covariance
-        ``(h, h)``, may be singular.
-    generator
-        Source of the shifts.
-    tolerance
-        Points are doubled until no error is above this, or there are `LAST_POINTS`; the error
-        that remains is in the result.
-
-    Raises
-    ------
-    InputError
-        `covariance` is none, or `tolerance` is not positive.
     """
     if not tolerance > 0.0:
         raise InputError(f"{tolerance!r} is not positive", key="tolerance")
@@ -232,18 +207,10 @@ class Bound:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and how far it may be off.
+    """A number and how far it may be off."""
 
-    Attributes
-    ----------
-    value
-        The estimate.
-    error
-        Three standard errors.
-    """
-
-    value: float
-    error: float
+    value: float  # The estimate
+    error: float  # Three standard errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,13 +301,8 @@ def joint_connectivity(
 
 
 def spanning_tree_weight(weight: NDArray[np.float64]) -> float:
-    """Total weight of a maximum spanning tree of the complete graph (Prim's algorithm).
-
-    Parameters
-    ----------
-    weight
-        ``(h, h)`` symmetric; the diagonal is not read.
-    """
+    """Total weight of a maximum spanning tree of the complete graph (Prim's algorithm)."""
+    # Shapes: weight (h, h).
     outside = np.ones(len(weight), dtype=bool)
     outside[0] = False
     best = weight[0].copy()

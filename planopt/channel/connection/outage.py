@@ -77,16 +77,8 @@ def sent_and_lost(
 
     On a leg the rates are constant, so the buffer either fills or empties all along: only the
     leg's end must be looked at.
-
-    Parameters
-    ----------
-    durations_s
-        ``(h - 1,)`` of the legs.
-    connected
-        ``(count, h)`` at each place; a leg has the state of the place it ends at.
-    traffic
-        Rates and buffer.
     """
+    # Shapes: durations_s (h - 1,); connected (count, h).
     waiting = np.full(len(connected), traffic.waiting_bits)
     delivered = np.zeros(len(connected))
     lost = np.zeros(len(connected))
@@ -220,15 +212,8 @@ def delivered_data(
 def longest_runs(
     leg_sizes: NDArray[np.float64], connected: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """The greatest sum of `leg_sizes` over successive legs that end disconnected; ``(count,)``.
-
-    Parameters
-    ----------
-    leg_sizes
-        ``(h - 1,)`` metres or seconds.
-    connected
-        ``(count, h)`` at each place; the first is where the first leg starts and does not count.
-    """
+    """The greatest sum of `leg_sizes` over successive legs that end disconnected; ``(count,)``."""
+    # Shapes: leg_sizes (h - 1,); connected (count, h).
     current = np.zeros(len(connected))
     longest = np.zeros(len(connected))
     for size, now in zip(leg_sizes, connected[:, 1:].T, strict=True):

@@ -120,20 +120,7 @@ def serving_prediction(
     p_min: float,
     laws: Laws | None = None,
 ) -> Prediction:
-    """The normal law that stands for the serving power of m stations at n places.
-
-    Parameters
-    ----------
-    predictions
-        Of each station's power, at the same places; NaN where one of them is.
-    thresholds_dbm
-        From which power on each connects.
-    p_min
-        The bound. Where it asks for nothing (0) the law has the slope of S's at t_1.
-    laws
-        Of each station; None where all are normal. With one station, or none that is not normal,
-        the margin is exact; with calibrated ones beside others its sign is.
-    """
+    """The normal law that stands for the serving power of m stations at n places."""
     if laws is not None:
         predictions = [
             own if law is None else law.prediction(own, threshold, p_min)
@@ -201,14 +188,8 @@ def any_margin_db(
     The score of any station falls with that and is convex, so that Newton's method from the best
     single station's margin comes to it from below. It is held between that and what m stations as
     good as the best would have.
-
-    Parameters
-    ----------
-    above_db, deviation_db
-        ``(m, n)`` means less thresholds, and deviations.
-    p_min
-        Between 0 and 1.
     """
+    # Shapes: above_db, deviation_db (m, n).
     wanted = bound_quantile(p_min)
     # One of m that each connect with this probability.
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
@@ -265,18 +246,10 @@ class SharedShadowing:
 
 @dataclass(frozen=True, eq=False)
 class StationProbability:
-    """Probabilities at places.
+    """Probabilities at places."""
 
-    Attributes
-    ----------
-    probability
-        ``(n,)``, or ``(m, n)`` for m stations.
-    error
-        Three standard errors, same shape; zero where exact.
-    """
-
-    probability: NDArray[np.float64]
-    error: NDArray[np.float64]
+    probability: NDArray[np.float64]  # (n,), or (m, n) for m stations
+    error: NDArray[np.float64]  # Three standard errors, same shape; zero where exact
 
 
 def connected_to_any(

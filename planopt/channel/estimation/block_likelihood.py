@@ -61,46 +61,24 @@ from planopt.channel.parameters import ChannelParameters, MeanModel
 
 @dataclass(frozen=True, eq=False)
 class BlockData:
-    """Measurements in windows.
+    """Measurements in windows."""
 
-    Attributes
-    ----------
-    known
-        What is not estimated: the forgetting time, and the station.
-    origins
-        Of n measurements, every receiver's offset known: offsets are coefficients here.
-    columns
-        ``(n, q)``: the mean model's p columns, then the indicators of the receivers but number 0.
-    prior_precision
-        ``(q,)`` of the coefficients: 0, flat, for the first p.
-    values_db
-        ``(n,)`` powers less the mean model's offset.
-    fixed_db2
-        ``(n,)`` variance beyond omega^2: of rounding, and of path loss by errors of position.
-    gaussian, measured
-        ``(n,)``: which are not intervals to the likelihood, and which are not censored.
-    intervals
-        Those that are; None where there are none.
-    log_steps
-        Sum of the logarithms of the steps that coarse ones were rounded to.
-    windows
-        Blocks from coarse to fine, each with earlier ones beside it.
-    distances_m
-        Within each window, position errors included.
-    """
-
-    known: ChannelParameters
+    known: ChannelParameters  # What is not estimated: the forgetting time, and the station
+    # Of n measurements, every receiver's offset known: offsets are coefficients here
     origins: Origins
+    # (n, q): the mean model's p columns, then the indicators of the receivers but number 0
     columns: NDArray[np.float64]
-    prior_precision: NDArray[np.float64]
-    values_db: NDArray[np.float64]
+    prior_precision: NDArray[np.float64]  # (q,) of the coefficients: 0, flat, for the first p
+    values_db: NDArray[np.float64]  # (n,) powers less the mean model's offset
+    # (n,) variance beyond omega^2: of rounding, and of path loss by errors of position
     fixed_db2: NDArray[np.float64]
+    # (n,): which are not intervals to the likelihood, and which are not censored
     gaussian: NDArray[np.bool_]
     measured: NDArray[np.bool_]
-    intervals: IntervalRows | None
-    log_steps: float
-    windows: tuple[Window, ...]
-    distances_m: tuple[NDArray[np.float64], ...]
+    intervals: IntervalRows | None  # Those that are; None where there are none
+    log_steps: float  # Sum of the logarithms of the steps that coarse ones were rounded to
+    windows: tuple[Window, ...]  # Blocks from coarse to fine, each with earlier ones beside it
+    distances_m: tuple[NDArray[np.float64], ...]  # Within each window, position errors included
 
 
 def block_data(
@@ -110,16 +88,7 @@ def block_data(
     decorrelation_bounds_m: tuple[float, float],
     as_interval: NDArray[np.bool_] | None = None,
 ) -> BlockData:
-    """Cut measurements into blocks and windows.
-
-    Parameters
-    ----------
-    model, measurements, known, as_interval
-        As for :func:`planopt.channel.estimation.likelihood_data.likelihood_data`.
-    decorrelation_bounds_m
-        Range of beta. Where the channel forgets, a second counts for as many metres as let the
-        correlation fall as far, at a middling beta.
-    """
+    """Cut measurements into blocks and windows."""
     chosen = measurements.censored if as_interval is None else as_interval
     origins = measured_origins(measurements, known).without_offsets()
     coordinates = origins.positions_m

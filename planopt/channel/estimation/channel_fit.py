@@ -53,18 +53,10 @@ def require_loss(loss: str, method: FitMethod, key: str) -> None:
 
 @dataclass(frozen=True)
 class OtherMode:
-    """Parameters at a maximum of the likelihood that is not the highest.
+    """Parameters at a maximum of the likelihood that is not the highest."""
 
-    Attributes
-    ----------
-    parameters
-        There.
-    log_likelihood
-        Restricted.
-    """
-
-    parameters: ChannelParameters
-    log_likelihood: float
+    parameters: ChannelParameters  # There
+    log_likelihood: float  # Restricted
 
 
 @dataclass(frozen=True)

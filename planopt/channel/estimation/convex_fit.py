@@ -45,22 +45,6 @@ def convex_fit(
 
     With squares it equals :func:`planopt.channel.estimation.lemma1.lemma1_fit` on the same bins
     when no constraint binds.
-
-    Parameters
-    ----------
-    bins
-        From :func:`planopt.channel.estimation.lemma1.capped_bins`, at least two.
-    alpha_db2, count
-        alpha-hat, and the number of measurements behind it.
-    bounds
-        Of xi^2 (from below; from above xi^2 <= alpha - the least omega^2) and of beta.
-    loss
-        rho: ``squares``; ``absolute`` values; or ``huber``: squares up to `HUBER_DEVIATIONS`
-        robust deviations of the scatter about the line of least absolute values, and absolute
-        values beyond, so that a bin far off pulls no harder than one a little off. The last two
-        weigh a bin by the square of the line there, not of its own r, with which a bin far too
-        high would outweigh all others. Their standard errors are those of normal scatter of the
-        robust deviation.
     """
     if loss == "squares":
         intercept, rate = _line(bins, alpha_db2, bounds, loss)

@@ -40,22 +40,14 @@ class CovarianceBounds:
 
 @dataclass(frozen=True)
 class CovarianceFit:
-    """xi^2, omega^2 and beta.
+    """xi^2, omega^2 and beta."""
 
-    Attributes
-    ----------
-    shadow_variance_db2, multipath_variance_db2, decorrelation_m
-        xi^2, omega^2, beta.
-    standard_errors
-        Of xi (dB), omega (dB) and beta (m); ``math.inf`` where unknown.
-    warnings
-        Why a parameter is not determined by the measurements; empty when all are.
-    """
-
-    shadow_variance_db2: float
+    shadow_variance_db2: float  # xi^2, omega^2, beta
     multipath_variance_db2: float
     decorrelation_m: float
+    # Of xi (dB), omega (dB) and beta (m); math.inf where unknown
     standard_errors: tuple[float, float, float]
+    # Why a parameter is not determined by the measurements; empty when all are
     warnings: tuple[str, ...]
 
     @property
@@ -100,20 +92,7 @@ def from_correlation(
     count: int,
     bounds: CovarianceBounds,
 ) -> CovarianceFit:
-    """Set omega^2 = alpha - xi^2 (equation 2.3) and bring everything within `bounds`.
-
-    Parameters
-    ----------
-    shadow_variance_db2, rate_per_m
-        xi^2 and 1 / beta as fitted to the empirical correlation; the rate may be negative.
-    errors
-        Standard errors of the two, ``inf`` where unknown.
-    residual_variance_db2, count
-        alpha-hat and the number of measurements behind it; its standard error is
-        alpha sqrt(2 / count), as for independent values.
-    bounds
-        Where a value is moved to its bound, a warning says so and its error becomes unknown.
-    """
+    """Set omega^2 = alpha - xi^2 (equation 2.3) and bring everything within `bounds`."""
     warnings: list[str] = []
     shadow = float(np.clip(shadow_variance_db2, *bounds.shadow_db2))
     shadow_error = errors[0] / (2.0 * math.sqrt(shadow))

@@ -151,17 +151,7 @@ probability than this: towards the end of a range values become rarer, not more 
 def implausible_values(
     parameters: ChannelParameters, measurements: Measurements, extent_m: float
 ) -> tuple[str, ...]:
-    """Say which values are not to be believed.
-
-    Parameters
-    ----------
-    parameters
-        An estimate; its path loss exponent may be assumed.
-    measurements
-        What it is of.
-    extent_m
-        Diagonal of the bounding box of their positions.
-    """
+    """Say which values are not to be believed."""
     said: list[str] = []
     low, high = PLAUSIBLE_POWER_DBM
     for power in (measurements.power_dbm.min(), measurements.power_dbm.max()):

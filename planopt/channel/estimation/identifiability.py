@@ -35,37 +35,18 @@ FALLBACK_DECORRELATION_M = 10.0
 
 @dataclass(frozen=True)
 class Identifiability:
-    """The parameters that the measurements can identify, and why not the others.
+    """The parameters that the measurements can identify, and why not the others."""
 
-    Attributes
-    ----------
-    n_pl_reason
-        Why n_PL cannot be estimated, or None.
-    covariance_reason
-        Why xi, beta and omega cannot be estimated, or None.
-    extent_m
-        Diagonal of the bounding box of all positions.
-    decorrelation_bounds_m
-        Shortest and longest beta that these positions could tell from none and from endless: a
-        third of the smallest useful spacing (where correlation has fallen to 5 %), and the extent.
-    """
-
-    n_pl_reason: str | None
-    covariance_reason: str | None
-    extent_m: float
+    n_pl_reason: str | None  # Why n_PL cannot be estimated, or None
+    covariance_reason: str | None  # Why xi, beta and omega cannot be estimated, or None
+    extent_m: float  # Diagonal of the bounding box of all positions
+    # Shortest and longest beta that these positions could tell from none and from endless: a third
+    # of the smallest useful spacing (where correlation has fallen to 5 %), and the extent
     decorrelation_bounds_m: tuple[float, float]
 
 
 def examine(measurements: Measurements, station: Station) -> Identifiability:
-    """Say what `measurements` can tell about the channel to `station`.
-
-    Raises
-    ------
-    InputError
-        There are no measurements; one lies exactly at the station (`row` is its index, counted
-        from 0; :func:`planopt.channel.logs.log_file.at_file_line` turns it into the line of a
-        file); or there are several, all in one place.
-    """
+    """Say what `measurements` can tell about the channel to `station`."""
     require_usable(measurements, station)
     exact = ~measurements.censored
     positions = measurements.positions_m[exact]

@@ -40,21 +40,12 @@ ROWS = 512
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """A fitted line.
+    """A fitted line."""
 
-    Attributes
-    ----------
-    coefficients
-        ``(p,)`` of the mean model (theta-hat for p = 2).
-    residual_db
-        ``(n,)`` completed power minus the line, Y_c of equation 2.1.
-    variance_db2
-        alpha-hat: mean square of the residual, plus what censoring hides, less what rounding adds
-        (Sheppard's correction); divided by n as printed.
-    """
-
-    coefficients: NDArray[np.float64]
-    residual_db: NDArray[np.float64]
+    coefficients: NDArray[np.float64]  # (p,) of the mean model (theta-hat for p = 2)
+    residual_db: NDArray[np.float64]  # (n,) completed power minus the line, Y_c of equation 2.1
+    # alpha-hat: mean square of the residual, plus what censoring hides, less what rounding adds
+    # (Sheppard's correction); divided by n as printed
     variance_db2: float
 
 

@@ -35,35 +35,18 @@ ROWS = 512
 
 @dataclass(frozen=True)
 class EmpiricalCorrelation:
-    """One entry a non-empty bin, by increasing lag.
+    """One entry a non-empty bin, by increasing lag."""
 
-    Attributes
-    ----------
-    lag_m
-        ``(b,)`` mean distance of the bin's pairs.
-    covariance_db2
-        ``(b,)`` mean product of the residuals, r-hat.
-    pairs
-        ``(b,)`` number of pairs.
-    """
-
-    lag_m: NDArray[np.float64]
-    covariance_db2: NDArray[np.float64]
-    pairs: NDArray[np.float64]
+    lag_m: NDArray[np.float64]  # (b,) mean distance of the bin's pairs
+    covariance_db2: NDArray[np.float64]  # (b,) mean product of the residuals, r-hat
+    pairs: NDArray[np.float64]  # (b,) number of pairs
 
 
 def empirical_correlation(
     positions_m: NDArray[np.float64], residual_db: NDArray[np.float64], extent_m: float
 ) -> EmpiricalCorrelation:
-    """Average residual products of all pairs of distinct measurements, by lag.
-
-    Parameters
-    ----------
-    positions_m, residual_db
-        ``(n, 2)`` and ``(n,)``.
-    extent_m
-        Diagonal of the bounding box; no pair is farther apart.
-    """
+    """Average residual products of all pairs of distinct measurements, by lag."""
+    # Shapes: positions_m, residual_db (n, 2).
     width = extent_m / BINS
     count = len(residual_db)
     totals = np.zeros((3, BINS + 1))
@@ -166,15 +149,7 @@ def enough(bins: LogBins) -> bool:
 def lemma1_fit(
     bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds
 ) -> CovarianceFit:
-    """Estimate xi, beta and omega from the line (equation 2.3), brought within `bounds`.
-
-    Parameters
-    ----------
-    bins
-        From :func:`printed_bins` or :func:`capped_bins`; :func:`enough` must hold.
-    alpha_db2, count
-        alpha-hat, and the number of measurements behind it.
-    """
+    """Estimate xi, beta and omega from the line (equation 2.3), brought within `bounds`."""
     line = log_line(bins)
     shadow = math.exp(min(line.intercept, 50.0))
     return from_correlation(shadow, line.rate_per_m, line.errors, alpha_db2, count, bounds)

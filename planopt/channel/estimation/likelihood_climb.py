@@ -55,19 +55,8 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-8, 1e8
 def minimise_damped(
     objective: Objective, start: Vector, lower: Vector, upper: Vector, tolerance: float
 ) -> tuple[float, Vector]:
-    """The least value found and where.
-
-    Parameters
-    ----------
-    objective
-        Value, gradient (k,) and a positive semidefinite approximation (k, k) of the curvature.
-    start
-        ``(k,)``; moved into the box.
-    lower, upper
-        ``(k,)`` corners of the box.
-    tolerance
-        It ends when a Newton step on the free variables promises less than this.
-    """
+    """The least value found and where."""
+    # Shapes: start (k,); lower, upper (k,).
     point = np.clip(start, lower, upper)
     value, gradient, curvature = objective(point)
     moves: deque[tuple[Vector, Vector]] = deque(maxlen=len(point))

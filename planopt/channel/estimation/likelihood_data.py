@@ -31,37 +31,22 @@ RANK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class LikelihoodData:
-    """Measurements, Gaussian ones first, as the likelihood needs them.
+    """Measurements, Gaussian ones first, as the likelihood needs them."""
 
-    Attributes
-    ----------
-    distance_m
-        ``(n, n)``, position errors included.
-    columns
-        ``(n, p)`` of the mean model.
-    power_db
-        ``(n,)`` power less the mean model's offset; the limit for censored ones.
-    exact
-        Number of measurements that are Gaussian, exact or rounded finely; they come first. The
-        others are intervals.
-    width_db
-        ``(n,)`` step r that the power was rounded to, 0 for none; ``inf`` for censored ones.
-    age
-        ``(n, n)`` the factor of the correlation; None where the channel does not forget.
-    fixed_db2
-        ``(n, n)`` covariance that is not estimated; None where there is none.
-    receiver
-        ``(n,)`` number of the receiver.
-    """
-
-    distance_m: NDArray[np.float64]
-    columns: NDArray[np.float64]
+    distance_m: NDArray[np.float64]  # (n, n), position errors included
+    columns: NDArray[np.float64]  # (n, p) of the mean model
+    # (n,) power less the mean model's offset; the limit for censored ones
     power_db: NDArray[np.float64]
+    # Number of measurements that are Gaussian, exact or rounded finely; they come first. The others
+    # are intervals.
     exact: int
+    # (n,) step r that the power was rounded to, 0 for none; inf for censored ones
     width_db: NDArray[np.float64]
+    # (n, n) the factor of the correlation; None where the channel does not forget
     age: NDArray[np.float64] | None
+    # (n, n) covariance that is not estimated; None where there is none
     fixed_db2: NDArray[np.float64] | None
-    receiver: NDArray[np.intp]
+    receiver: NDArray[np.intp]  # (n,) number of the receiver
 
     def gaussian(self, rows: NDArray[np.intp]) -> LikelihoodData:
         """Return the data of `rows`, which are Gaussian ones."""
@@ -103,23 +88,9 @@ def likelihood_data(
     model: MeanModel,
     measurements: Measurements,
     known: ChannelParameters,
-    as_interval: NDArray[np.bool_] | None = None,
+    as_interval: NDArray[np.bool_] | None = None,  # (n,)
 ) -> LikelihoodData:
-    """Sort Gaussian measurements first and compute distances.
-
-    Parameters
-    ----------
-    model
-        Mean model at the same positions.
-    measurements
-        n measurements, at least p + 2 of them not censored.
-    known
-        Where the forgetting time is taken from; and the station and a rough n_PL, for what an error
-        of position does to path loss.
-    as_interval
-        ``(n,)`` which are intervals to the likelihood, the censored ones among them
-        (:func:`planopt.channel.intervals.censoring.needs_site`); None for the censored ones alone.
-    """
+    """Sort Gaussian measurements first and compute distances."""
     chosen = measurements.censored if as_interval is None else as_interval
     order = np.argsort(chosen, kind="stable")
     ordered = measurements.take(order)

@@ -37,17 +37,7 @@ IPOPT_OPTIONS = {
 def nls_fit(
     correlation: EmpiricalCorrelation, alpha_db2: float, count: int, bounds: CovarianceBounds
 ) -> CovarianceFit:
-    """xi, beta and omega by ``min sum n (xi^2 exp(-d / beta) - r)^2`` over all bins.
-
-    Parameters
-    ----------
-    correlation
-        At least one bin.
-    alpha_db2, count
-        alpha-hat > 0, and the number of measurements behind it.
-    bounds
-        0 <= xi^2 <= alpha and the range of beta.
-    """
+    """xi, beta and omega by ``min sum n (xi^2 exp(-d / beta) - r)^2`` over all bins."""
     import casadi as ca
 
     share = np.clip(correlation.covariance_db2 / alpha_db2, -1e3, 1e3)

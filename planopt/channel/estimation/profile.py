@@ -44,21 +44,11 @@ AXES: dict[ProfiledParameter, tuple[int, float]] = {
 
 @dataclass(frozen=True, eq=False)
 class Ridge:
-    """A likelihood, its optima and its box, in logarithms of (xi^2, omega^2, beta).
+    """A likelihood, its optima and its box, in logarithms of (xi^2, omega^2, beta)."""
 
-    Attributes
-    ----------
-    climb
-        Of the likelihood.
-    modes
-        Its optima, the best first.
-    box
-        ``(3, 2)``.
-    """
-
-    climb: LikelihoodClimb
-    modes: tuple[Top, ...]
-    box: NDArray[np.float64]
+    climb: LikelihoodClimb  # Of the likelihood
+    modes: tuple[Top, ...]  # Its optima, the best first
+    box: NDArray[np.float64]  # (3, 2)
 
     def value(self, parameter: ProfiledParameter) -> float:
         """The estimate."""
@@ -218,27 +208,14 @@ within this of the largest are the 95 % confidence set."""
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A profile of the restricted likelihood.
+    """A profile of the restricted likelihood."""
 
-    Attributes
-    ----------
-    parameter
-        Which.
-    values
-        ``(k,)`` ascending, in the parameter's unit; the estimate is among them.
-    log_likelihood
-        ``(k,)`` the largest with the parameter at that value.
-    estimate
-        The value that is most likely.
-    measurements
-        How many it rests on, after thinning.
-    """
-
-    parameter: ProfiledParameter
+    parameter: ProfiledParameter  # Which
+    # (k,) ascending, in the parameter's unit; the estimate is among them
     values: NDArray[np.float64]
-    log_likelihood: NDArray[np.float64]
-    estimate: float
-    measurements: int
+    log_likelihood: NDArray[np.float64]  # (k,) the largest with the parameter at that value
+    estimate: float  # The value that is most likely
+    measurements: int  # How many it rests on, after thinning
 
     @property
     def drop(self) -> NDArray[np.float64]:

@@ -51,44 +51,22 @@ MAX_CONDITION = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """One maximum of the likelihood.
+    """One maximum of the likelihood."""
 
-    Attributes
-    ----------
-    covariance
-        xi^2, omega^2 and beta.
-    coefficients, coefficient_covariance
-        Of the mean model, by generalised least squares.
-    log_likelihood
-        Restricted.
-    """
-
-    covariance: Covariance
-    coefficients: NDArray[np.float64]
+    covariance: Covariance  # xi^2, omega^2 and beta
+    coefficients: NDArray[np.float64]  # Of the mean model, by generalised least squares
     coefficient_covariance: NDArray[np.float64]
-    log_likelihood: float
+    log_likelihood: float  # Restricted
 
 
 @dataclass(frozen=True, eq=False)
 class RemlFit:
-    """A covariance with the mean that goes with it.
+    """A covariance with the mean that goes with it."""
 
-    Attributes
-    ----------
-    covariance
-        xi, omega, beta.
-    best
-        The same with the mean, as a maximum of the likelihood.
-    others
-        Other maxima that are nearly as likely, the best first.
-    ridge
-        The likelihood around them.
-    """
-
-    covariance: CovarianceFit
-    best: Mode
-    others: tuple[Mode, ...]
-    ridge: Ridge
+    covariance: CovarianceFit  # xi, omega, beta
+    best: Mode  # The same with the mean, as a maximum of the likelihood
+    others: tuple[Mode, ...]  # Other maxima that are nearly as likely, the best first
+    ridge: Ridge  # The likelihood around them
 
 
 def reml_fit(
@@ -100,27 +78,7 @@ def reml_fit(
     ends: bool = True,
     errors: bool = True,
 ) -> RemlFit:
-    """Maximise the restricted likelihood within `bounds`.
-
-    Parameters
-    ----------
-    model
-        Mean model at the same positions.
-    measurements
-        At least three more uncensored ones than the mean has coefficients, by place
-        (:meth:`planopt.channel.measurements.Measurements.by_place`).
-    bounds
-        Of xi^2, omega^2 and beta.
-    known
-        What is not estimated here, as in :func:`likelihood_data`.
-    ends
-        Whether to look for other maxima at the ends of `bounds`, for up to `MOST_DENSE`
-        measurements. It takes about half as long as the rest, and is for who wants them all: in 60
-        drawn channels none of them was the best.
-    errors
-        Whether to look how well xi, omega and beta are known, which takes a quarter of the rest by
-        blocks; without, their errors are infinite and nothing is said of them.
-    """
+    """Maximise the restricted likelihood within `bounds`."""
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
     likelihood: Likelihood
     if len(measurements) <= MOST_DENSE:

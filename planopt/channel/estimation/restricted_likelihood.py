@@ -48,25 +48,13 @@ from planopt.channel.intervals.sites import (
 
 @dataclass(frozen=True)
 class GeneralisedLeastSquares:
-    """The mean of measurements whose covariance is L L'.
+    """The mean of measurements whose covariance is L L'."""
 
-    Attributes
-    ----------
-    coefficients, covariance
-        ``(p,)`` of the mean, and M = (G' V^-1 G)^-1, ``(p, p)``.
-    lower
-        ``(n, n)`` L.
-    half_residual
-        ``(n,)`` L^-1 (y - G coefficients).
-    log_likelihood
-        The restricted log likelihood, constants included.
-    """
-
-    coefficients: NDArray[np.float64]
+    coefficients: NDArray[np.float64]  # (p,) of the mean, and M = (G' V^-1 G)^-1, (p, p)
     covariance: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    half_residual: NDArray[np.float64]
-    log_likelihood: float
+    lower: NDArray[np.float64]  # (n, n) L
+    half_residual: NDArray[np.float64]  # (n,) L^-1 (y - G coefficients)
+    log_likelihood: float  # The restricted log likelihood, constants included
 
 
 def generalised_least_squares(
@@ -97,26 +85,12 @@ def generalised_least_squares(
 
 def sites_and_likelihood(
     data: LikelihoodData,
-    latent_covariance: NDArray[np.float64],
+    latent_covariance: NDArray[np.float64],  # (n, n) V without multipath and rounding
     nugget: float,
     start: IntervalSites | None,
     tolerance: float,
 ) -> tuple[IntervalSites, float]:
-    """Sites of the intervals given the Gaussian measurements, and log L of all.
-
-    Parameters
-    ----------
-    data
-        Measurements, some of them intervals.
-    latent_covariance
-        ``(n, n)`` V without multipath and rounding.
-    nugget
-        omega^2.
-    start
-        Sites of a point near by.
-    tolerance
-        Of :func:`planopt.channel.intervals.expectation_propagation.interval_sites`.
-    """
+    """Sites of the intervals given the Gaussian measurements, and log L of all."""
     exact, width = data.exact, data.width_db[data.exact :]
     rounded = np.isfinite(width)
     known = Intervals(data.power_db[exact:] + np.where(rounded, 0.5 * width, 0.0), width)
@@ -173,31 +147,18 @@ def _least_squares_line(data: LikelihoodData) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The restricted likelihood at one point.
+    """The restricted likelihood at one point."""
 
-    Attributes
-    ----------
-    log_likelihood
-        log L, constants included.
-    gradient
-        ``(3,)`` by xi^2, omega^2, beta.
-    information
-        ``(3, 3)`` the average of observed and expected information, y' P dV_i P dV_j P y / 2, with
-        sites as measurements; positive semidefinite.
-    coefficients, coefficient_covariance
-        Generalised least squares of the mean and its covariance M, from all measurements.
-    sites
-        Those of the intervals, to start the next evaluation from.
-    projection
-        P, ``(n, n)``; `noise_db2` ``(n,)`` is the diagonal of V beyond shadowing.
-    """
-
-    log_likelihood: float
-    gradient: NDArray[np.float64]
+    log_likelihood: float  # log L, constants included
+    gradient: NDArray[np.float64]  # (3,) by xi^2, omega^2, beta
+    # (3, 3) the average of observed and expected information, y' P dV_i P dV_j P y / 2, with sites
+    # as measurements; positive semidefinite
     information: NDArray[np.float64]
+    # Generalised least squares of the mean and its covariance M, from all measurements
     coefficients: NDArray[np.float64]
     coefficient_covariance: NDArray[np.float64]
-    sites: IntervalSites | None
+    sites: IntervalSites | None  # Those of the intervals, to start the next evaluation from
+    # P, (n, n); `noise_db2` (n,) is the diagonal of V beyond shadowing
     projection: NDArray[np.float64]
     noise_db2: NDArray[np.float64]
 
@@ -228,20 +189,7 @@ def evaluate(
     start: IntervalSites | None = None,
     site_tolerance: float = TOLERANCE,
 ) -> Evaluation:
-    """The restricted likelihood, its gradient and the mean at one point.
-
-    Parameters
-    ----------
-    data
-        From :func:`planopt.channel.estimation.likelihood_data.likelihood_data`.
-    covariance
-        xi^2, omega^2 and beta, all positive.
-    start
-        Sites of a point near by.
-    site_tolerance
-        Of :func:`planopt.channel.intervals.expectation_propagation.interval_sites`. What is left of
-        it is of second order in log L, and of first order in the gradient.
-    """
+    """The restricted likelihood, its gradient and the mean at one point."""
     shadow, nugget, beta = covariance
     correlation = data.correlation(beta)
     total = shadow * correlation
@@ -295,11 +243,6 @@ def profiled_log_likelihood(
 
     Offsets of receivers have a flat prior here, and errors of path loss are left out: a covariance
     that does not scale with the total cannot be profiled.
-
-    Returns
-    -------
-    tuple[float, float]
-        log L up to a constant, and the variance xi^2 + omega^2 at which it is reached.
     """
     count = data.exact
     correlation = correlated_share * data.correlation(decorrelation_m)

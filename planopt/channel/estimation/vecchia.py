@@ -33,17 +33,10 @@ from planopt.channel.parameters import ChannelParameters
 
 @dataclass(frozen=True, eq=False)
 class NeighbourRegression:
-    """Regress each of k powers on m neighbours, about their path loss (equation 1.6).
+    """Regress each of k powers on m neighbours, about their path loss (equation 1.6)."""
 
-    Attributes
-    ----------
-    weights
-        ``(k, m)`` U_mm^-1 phi.
-    variance_db2
-        ``(k,)`` of shadowing and the receiver's offset, given the neighbours.
-    """
-
-    weights: NDArray[np.float64]
+    weights: NDArray[np.float64]  # (k, m) U_mm^-1 phi
+    # (k,) of shadowing and the receiver's offset, given the neighbours
     variance_db2: NDArray[np.float64]
 
 
@@ -51,24 +44,10 @@ def regress_on_neighbours(
     parameters: ChannelParameters,
     own: Origins,
     neighbours: Origins,
-    noise_variance_db2: NDArray[np.float64],
-    missing: NDArray[np.bool_],
+    noise_variance_db2: NDArray[np.float64],  # (k, m) variance of the noise of these
+    missing: NDArray[np.bool_],  # (k, m) those that are not there: their weight is zero
 ) -> NeighbourRegression:
-    """Kriging weights of k powers, each from its own m neighbours.
-
-    Parameters
-    ----------
-    parameters
-        The channel's parameters.
-    own
-        Origins of the powers, ``(k, 1)``.
-    neighbours
-        Origins ``(k, m)`` of what each is regressed on.
-    noise_variance_db2
-        ``(k, m)`` variance of the noise of these.
-    missing
-        ``(k, m)`` those that are not there: their weight is zero.
-    """
+    """Kriging weights of k powers, each from its own m neighbours."""
     covariance = own_covariance_db2(neighbours, parameters)
     across = covariance_db2(own, neighbours, parameters)[:, 0]
     if missing.any():
@@ -93,27 +72,11 @@ ROWS_AT_ONCE = 256
 def whitened_products(
     parameters: ChannelParameters,
     origins: Origins,
-    noise_variance_db2: NDArray[np.float64],
-    columns: NDArray[np.float64],
+    noise_variance_db2: NDArray[np.float64],  # (n,) variance of the noise of each
+    columns: NDArray[np.float64],  # (n, c) C
 ) -> NDArray[np.float64]:
-    """C' U^-1 C with U^-1 after Vecchia, of a batch of measurements.
-
-    Parameters
-    ----------
-    parameters
-        The channel's parameters.
-    origins
-        Of n measurements.
-    noise_variance_db2
-        ``(n,)`` variance of the noise of each.
-    columns
-        ``(n, c)`` C.
-
-    Returns
-    -------
-    NDArray
-        ``(c, c)``.
-    """
+    """C' U^-1 C with U^-1 after Vecchia, of a batch of measurements."""
+    # Shapes: returns (c, c).
     products = np.zeros((columns.shape[1], columns.shape[1]))
     blocks = place_blocks(origins.positions_m, BLOCK)
     for window in earlier_windows(origins.positions_m, blocks, BESIDE):
@@ -133,15 +96,7 @@ def added_products(
     columns: NDArray[np.float64],
     done: int,
 ) -> NDArray[np.float64]:
-    """Return what the rows from `done` on add to the products of those before, in the order given.
-
-    Parameters
-    ----------
-    parameters, origins, noise_variance_db2, columns
-        As for :func:`whitened_products`.
-    done
-        Rows that are counted already.
-    """
+    """Add the products of the rows from `done` on to those of the earlier rows, in order."""
     index = PlaceIndex.of(origins.positions_m[:done])
     products = np.zeros((columns.shape[1], columns.shape[1]))
     for start in range(done, len(columns), ROWS_AT_ONCE):
@@ -166,22 +121,8 @@ def added_products(
 def nearest_earlier(
     index: PlaceIndex, positions_m: NDArray[np.float64], count: int
 ) -> NDArray[np.intp]:
-    """Numbers of the `count` places nearest to each of `positions_m` among those before it.
-
-    Parameters
-    ----------
-    index
-        Of the first n places.
-    positions_m
-        ``(k, 2)`` the places n to n + k - 1.
-    count
-        How many are wanted.
-
-    Returns
-    -------
-    NDArray
-        ``(k, count)``; -1 where there are no more.
-    """
+    """Numbers of the `count` places nearest to each of `positions_m` among those before it."""
+    # Shapes: positions_m (k, 2); returns (k, count).
     before, total = len(index.positions_m), len(positions_m)
     found, _ = index.nearest(positions_m, count)
     offset = index.positions_m[found] - positions_m[:, None]

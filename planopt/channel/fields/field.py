@@ -70,21 +70,11 @@ MAX_TORUS_CELLS = 2**24
 
 @dataclass(frozen=True)
 class ShadowField:
-    """One realisation of shadowing.
+    """One realisation of shadowing."""
 
-    Attributes
-    ----------
-    values_db
-        ``(ny, nx)``.
-    padding
-        Cells by which each axis was lengthened, ``(y, x)``.
-    clipped_share
-        Share of the eigenvalues' mass that was negative and set to zero.
-    """
-
-    values_db: NDArray[np.float64]
-    padding: tuple[int, int]
-    clipped_share: float
+    values_db: NDArray[np.float64]  # (ny, nx)
+    padding: tuple[int, int]  # Cells by which each axis was lengthened, (y, x)
+    clipped_share: float  # Share of the eigenvalues' mass that was negative and set to zero
 
 
 def shadow_field_db(
@@ -246,8 +236,8 @@ def scattered_field_db(
 def added_to_lattice_db(
     x_m: NDArray[np.float64],
     y_m: NDArray[np.float64],
-    field_db: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
+    field_db: NDArray[np.float64],  # (ny, nx) of deviation xi
+    positions_m: NDArray[np.float64],  # (n, 2), repeated ones included
     shadow_std_db: float,
     decorrelation_m: float,
     generator: np.random.Generator,
@@ -257,25 +247,8 @@ def added_to_lattice_db(
     Each value is drawn given the lattice nodes about it and the nearest earlier places. With the
     exponential covariance nearer values screen farther ones, so that this is all but exact within
     the lattice; outside it correlation with nodes far from the nearest border is neglected.
-
-    Parameters
-    ----------
-    x_m, y_m
-        ``(nx,)`` and ``(ny,)``, even.
-    field_db
-        ``(ny, nx)`` of deviation xi.
-    positions_m
-        ``(n, 2)``, repeated ones included.
-    shadow_std_db, decorrelation_m
-        xi and beta.
-    generator
-        Source of randomness.
-
-    Returns
-    -------
-    NDArray
-        ``(n,)`` in dB.
     """
+    # Shapes: x_m, y_m (nx,); returns (n,).
     places, back = _distinct(positions_m)
     columns, rows = _stencil(x_m, places[:, 0]), _stencil(y_m, places[:, 1])
     noise = generator.standard_normal(len(places))
@@ -362,28 +335,8 @@ def conditional_field(
 def conditional_values_db(
     posterior: ChannelPosterior, positions_m: NDArray[np.float64], generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw path loss and shadowing at any places, given the measurements; no multipath.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements. Where theta is estimated it is drawn too.
-    positions_m
-        ``(n, 2)``.
-    generator
-        Source of randomness.
-
-    Returns
-    -------
-    NDArray
-        ``(n,)`` in dBm.
-
-    Raises
-    ------
-    InputError
-        Places and measurements together are too many for an exact field, or the channel forgets, or
-        the measurements have errors of position.
-    """
+    """Draw path loss and shadowing at any places, given the measurements; no multipath."""
+    # Shapes: positions_m (n, 2); returns (n,).
     _require_one_time_and_known_places(posterior)
     together = np.concatenate([positions_m, posterior.measurements.positions_m])
     parameters = posterior.parameters

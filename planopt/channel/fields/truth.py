@@ -115,26 +115,11 @@ def model_truth(
 def power_truth(
     x_m: NDArray[np.float64],
     y_m: NDArray[np.float64],
-    power_dbm: NDArray[np.float64],
+    power_dbm: NDArray[np.float64],  # (ny, nx), NaN where nothing arrives
     floor_dbm: float | None = None,
 ) -> Truth:
-    """Truth from arrays of received power, small-scale fading included or not.
-
-    Parameters
-    ----------
-    x_m, y_m
-        ``(nx,)`` and ``(ny,)`` cell centres, ascending and evenly spaced.
-    power_dbm
-        ``(ny, nx)``, NaN where nothing arrives.
-    floor_dbm
-        The receiver's floor; smaller powers are clipped to it. None for none.
-
-    Raises
-    ------
-    InputError
-        The axes do not fit the powers, a power is beyond `MAX_POWER_DB`, or there is no floor where
-        nothing arrives.
-    """
+    """Truth from arrays of received power, small-scale fading included or not."""
+    # Shapes: x_m, y_m (nx,).
     raster = checked_raster(x_m, y_m, power_dbm, None, "power_dbm")
     if floor_dbm is not None and not abs(floor_dbm) <= MAX_POWER_DB:
         raise InputError(f"is {floor_dbm!r}, which is no power", key="floor_dbm", remedy="give dBm")

@@ -62,20 +62,8 @@ def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) ->
 
     The sites are conditioned jointly on all measurements: a censored one among strong neighbours
     pulls harder than one where a weak signal was expected anyway.
-
-    Parameters
-    ----------
-    parameters
-        The channel; its theta is taken as exact.
-    measurements
-        n measurements, some of which may be censored or rounded.
-
-    Returns
-    -------
-    Sites
-        ``(n,)`` each, in the order of `measurements`. Exact ones are returned as they are, with
-        variance omega^2; finely rounded ones with omega^2 + r^2 / 12.
     """
+    # Shapes: returns (n,).
     omega2 = parameters.multipath_std_db**2
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)

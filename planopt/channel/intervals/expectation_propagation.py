@@ -40,27 +40,7 @@ def interval_sites(
     start: IntervalSites | None = None,
     tolerance: float = TOLERANCE,
 ) -> IntervalSites:
-    """Expectation propagation for intervals of a Gaussian vector, all sites at once, damped.
-
-    Parameters
-    ----------
-    prior
-        Of f, m values.
-    intervals
-        Where f + noise lies.
-    noise_variance_db2
-        omega^2 > 0.
-    start
-        Sites to start from, of a similar problem of the same size.
-    tolerance
-        They have converged when none moves by more than this in units of its posterior.
-
-    Returns
-    -------
-    IntervalSites
-        The fixed point, or the nearest to it after `MAX_SWEEPS` sweeps. The log-concave
-        likelihood keeps every precision non-negative.
-    """
+    """Expectation propagation for intervals of a Gaussian vector, all sites at once, damped."""
     limit = intervals.upper_db - prior.mean_db
     precision, shift = _first(prior, intervals, noise_variance_db2, start)
     least = np.where(np.isinf(intervals.width_db), 0.0, 1.0 / MAX_SITE_VARIANCE_DB2)

@@ -17,35 +17,20 @@ MAX_SITE_VARIANCE_DB2 = 1e5
 
 @dataclass(frozen=True)
 class Sites:
-    """Measurements as Gaussian ones: value = path loss + shadowing + independent noise.
+    """Measurements as Gaussian ones: value = path loss + shadowing + independent noise."""
 
-    Attributes
-    ----------
-    values_db
-        ``(n,)`` values in dBm.
-    noise_variance_db2
-        ``(n,)`` variance of the noise of each, positive, at most `MAX_SITE_VARIANCE_DB2` for
-        censored measurements.
-    """
-
-    values_db: NDArray[np.float64]
+    values_db: NDArray[np.float64]  # (n,) values in dBm
+    # (n,) variance of the noise of each, positive, at most `MAX_SITE_VARIANCE_DB2` for censored
+    # measurements
     noise_variance_db2: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Intervals:
-    """The intervals that noisy powers are known to lie in.
+    """The intervals that noisy powers are known to lie in."""
 
-    Attributes
-    ----------
-    upper_db
-        ``(m,)`` the power is at most this,
-    width_db
-        ``(m,)`` and at most this much below it; ``inf`` for a mere limit.
-    """
-
-    upper_db: NDArray[np.float64]
-    width_db: NDArray[np.float64]
+    upper_db: NDArray[np.float64]  # (m,) the power is at most this,
+    width_db: NDArray[np.float64]  # (m,) and at most this much below it; inf for a mere limit
 
 
 @dataclass(frozen=True)
@@ -54,21 +39,13 @@ class LatentPrior:
 
     f = mean + columns @ delta + u with u ~ N(0, covariance) and delta of density proportional to
     exp(score' delta - delta' information delta / 2): path loss, given other measurements.
-
-    Attributes
-    ----------
-    mean_db, covariance_db2
-        ``(m,)`` and ``(m, m)``.
-    columns
-        ``(m, p)``; p = 0 where the mean is known.
-    information, score
-        ``(p, p)`` and ``(p,)``. The information may be zero (a flat prior) where the intervals of
-        finite width determine delta.
     """
 
-    mean_db: NDArray[np.float64]
+    mean_db: NDArray[np.float64]  # (m,) and (m, m)
     covariance_db2: NDArray[np.float64]
-    columns: NDArray[np.float64]
+    columns: NDArray[np.float64]  # (m, p); p = 0 where the mean is known
+    # (p, p) and (p,). The information may be zero (a flat prior) where the intervals of finite
+    # width determine delta.
     information: NDArray[np.float64]
     score: NDArray[np.float64]
 
@@ -99,26 +76,15 @@ class LatentPrior:
 
 @dataclass(frozen=True)
 class IntervalSites:
-    """The EP approximation of prior times the probability of the intervals.
+    """The EP approximation of prior times the probability of the intervals."""
 
-    Attributes
-    ----------
-    mean_db
-        ``(m,)`` what the sites are relative to, the prior's mean.
-    precision, shift
-        ``(m,)`` natural parameters: a site is proportional to
-        ``exp(-precision (f - mean)^2 / 2 + shift (f - mean))``.
-    log_evidence
-        EP's log of the integral of that product over f and delta.
-    evidence_slope
-        Derivative of `log_evidence` by omega^2 through the likelihood alone.
-    """
-
-    mean_db: NDArray[np.float64]
+    mean_db: NDArray[np.float64]  # (m,) what the sites are relative to, the prior's mean
+    # (m,) natural parameters: a site is proportional to exp(-precision (f - mean)^2 / 2 + shift (f
+    # - mean))
     precision: NDArray[np.float64]
     shift: NDArray[np.float64]
-    log_evidence: float
-    evidence_slope: float
+    log_evidence: float  # EP's log of the integral of that product over f and delta
+    evidence_slope: float  # Derivative of `log_evidence` by omega^2 through the likelihood alone
 
     def as_measurements(self) -> Sites:
         """The sites as Gaussian measurements of f."""
@@ -153,16 +119,8 @@ def matched_sites(
     With x the noisy power in units of the cavity's prediction, in which its variance given the
     interval is s^2, the site has precision (1 - s^2) / (omega^2 + s^2 v), v the cavity's variance:
     no difference of nearly equal numbers where the interval is narrow.
-
-    Parameters
-    ----------
-    mean_db, variance_db2
-        ``(m,)`` of the cavities, relative to what the sites are relative to.
-    given
-        x given its interval.
-    noise_variance_db2
-        omega^2.
     """
+    # Shapes: mean_db, variance_db2 (m,).
     shrink = np.maximum(1.0 - given.variance, 0.0)
     left = noise_variance_db2 + variance_db2 * given.variance
     width = np.sqrt(noise_variance_db2 + variance_db2)

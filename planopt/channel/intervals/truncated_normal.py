@@ -30,31 +30,16 @@ end its relative error is 1e-10."""
 
 @dataclass(frozen=True)
 class TruncatedNormal:
-    """Standard normal variables x, each given that it lies in its interval.
+    """Standard normal variables x, each given that it lies in its interval."""
 
-    Attributes
-    ----------
-    log_probability
-        ``(m,)`` of the interval.
-    mean, variance
-        ``(m,)`` given the interval.
-    """
-
-    log_probability: NDArray[np.float64]
-    mean: NDArray[np.float64]
+    log_probability: NDArray[np.float64]  # (m,) of the interval
+    mean: NDArray[np.float64]  # (m,) given the interval
     variance: NDArray[np.float64]
 
 
 def truncated_normal(upper: NDArray[np.float64], width: NDArray[np.float64]) -> TruncatedNormal:
-    """Condition standard normal variables on ``upper - width <= x <= upper``.
-
-    Parameters
-    ----------
-    upper
-        ``(m,)`` upper ends, finite.
-    width
-        ``(m,)`` positive, ``inf`` for a half line.
-    """
+    """Condition standard normal variables on ``upper - width <= x <= upper``."""
+    # Shapes: upper (m,); width (m,).
     if np.isinf(width).all() and (upper > LEAST_CLOSED_FORM).all():
         return _half_line(upper)
     # Mirrored where the middle is below 0, so that the density is highest at 0 or the lower end.

@@ -104,27 +104,8 @@ def east_north_m(
     latitude_deg: NDArray[np.float64],
     origin_deg: tuple[float, float],
 ) -> NDArray[np.float64]:
-    """Project places onto the plane that touches the earth at the origin.
-
-    Parameters
-    ----------
-    longitude_deg, latitude_deg
-        ``(n,)`` on WGS 84, height zero.
-    origin_deg
-        Latitude and longitude of the place that becomes (0, 0).
-
-    Returns
-    -------
-    ndarray
-        ``(n, 2)`` metres to the east and to the north; NaN for places that are farther than
-        `FARTHEST_M`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> east_north_m(np.array([11.5755]), np.array([48.1383]), (48.1374, 11.5755)).round(1)
-    array([[  0. , 100.1]])
-    """
+    """Project places onto the plane that touches the earth at the origin."""
+    # Shapes: longitude_deg, latitude_deg (n,); returns (n, 2).
     latitude, longitude = np.radians(origin_deg)
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     up = np.array(
@@ -173,17 +154,10 @@ POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
 
 @dataclass(frozen=True)
 class PowerLog:
-    """A log as it was read: places, powers, flags and further columns.
+    """A log as it was read: places, powers, flags and further columns."""
 
-    Attributes
-    ----------
-    measurements
-        In the order of its rows.
-    receivers
-        Label of each receiver number, the reference first; empty where no column has labels.
-    """
-
-    measurements: Measurements
+    measurements: Measurements  # In the order of its rows
+    # Label of each receiver number, the reference first; empty where no column has labels
     receivers: tuple[str, ...]
 
 
@@ -193,23 +167,7 @@ def read_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> Measur
 
 
 def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
-    """Read a power log.
-
-    Parameters
-    ----------
-    path
-        The CSV file.
-    log_format
-        Its columns, and what holds for all rows.
-
-    Raises
-    ------
-    InputError
-        With the file, and where they apply the line and the column: the file is missing, not text
-        or empty; a column is missing; a row has too few or too many cells; a cell is empty, not a
-        number or not finite; a coordinate or a power is out of range
-        (:mod:`planopt.channel.logs.log_format`); a flag is none.
-    """
+    """Read a power log."""
     file = Path(path)
     rows = _rows(file)
     header_line, names = _header(rows, file)
@@ -295,23 +253,7 @@ def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
 def read_columns(
     path: Path | str, columns: Sequence[str], log_format: LogFormat = DEFAULT_FORMAT
 ) -> list[tuple[int, list[str]]]:
-    """Cells of any columns of a log, row by row, each with its line.
-
-    Parameters
-    ----------
-    path
-        The CSV file.
-    columns
-        Names of the columns.
-    log_format
-        Says which rows count.
-
-    Raises
-    ------
-    InputError
-        The file is missing, not text or empty; a column is missing; a row has too few or too many
-        cells.
-    """
+    """Cells of any columns of a log, row by row, each with its line."""
     file = Path(path)
     rows = _rows(file)
     header_line, names = _header(rows, file)
@@ -323,18 +265,7 @@ def read_columns(
 def at_file_line(
     error: InputError, path: Path | str, log_format: LogFormat = DEFAULT_FORMAT
 ) -> InputError:
-    """Turn an error about a measurement of a log into one about the log's line.
-
-    Parameters
-    ----------
-    error
-        As :func:`planopt.channel.estimation.identifiability.examine` raises it: its ``row``, if
-        any, is the index of a measurement, counted from 0.
-    path
-        The log that the measurements were read from.
-    log_format
-        As they were read.
-    """
+    """Turn an error about a measurement of a log into one about the log's line."""
     line = error.row
     if line is not None:
         line = read_columns(path, (), log_format)[line][0]
@@ -342,13 +273,7 @@ def at_file_line(
 
 
 def parse_station(text: str) -> Station | None:
-    """Read ``X,Y`` or ``X,Y,HEIGHT`` in metres, or ``unknown`` as None.
-
-    Raises
-    ------
-    InputError
-        Neither of these, or a number is not finite.
-    """
+    """Read ``X,Y`` or ``X,Y,HEIGHT`` in metres, or ``unknown`` as None."""
     if text.strip().lower() == "unknown":
         return None
     remedy = "write X,Y or X,Y,HEIGHT in metres, or unknown"

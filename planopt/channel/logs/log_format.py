@@ -54,13 +54,7 @@ class LogFormat:
 
 
 def parse_columns(text: str) -> tuple[str, str, str]:
-    """Read ``x=east,y=north,power=rssi``; what is not named keeps its default.
-
-    Raises
-    ------
-    InputError
-        Not of that form, or something other than x, y and power is named.
-    """
+    """Read ``x=east,y=north,power=rssi``; what is not named keeps its default."""
     remedy = "write x=NAME,y=NAME,power=NAME"
     names: dict[str, str] = dict(zip(("x", "y", "power"), DEFAULT_COLUMNS, strict=True))
     for part in text.split(","):
@@ -72,13 +66,7 @@ def parse_columns(text: str) -> tuple[str, str, str]:
 
 
 def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Read ``COLUMN=TEXT`` of each, into what :class:`LogFormat` calls `rows`.
-
-    Raises
-    ------
-    InputError
-        One is not of that form.
-    """
+    """Read ``COLUMN=TEXT`` of each, into what :class:`LogFormat` calls `rows`."""
     pairs: list[tuple[str, str]] = []
     for text in texts:
         column, equals, value = (piece.strip() for piece in text.partition("="))
@@ -89,13 +77,7 @@ def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
 
 def parse_origin(text: str) -> tuple[float, float]:
-    """Read ``LAT,LON`` in degrees.
-
-    Raises
-    ------
-    InputError
-        Not of that form, or no place on earth.
-    """
+    """Read ``LAT,LON`` in degrees."""
     try:
         latitude, longitude = (float(part) for part in text.split(","))
     except ValueError:

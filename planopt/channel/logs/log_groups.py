@@ -21,18 +21,11 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True)
 class GroupColumn:
-    """A column that tells groups apart.
+    """A column that tells groups apart."""
 
-    Attributes
-    ----------
-    name
-        Of the column.
-    block
-        Numbers within one block of this length, counted from zero, are together; None where each
-        text is a group.
-    """
-
-    name: str
+    name: str  # Of the column
+    # Numbers within one block of this length, counted from zero, are together; None where each text
+    # is a group
     block: float | None = None
 
 

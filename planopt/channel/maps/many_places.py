@@ -20,15 +20,7 @@ speed of a matrix product there, at 1,000 measurements at 0.9 of it."""
 
 
 class RowWhitener:
-    """L^-1 applied to rows, and what it tells of y, Gamma and the variance.
-
-    Parameters
-    ----------
-    lower
-        ``(n, n)`` L, n at least 1.
-    columns
-        ``(n, 3)`` L^-1 [y, Gamma].
-    """
+    """L^-1 applied to rows, and what it tells of y, Gamma and the variance."""
 
     def __init__(self, lower: NDArray[np.float64], columns: NDArray[np.float64]) -> None:
         self._lower = np.asfortranarray(lower)

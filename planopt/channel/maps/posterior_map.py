@@ -45,20 +45,8 @@ from planopt.world.raster import Raster, cell_centres_m
 def predict_grid(
     posterior: ChannelPosterior, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
 ) -> Prediction:
-    """Mean and deviation at all places of a grid; what `predict` gives, sooner.
-
-    Parameters
-    ----------
-    posterior
-        The channel given measurements.
-    x_m, y_m
-        ``(nx,)`` and ``(ny,)`` the grid's coordinates.
-
-    Returns
-    -------
-    Prediction
-        ``(ny, nx)``.
-    """
+    """Mean and deviation at all places of a grid; what `predict` gives, sooner."""
+    # Shapes: x_m, y_m (nx,); returns (ny, nx).
     shape = (len(y_m), len(x_m))
     places = np.stack(np.meshgrid(x_m, y_m), axis=-1).reshape(-1, 2)
     known = len(posterior.measurements)
@@ -243,13 +231,7 @@ def posterior_map(
 
 
 def _bounds(given: object) -> Bounds:
-    """Return bounds as four numbers.
-
-    Raises
-    ------
-    InputError
-        They are something else.
-    """
+    """Return bounds as four numbers."""
     try:
         x_min, y_min, x_max, y_max = np.asarray(given, dtype=np.float64).tolist()
     except (TypeError, ValueError):
@@ -268,13 +250,7 @@ def default_cell_m(bounds_m: Bounds) -> float:
 
 
 def measured_bounds_m(measurements: Measurements) -> Bounds:
-    """The box around the measurements, widened where they stand on a line along an axis.
-
-    Parameters
-    ----------
-    measurements
-        Not all in one place.
-    """
+    """The box around the measurements, widened where they stand on a line along an axis."""
     low, high = measurements.positions_m.min(axis=0), measurements.positions_m.max(axis=0)
     least = 2.0 * (high - low).max() / CELLS_ALONG
     widening = np.maximum(least - (high - low), 0.0) / 2.0

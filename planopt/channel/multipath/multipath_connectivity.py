@@ -34,8 +34,8 @@ BLOCK_ELEMENTS = 2**20
 
 
 def multipath_connection_probability(
-    mean_db: NDArray[np.float64],
-    latent_deviation_db: NDArray[np.float64],
+    mean_db: NDArray[np.float64],  # (n,) predicted power, dBm
+    latent_deviation_db: NDArray[np.float64],  # (n,) its deviation without multipath, at least 0
     threshold_dbm: float,
     multipath: Multipath,
 ) -> NDArray[np.float64]:
@@ -44,22 +44,6 @@ def multipath_connection_probability(
     Equation 3.3 by equally spaced sums, not Gauss and Hermite's nodes: for weak multipath the
     second factor is nearly a step, which the former resolve to rounding with nodes in proportion
     to latent deviation over omega, the latter only slowly. Error below 1e-9.
-
-    Parameters
-    ----------
-    mean_db
-        ``(n,)`` predicted power, dBm.
-    latent_deviation_db
-        ``(n,)`` its deviation without multipath, at least 0.
-    threshold_dbm
-        Power from which on a place is connected.
-    multipath
-        Distribution of multipath.
-
-    Raises
-    ------
-    InputError
-        Shapes do not agree, a deviation is negative, or a number is not finite.
     """
     threshold = require_finite(threshold_dbm, "threshold_dbm")
     mean, deviation = _array(mean_db), _array(latent_deviation_db)

@@ -41,17 +41,7 @@ SERIES_DEVIATIONS = 12.0
 def rician_field_db(
     shape: tuple[int, ...], k_factor: float, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Independent fading values in dB, of mean zero and deviation :func:`rician_std_db`.
-
-    Parameters
-    ----------
-    shape
-        Shape of the result.
-    k_factor
-        K >= 0, linear; 0 is Rayleigh fading.
-    generator
-        Source of randomness.
-    """
+    """Independent fading values in dB, of mean zero and deviation :func:`rician_std_db`."""
     constant = math.sqrt(k_factor / (k_factor + 1.0))
     scatter = math.sqrt(0.5 / (k_factor + 1.0))
     real = constant + scatter * generator.standard_normal(shape)
@@ -96,39 +86,21 @@ HALVINGS = 60
 
 
 def nakagami_m_of_rician(k_factor: float) -> float:
-    """Nakagami's m = (K + 1)^2 / (2 K + 1), of equal amount of fading.
-
-    Raises
-    ------
-    InputError
-        K is negative or not finite.
-    """
+    """Nakagami's m = (K + 1)^2 / (2 K + 1), of equal amount of fading."""
     require_k_factor(k_factor)
     # Written so, no rounding takes it below 1, where there is no Rician channel.
     return 1.0 + k_factor**2 / (2.0 * k_factor + 1.0)
 
 
 def rician_k_of_nakagami(m: float) -> float:
-    """Rician K = m - 1 + sqrt(m (m - 1)), the inverse of :func:`nakagami_m_of_rician`.
-
-    Raises
-    ------
-    InputError
-        m is below 1: fading worse than Rayleigh's has no Rician factor.
-    """
+    """Rician K = m - 1 + sqrt(m (m - 1)), the inverse of :func:`nakagami_m_of_rician`."""
     if not 1.0 <= m < math.inf:
         raise InputError(f"m = {m!r} has no Rician factor", key="m", remedy="m is at least 1")
     return m - 1.0 + math.sqrt(m * (m - 1.0))
 
 
 def nakagami_mean_db(m: float) -> float:
-    """Mean in dB of Nakagami fading of unit mean power: (10 / ln 10) (psi(m) - ln m); negative.
-
-    Raises
-    ------
-    InputError
-        m is below `MIN_M` or not finite.
-    """
+    """Mean in dB of Nakagami fading of unit mean power: (10 / ln 10) (psi(m) - ln m); negative."""
     require_m(m)
     return DB_PER_NEPER * (float(_array(psi(m))) - math.log(m))
 
@@ -137,35 +109,18 @@ def nakagami_std_db(m: float) -> float:
     """Deviation omega in dB of Nakagami fading: (10 / ln 10) sqrt(psi'(m)).
 
     psi'(m) is Hurwitz's zeta(2, m).
-
-    Raises
-    ------
-    InputError
-        m is below `MIN_M` or not finite.
     """
     require_m(m)
     return DB_PER_NEPER * math.sqrt(float(_array(zeta(2.0, m))))
 
 
 def nakagami_m_of_std(multipath_std_db: float) -> float:
-    """The m whose exact deviation is omega = `multipath_std_db`.
-
-    Raises
-    ------
-    InputError
-        No m from `MIN_M` to `STRONGEST` has it.
-    """
+    """The m whose exact deviation is omega = `multipath_std_db`."""
     return _sought(nakagami_std_db, MIN_M, multipath_std_db)
 
 
 def rician_k_of_std(multipath_std_db: float) -> float:
-    """The K whose exact deviation is omega = `multipath_std_db`.
-
-    Raises
-    ------
-    InputError
-        No K from 0 to `STRONGEST` has it; Rayleigh fading has the largest, 5.57 dB.
-    """
+    """The K whose exact deviation is omega = `multipath_std_db`."""
     return _sought(rician_std_db, 0.0, multipath_std_db)
 
 
@@ -334,17 +289,7 @@ def multipath_of(
 def multipath_field_db(
     shape: tuple[int, ...], multipath: Multipath, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Independent values in dB, of mean zero and deviation ``multipath.std_db``.
-
-    Parameters
-    ----------
-    shape
-        Shape of the result.
-    multipath
-        The law.
-    generator
-        Source of randomness.
-    """
+    """Independent values in dB, of mean zero and deviation ``multipath.std_db``."""
     if isinstance(multipath, Lognormal):
         return multipath.std_db * generator.standard_normal(shape)
     if isinstance(multipath, Rician):

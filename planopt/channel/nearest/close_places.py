@@ -12,17 +12,8 @@ Rows = NDArray[np.intp]
 def close_together(
     places_m: NDArray[np.float64], near: NDArray[np.intp], most: float
 ) -> list[Rows]:
-    """Split places until each part needs at most `most` measurements, or is one place.
-
-    Parameters
-    ----------
-    places_m
-        ``(n, 2)``, at least one.
-    near
-        ``(n, count)`` the measurements that each needs.
-    most
-        Different ones that a part may need.
-    """
+    """Split places until each part needs at most `most` measurements, or is one place."""
+    # Shapes: places_m (n, 2); near (n, count).
     done: list[Rows] = []
     parts = [np.arange(len(places_m))]
     while parts:

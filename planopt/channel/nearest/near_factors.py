@@ -61,27 +61,13 @@ measurements a place."""
 
 @dataclass(eq=False)
 class NearGroup:
-    """Measurements with their factor.
+    """Measurements with their factor."""
 
-    Attributes
-    ----------
-    parameters
-        The channel's, as the factor was made with.
-    used
-        ``(m,)`` numbers of the measurements, in the order of the factor's rows.
-    given
-        ``(m, 6)`` what the factor and `columns` rest on, to be recognised by.
-    columns
-        ``(m, 3)`` L^-1 [y, Gamma].
-    buffer
-        Where L is.
-    """
-
-    parameters: ChannelParameters
-    used: NDArray[np.intp]
-    given: NDArray[np.float64]
-    columns: NDArray[np.float64]
-    buffer: FactorBuffer
+    parameters: ChannelParameters  # The channel's, as the factor was made with
+    used: NDArray[np.intp]  # (m,) numbers of the measurements, in the order of the factor's rows
+    given: NDArray[np.float64]  # (m, 6) what the factor and `columns` rest on, to be recognised by
+    columns: NDArray[np.float64]  # (m, 3) L^-1 [y, Gamma]
+    buffer: FactorBuffer  # Where L is
 
     @property
     def lower(self) -> NDArray[np.float64]:
@@ -139,17 +125,8 @@ class NearFactors:
     def serving(
         self, posterior: ChannelPosterior, places_m: NDArray[np.float64], count: int
     ) -> list[tuple[NearGroup, Rows]]:
-        """Groups and the places they serve; every place has its `count` nearest in its group.
-
-        Parameters
-        ----------
-        posterior
-            Whose measurements are wanted; others' are left alone.
-        places_m
-            ``(n, 2)``, at least one.
-        count
-            Fewer than there are measurements.
-        """
+        """Groups and the places they serve; every place has its `count` nearest in its group."""
+        # Shapes: places_m (n, 2).
         near, _ = posterior.index.nearest(places_m, count)
         goes_on = self._last is not None and posterior.continues(self._last)
         known = [
@@ -246,22 +223,7 @@ the measurements left out change. It takes some ten sweeps."""
 def neighbour_sites(
     parameters: ChannelParameters, measurements: Measurements, start: Sites | None = None
 ) -> Sites:
-    """Replace censored and rounded measurements as `gaussian_sites` does, each by its neighbours.
-
-    Parameters
-    ----------
-    parameters
-        The channel; its theta is taken as exact.
-    measurements
-        n measurements, some of which may be censored or rounded.
-    start
-        Their sites under similar parameters.
-
-    Returns
-    -------
-    Sites
-        As :func:`planopt.channel.intervals.censoring.gaussian_sites` has them.
-    """
+    """Replace censored and rounded measurements like `gaussian_sites`, each by its neighbours."""
     omega2 = parameters.multipath_std_db**2
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)

@@ -25,18 +25,11 @@ from planopt.channel.parameters import ChannelParameters, regressors
 
 @dataclass(frozen=True, eq=False)
 class NeighbourInformation:
-    """Sums over all measurements.
+    """Sums over all measurements."""
 
-    Attributes
-    ----------
-    receivers
-        ``(R,)`` numbers, ascending, without 0.
-    products
-        ``(3 + R, 3 + R)`` C' U0^-1 C of the columns C = [y - Gamma theta_0, Gamma, Z]: theta_0 that
-        of the parameters, Z the receivers' indicators, U0 the covariance without offsets.
-    """
-
-    receivers: NDArray[np.intp]
+    receivers: NDArray[np.intp]  # (R,) numbers, ascending, without 0
+    # (3 + R, 3 + R) C' U0^-1 C of the columns C = [y - Gamma theta_0, Gamma, Z]: theta_0 that of
+    # the parameters, Z the receivers' indicators, U0 the covariance without offsets
     products: NDArray[np.float64]
 
     def path_loss_products(self) -> NDArray[np.float64]:

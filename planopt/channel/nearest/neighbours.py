@@ -32,33 +32,16 @@ class NeighbourModel:
     ``gamma theta + phi' (weights - trend theta)`` and
     ``xi^2 + omega^2 - phi' precision phi + b' M b`` with ``b = gamma - trend' phi``. The age of
     measurements is in the numbers: with a_i its factor they are a_i P_ij a_j and a_i w_i.
-
-    Attributes
-    ----------
-    positions_m
-        ``(k, m, 2)`` the measurements' positions.
-    blur_m2
-        ``(k, m)`` of errors of these positions.
-    precision
-        ``(k, m, m)`` U_mm^-1.
-    weights
-        ``(k, m)`` U_mm^-1 y.
-    trend
-        ``(k, m, 2)`` A = U_mm^-1 Gamma_m.
-    theta, theta_covariance
-        ``(2,)`` and ``(2, 2)``: (K_PL, n_PL) and M, from all measurements.
-    parameters
-        The channel's parameters.
     """
 
-    positions_m: NDArray[np.float64]
-    blur_m2: NDArray[np.float64]
-    precision: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    trend: NDArray[np.float64]
-    theta: NDArray[np.float64]
+    positions_m: NDArray[np.float64]  # (k, m, 2) the measurements' positions
+    blur_m2: NDArray[np.float64]  # (k, m) of errors of these positions
+    precision: NDArray[np.float64]  # (k, m, m) U_mm^-1
+    weights: NDArray[np.float64]  # (k, m) U_mm^-1 y
+    trend: NDArray[np.float64]  # (k, m, 2) A = U_mm^-1 Gamma_m
+    theta: NDArray[np.float64]  # (2,) and (2, 2): (K_PL, n_PL) and M, from all measurements
     theta_covariance: NDArray[np.float64]
-    parameters: ChannelParameters
+    parameters: ChannelParameters  # The channel's parameters
 
 
 def neighbour_model(
@@ -135,23 +118,11 @@ def local_precision(
 def local_terms(
     parameters: ChannelParameters,
     places_m: NDArray[np.float64],
-    across: NDArray[np.float64],
+    across: NDArray[np.float64],  # (k, p, m)
     precision: NDArray[np.float64],
     weighted: NDArray[np.float64],
 ) -> KrigingTerms:
-    """Kriging terms at `places_m` (k, p, 2), each from its own m measurements; shapes (k, p).
-
-    Parameters
-    ----------
-    parameters
-        The channel's parameters.
-    places_m
-        Where to predict.
-    across
-        ``(k, p, m)`` covariance of shadowing between places and measurements.
-    precision, weighted
-        What :func:`local_precision` gives.
-    """
+    """Kriging terms at `places_m` (k, p, 2), each from its own m measurements; shapes (k, p)."""
     projected = across @ weighted
     trend = regressors(places_m, parameters.station) - projected[:, :, 1:]
     explained = np.einsum("kpm,kpm->kp", across @ precision, across)

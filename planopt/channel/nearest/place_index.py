@@ -23,18 +23,10 @@ UNTREED_SHARE = 1.0 / 16.0
 
 @dataclass(frozen=True, eq=False)
 class PlaceIndex:
-    """Measured places, to be searched by distance.
+    """Measured places, to be searched by distance."""
 
-    Attributes
-    ----------
-    positions_m
-        ``(n, 2)``.
-    tree
-        Of the first of them; None while they are few.
-    """
-
-    positions_m: NDArray[np.float64]
-    tree: PlaceTree | None = None
+    positions_m: NDArray[np.float64]  # (n, 2)
+    tree: PlaceTree | None = None  # Of the first of them; None while they are few
 
     @staticmethod
     def of(positions_m: NDArray[np.float64]) -> PlaceIndex:
@@ -50,21 +42,8 @@ class PlaceIndex:
     def nearest(
         self, centres_m: NDArray[np.float64], count: int
     ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """The `count` places nearest to each centre, in no order, and how far the farthest is.
-
-        Parameters
-        ----------
-        centres_m
-            ``(k, 2)``.
-        count
-            At least 1 where there are places; no more than there are are found.
-
-        Returns
-        -------
-        tuple
-            Indices ``(k, count)`` and squared distances ``(k,)`` in m^2; infinite where all places
-            were taken, because the next one will be taken too.
-        """
+        """The `count` places nearest to each centre, in no order, and how far the farthest is."""
+        # Shapes: centres_m (k, 2).
         total = len(self.positions_m)
         if count >= total:
             everyone = np.broadcast_to(np.arange(total), (len(centres_m), total))

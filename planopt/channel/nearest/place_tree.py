@@ -9,13 +9,7 @@ from scipy.spatial import KDTree
 
 
 class PlaceTree:
-    """Places in the plane, to be searched by distance.
-
-    Parameters
-    ----------
-    positions_m
-        ``(n, 2)``, at least one.
-    """
+    """Places in the plane, to be searched by distance."""
 
     def __init__(self, positions_m: NDArray[np.float64]) -> None:
         self._tree = KDTree(positions_m, balanced_tree=False)

@@ -54,18 +54,10 @@ nearest to any of its members are taken."""
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A block of measurements and those it is conditioned on.
+    """A block of measurements and those it is conditioned on."""
 
-    Attributes
-    ----------
-    beside
-        ``(h,)`` numbers of the measurements it is conditioned on.
-    own
-        ``(b,)`` numbers of the block's.
-    """
-
-    beside: NDArray[np.intp]
-    own: NDArray[np.intp]
+    beside: NDArray[np.intp]  # (h,) numbers of the measurements it is conditioned on
+    own: NDArray[np.intp]  # (b,) numbers of the block's
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -95,17 +87,8 @@ def place_blocks(coordinates: NDArray[np.float64], most: int) -> tuple[NDArray[n
 def earlier_windows(
     coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...], count: int
 ) -> tuple[Window, ...]:
-    """Order blocks from coarse to fine, and give each the `count` nearest of those before it.
-
-    Parameters
-    ----------
-    coordinates
-        ``(n, k)`` places.
-    blocks
-        From :func:`place_blocks`.
-    count
-        Most measurements beside a block.
-    """
+    """Order blocks from coarse to fine, and give each the `count` nearest of those before it."""
+    # Shapes: coordinates (n, k).
     windows: list[Window] = []
     before = np.zeros(0, dtype=np.intp)
     for number in _coarse_to_fine(coordinates, blocks):
@@ -182,26 +165,13 @@ when it was last looked at: after three sweeps that is true of half of them."""
 
 @dataclass(frozen=True, eq=False)
 class IntervalRows:
-    """Measurements known to lie in an interval, among n.
+    """Measurements known to lie in an interval, among n."""
 
-    Attributes
-    ----------
-    rows
-        ``(m,)`` their numbers, ascending.
-    known
-        Where their powers lie.
-    displaced_db2
-        ``(m,)`` variance of path loss from errors of their positions.
-    windows
-        Around every block that has some of them.
-    distances_m
-        Within each window, position errors included; None where they are asked for once only.
-    """
-
-    rows: NDArray[np.intp]
-    known: Intervals
-    displaced_db2: NDArray[np.float64]
-    windows: tuple[Window, ...]
+    rows: NDArray[np.intp]  # (m,) their numbers, ascending
+    known: Intervals  # Where their powers lie
+    displaced_db2: NDArray[np.float64]  # (m,) variance of path loss from errors of their positions
+    windows: tuple[Window, ...]  # Around every block that has some of them
+    # Within each window, position errors included; None where they are asked for once only
     distances_m: tuple[NDArray[np.float64], ...] | None = None
 
 
@@ -211,27 +181,17 @@ def _distances_m(intervals: IntervalRows) -> Sequence[NDArray[np.float64] | None
 
 @dataclass(frozen=True, eq=False)
 class WindowSites:
-    """Gaussian sites of m measurements.
+    """Gaussian sites of m measurements."""
 
-    Attributes
-    ----------
-    mean_db
-        ``(m,)`` what `shift` is relative to.
-    precision, shift
-        ``(m,)`` natural parameters, as of :class:`planopt.channel.intervals.sites.IntervalSites`;
-        the precision at least 1 / `MAX_SITE_VARIANCE_DB2`.
-    log_factor
-        Log of the product of the factors that turn Gaussian measurements into the sites: with it
-        the density of all measurements, sites as such, is the probability of the intervals.
-    slope
-        Derivative of `log_factor` by omega^2 through the likelihood alone.
-    """
-
-    mean_db: NDArray[np.float64]
+    mean_db: NDArray[np.float64]  # (m,) what `shift` is relative to
+    # (m,) natural parameters, as of :class:`planopt.channel.intervals.sites.IntervalSites`; the
+    # precision at least 1 / `MAX_SITE_VARIANCE_DB2`
     precision: NDArray[np.float64]
     shift: NDArray[np.float64]
+    # Log of the product of the factors that turn Gaussian measurements into the sites: with it the
+    # density of all measurements, sites as such, is the probability of the intervals
     log_factor: float
-    slope: float
+    slope: float  # Derivative of `log_factor` by omega^2 through the likelihood alone
 
     @classmethod
     def like(cls, values_db: NDArray[np.float64], noise_db2: NDArray[np.float64]) -> WindowSites:
@@ -249,30 +209,11 @@ def window_sites(
     origins: Origins,
     gaussian: tuple[NDArray[np.float64], NDArray[np.float64]],
     intervals: IntervalRows,
-    mean_db: NDArray[np.float64],
+    mean_db: NDArray[np.float64],  # (n,) mean power
     start: WindowSites | None,
     tolerance: float,
 ) -> WindowSites:
-    """Sweep over the windows until the sites reproduce themselves.
-
-    Parameters
-    ----------
-    parameters
-        xi, beta and omega > 0; theta is not used.
-    origins
-        Of n measurements.
-    gaussian
-        Values and noise ``(n,)`` of the Gaussian ones, what position errors do to path loss in the
-        noise; those of intervals are not looked at.
-    intervals
-        The others.
-    mean_db
-        ``(n,)`` mean power.
-    start
-        Sites of a similar problem.
-    tolerance
-        They have converged when none moves by more than this in units of its posterior.
-    """
+    """Sweep over the windows until the sites reproduce themselves."""
     omega2 = parameters.multipath_std_db**2
     rows, mean = intervals.rows, mean_db[intervals.rows]
     limit = intervals.known.upper_db - mean

@@ -59,27 +59,13 @@ MIN_N_PL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class StationSurface:
-    """Measurements, whitened by the factor of their covariance, at an antenna's height.
+    """Measurements, whitened by the factor of their covariance, at an antenna's height."""
 
-    Attributes
-    ----------
-    positions_m
-        ``(n, 2)``.
-    height_m
-        Of the station.
-    lower
-        ``(n, n)`` L with L L' = V.
-    whitened_db
-        ``(n,)`` L^-1 y.
-    has_prior
-        Whether n_PL has its prior.
-    """
-
-    positions_m: NDArray[np.float64]
-    height_m: float
-    lower: NDArray[np.float64]
-    whitened_db: NDArray[np.float64]
-    has_prior: bool
+    positions_m: NDArray[np.float64]  # (n, 2)
+    height_m: float  # Of the station
+    lower: NDArray[np.float64]  # (n, n) L with L L' = V
+    whitened_db: NDArray[np.float64]  # (n,) L^-1 y
+    has_prior: bool  # Whether n_PL has its prior
 
     def station(self, position_m: NDArray[np.float64]) -> Station:
         """The station at `position_m` (2,)."""
@@ -88,18 +74,10 @@ class StationSurface:
 
 @dataclass(frozen=True)
 class Losses:
-    """The loss of positions of the station.
+    """The loss of positions of the station."""
 
-    Attributes
-    ----------
-    loss
-        ``(m,)`` l(q); ``inf`` where n_PL is less than `MIN_N_PL`.
-    theta
-        ``(m, 2)`` theta profiled out there.
-    """
-
-    loss: NDArray[np.float64]
-    theta: NDArray[np.float64]
+    loss: NDArray[np.float64]  # (m,) l(q); inf where n_PL is less than `MIN_N_PL`
+    theta: NDArray[np.float64]  # (m, 2) theta profiled out there
 
 
 def gaussian_covariance_db2(
@@ -212,15 +190,9 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Box:
-    """The box that the station is searched in.
+    """The box that the station is searched in."""
 
-    Attributes
-    ----------
-    low_m, high_m
-        ``(2,)`` corners.
-    """
-
-    low_m: NDArray[np.float64]
+    low_m: NDArray[np.float64]  # (2,) corners
     high_m: NDArray[np.float64]
 
     def grid_m(self, number: int) -> NDArray[np.float64]:
@@ -243,13 +215,7 @@ def extent_m(positions_m: NDArray[np.float64]) -> float:
 
 
 def grid_starts(surface: StationSurface) -> list[NDArray[np.float64]]:
-    """The best minima of the likelihood on the grid.
-
-    Raises
-    ------
-    InputError
-        The power falls with the distance from no position of the grid.
-    """
+    """The best minima of the likelihood on the grid."""
     grid = box_about(surface.positions_m, GRID_MARGIN).grid_m(GRID)
     loss = losses(surface, grid).loss.reshape(GRID, GRID)
     if not np.isfinite(loss).any():
@@ -314,22 +280,7 @@ def locate(
     height_m: float,
     forgetting_s: float,
 ) -> Station:
-    """The most likely position.
-
-    Parameters
-    ----------
-    measurements
-        Enough uncensored ones, not on one line.
-    station_method
-        ``line`` or ``joint``.
-    height_m, forgetting_s
-        Given.
-
-    Raises
-    ------
-    InputError
-        The power grows with the distance from every position tried.
-    """
+    """The most likely position."""
     sample = measurements.take(thinned(len(measurements), SEARCH_MEASUREMENTS))
     # Unit weights, and limits taken for powers: good enough to begin with.
     x, y = (float(value) for value in measurements.positions_m.mean(axis=0))

@@ -72,15 +72,7 @@ SINGULAR = 1e12
 def line_covariance_m2(
     measurements: Measurements, parameters: ChannelParameters
 ) -> NDArray[np.float64] | None:
-    """The sandwich for the line's position; ``(2, 2)``, or None where it is not determined.
-
-    Parameters
-    ----------
-    measurements
-        What the position was estimated from.
-    parameters
-        The line's station, and the covariance V that the errors are thought to have.
-    """
+    """The sandwich for the line's position; ``(2, 2)``, or None where it is not determined."""
     if _at_edge(measurements, parameters):
         return None
     line = line_surface(measurements, parameters.station)
@@ -97,15 +89,7 @@ def line_covariance_m2(
 def joint_covariance_m2(
     measurements: Measurements, parameters: ChannelParameters
 ) -> NDArray[np.float64] | None:
-    """The likelihood's moments about the joint estimate; ``(2, 2)``, or None as for the line.
-
-    Parameters
-    ----------
-    measurements
-        What the position was estimated from.
-    parameters
-        The estimate.
-    """
+    """The likelihood's moments about the joint estimate; ``(2, 2)``, or None as for the line."""
     if _at_edge(measurements, parameters):
         return None
     surface = station_surface(measurements, parameters, has_prior=True)
@@ -166,13 +150,8 @@ def _likely(
 
     They stand on a lattice along the axes of the information, as far as `MARGIN` extents; the
     spacing grows from a fraction of the deviation there in proportion to the distance.
-
-    Returns
-    -------
-    tuple
-        ``(m, 2)`` offsets of those that are not rejected; ``(m,)`` weights, area times likelihood,
-        of sum one; ``(m,)`` flags.
     """
+    # Shapes: returns (m, 2).
     extent = extent_m(surface.positions_m)
     eigenvalues, axes = np.linalg.eigh(gauss_newton(surface, estimate_m)[2])
     scale = 1.0 / np.sqrt(np.maximum(eigenvalues, extent**-2))

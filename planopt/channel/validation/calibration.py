@@ -50,21 +50,12 @@ BINOMIAL_Z = 1.959964
 
 @dataclass(frozen=True)
 class Coverage:
-    """The share of held-out powers that a central interval contains.
+    """The share of held-out powers that a central interval contains."""
 
-    Attributes
-    ----------
-    level
-        What it should contain, a share.
-    share
-        What it contains.
-    low, high
-        95 % Wilson interval of `share`. It takes the powers for independent; those of one walk are
-        not, and the true interval is wider.
-    """
-
-    level: float
-    share: float
+    level: float  # What it should contain, a share
+    share: float  # What it contains
+    # 95 % Wilson interval of `share`. It takes the powers for independent; those of one walk are
+    # not, and the true interval is wider.
     low: float
     high: float
 
@@ -160,17 +151,8 @@ def calibrate(
 def share_between(
     upper: NDArray[np.float64], censored: NDArray[np.bool_], low: float, high: float
 ) -> float:
-    """Share of the PIT within [low, high); 1 belongs to the last interval.
-
-    Parameters
-    ----------
-    upper
-        ``(n,)`` PIT of the measured value.
-    censored
-        ``(n,)`` where the PIT is somewhere between 0 and `upper`.
-    low, high
-        Ends of the interval.
-    """
+    """Share of the PIT within [low, high); 1 belongs to the last interval."""
+    # Shapes: upper (n,); censored (n,).
     inside = (upper >= low) & ((upper < high) | (high >= 1.0))
     below = np.clip(upper, low, high) - low
     # All of the limit's mass is below it, even where that is nothing.
@@ -199,28 +181,15 @@ FEWEST_GROUPS = 5
 
 @dataclass(frozen=True)
 class ReliabilityBin:
-    """Predictions of similar probability, and what came of them.
+    """Predictions of similar probability, and what came of them."""
 
-    Attributes
-    ----------
-    low, high
-        Range of the predicted probability.
-    count, groups
-        How many predictions, and of how many groups.
-    predicted
-        Mean predicted probability of connection.
-    realised
-        Share that was connected.
-    interval
-        95 % interval of `realised`; None for fewer than :data:`FEWEST_GROUPS` groups.
-    """
-
-    low: float
+    low: float  # Range of the predicted probability
     high: float
-    count: int
+    count: int  # How many predictions, and of how many groups
     groups: int
-    predicted: float
-    realised: float
+    predicted: float  # Mean predicted probability of connection
+    realised: float  # Share that was connected
+    # 95 % interval of `realised`; None for fewer than :data:`FEWEST_GROUPS` groups
     interval: tuple[float, float] | None
 
     @property
@@ -234,34 +203,8 @@ class ReliabilityBin:
 def reliability(
     predicted: NDArray[np.float64], realised: NDArray[np.bool_], group_of: NDArray[np.intp]
 ) -> tuple[ReliabilityBin, ...]:
-    """Tabulate predicted against realised connection.
-
-    Parameters
-    ----------
-    predicted
-        ``(n,)`` probabilities; NaN where there was no prediction, which is left out.
-    realised
-        ``(n,)`` whether there was a connection.
-    group_of
-        ``(n,)`` label of the run, walk or day that each belongs to.
-
-    Returns
-    -------
-    tuple
-        The bins that hold a prediction, in ascending order.
-
-    Raises
-    ------
-    InputError
-        The lengths differ.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> [one] = reliability(np.full(4, 0.8), np.array([1, 1, 0, 1], dtype=bool), np.arange(4))
-    >>> one.predicted, one.realised, one.interval
-    (0.8, 0.75, None)
-    """
+    """Tabulate predicted against realised connection."""
+    # Shapes: predicted (n,); realised (n,); group_of (n,).
     if not predicted.shape == realised.shape == group_of.shape:
         raise InputError(
             f"{predicted.size} predictions, {realised.size} outcomes and {group_of.size} groups "
@@ -298,15 +241,8 @@ def _bin(
 def share_interval(
     connected: NDArray[np.float64], sizes: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Return Korn and Graubard's 95 % interval of a share.
-
-    Parameters
-    ----------
-    connected
-        ``(g,)`` how many outcomes of each of at least two groups came true.
-    sizes
-        ``(g,)`` how many there are of each, above 0.
-    """
+    """Return Korn and Graubard's 95 % interval of a share."""
+    # Shapes: connected (g,); sizes (g,).
     groups, count = len(sizes), float(sizes.sum())
     share = float(connected.sum()) / count
     variance = ratio_error(connected, sizes) ** 2

@@ -73,13 +73,7 @@ def parameters_of(fit: ChannelFit | ChannelParameters) -> ChannelParameters:
 
 
 def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:
-    """Path loss alone by least squares, with the deviation it leaves: what to beat.
-
-    Raises
-    ------
-    InputError
-        Every measurement is censored.
-    """
+    """Path loss alone by least squares, with the deviation it leaves: what to beat."""
     if measurements.censored.all():
         raise InputError("there is no line through upper limits alone")
     identifiable = examine(measurements, station).n_pl_reason is None
@@ -98,30 +92,10 @@ def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:
 
 def held_out_predictions(
     measurements: Measurements,
-    fold_of: NDArray[np.intp],
+    fold_of: NDArray[np.intp],  # (n,)
     learn: Callable[[Measurements], Mapping[str, Predictor]],
 ) -> dict[str, Prediction]:
-    """Predict every measurement from models learnt without its fold.
-
-    Parameters
-    ----------
-    measurements
-        All of them.
-    fold_of
-        ``(n,)`` fold of each one, as :func:`deal` gives it: two different ones at least.
-    learn
-        Takes measurements and returns what predicts, by name; always the same names.
-
-    Returns
-    -------
-    dict
-        For each name the predictions, in the order of `measurements`.
-
-    Raises
-    ------
-    InputError
-        There is one fold only, or not one a measurement.
-    """
+    """Predict every measurement from models learnt without its fold."""
     folds = np.unique(fold_of)
     if fold_of.shape != (len(measurements),) or len(folds) < 2:
         raise InputError(

@@ -72,11 +72,6 @@ def learn_plain_line(measurements: Measurements, station: Station) -> Predictor:
     """Power by the logarithm of distance, by least squares of what is not an upper limit.
 
     At one distance, the mean with an assumed slope.
-
-    Raises
-    ------
-    InputError
-        Every measurement is censored.
     """
     exact = _uncensored(measurements)
     everyone = np.ones(len(exact), dtype=np.bool_)
@@ -97,13 +92,7 @@ def learn_plain_line(measurements: Measurements, station: Station) -> Predictor:
 
 
 def learn_plain_process(measurements: Measurements) -> Predictor:
-    """A Gaussian process of what is not an upper limit.
-
-    Raises
-    ------
-    InputError
-        Every measurement is censored.
-    """
+    """A Gaussian process of what is not an upper limit."""
     exact = _uncensored(measurements)
     exact = exact.take(thinned(len(exact), MOST_CONDITIONED))
     mean_db = float(exact.power_dbm.mean())

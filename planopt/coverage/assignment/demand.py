@@ -24,13 +24,7 @@ LEAST_ON_RING = 2
 
 
 def demanded(demand: Demand, agents: int) -> int:
-    """Return how many of `agents` agents an event asks for.
-
-    Raises
-    ------
-    InputError
-        The demand is not a whole number from 0 to the number of agents.
-    """
+    """Return how many of `agents` agents an event asks for."""
     wanted = demand(agents)
     if wanted != int(wanted) or not 0 <= wanted <= agents:
         raise InputError(
@@ -42,24 +36,7 @@ def demanded(demand: Demand, agents: int) -> int:
 
 
 def table_demand(steps: Mapping[int, int]) -> Demand:
-    """Return a demand that is looked up: the entry of the largest number not above n.
-
-    Parameters
-    ----------
-    steps
-        Demand from each number of agents on; below the smallest nobody responds.
-
-    Raises
-    ------
-    InputError
-        The table is empty, or an entry is negative or asks for more agents than there are.
-
-    Examples
-    --------
-    >>> demand = table_demand({4: 2, 10: 3})
-    >>> [demand(n) for n in (3, 4, 9, 40)]
-    [0, 2, 2, 3]
-    """
+    """Return a demand that is looked up: the entry of the largest number not above n."""
     if not steps:
         raise InputError("the table is empty", key="demand")
     for number, wanted in steps.items():
@@ -74,22 +51,7 @@ def table_demand(steps: Mapping[int, int]) -> Demand:
 
 
 def capped_demand(share: float, most: int, remaining: int) -> Demand:
-    """Return a share of the agents, at most a number, and so that enough remain for coverage.
-
-    Parameters
-    ----------
-    share
-        Share of all agents, from 0 to 1; rounded up.
-    most
-        Upper limit of the demand.
-    remaining
-        So many agents at least stay with coverage.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-    """
+    """Return a share of the agents, at most a number, and so that enough remain for coverage."""
     if not 0.0 <= share <= 1.0:
         raise InputError(f"{share!r} is not a share", key="demand.share")
     for key, value in (("most", most), ("remaining", remaining)):
@@ -111,22 +73,6 @@ def accuracy_demand(
 
     Agents stand at equal angles on a ring (two of them 90 degrees apart), where the Cramer-Rao
     bound on the mean squared error is ``4 sigma^2 / (P m g^2)`` with g the sensor's slope there.
-
-    Parameters
-    ----------
-    sensor
-        What agents measure.
-    accuracy_m
-        Largest root of the mean squared error, in metres.
-    measurements
-        How often each agent measures, m.
-    radius_m
-        Radius of the ring; the best one if None.
-
-    Raises
-    ------
-    InputError
-        A number is out of range, or the sensor tells nothing on the ring.
     """
     positive(accuracy_m, "demand.accuracy_m")
     if measurements < 1:
@@ -153,20 +99,6 @@ def trade_off_demand(
 
     It minimises ``w_c c |A|^2 / (n - P) + w_s kappa / P`` over P, with c the second moment of a
     hexagon of area 1, by trying both whole numbers beside the minimum over the reals.
-
-    Parameters
-    ----------
-    area_m2
-        |A|: area of the region.
-    localisation_m2
-        kappa: mean squared error with one agent if it fell as 1 / P.
-    coverage_weight, localisation_weight
-        w_c and w_s.
-
-    Raises
-    ------
-    InputError
-        A number is not positive.
     """
     ahead = HEXAGON * positive(area_m2, "demand.area_m2") ** 2
     coverage = ahead * positive(coverage_weight, "demand.coverage_weight")

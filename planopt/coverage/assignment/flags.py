@@ -19,58 +19,31 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class FlagLists:
-    """The lists of agents near an event, as each agent knows them: a table of entries.
+    """The lists of agents near an event, as each agent knows them: a table of entries."""
 
-    Attributes
-    ----------
-    holder, member
-        ``(k,)`` the agent that has the entry, and the agent that the entry is about.
-    distance_m
-        ``(k,)`` the member's distance to the event, as it said.
-    age
-        ``(k,)`` over how many links the entry has come.
-    """
-
+    # (k,) the agent that has the entry, and the agent that the entry is about
     holder: NDArray[np.intp]
     member: NDArray[np.intp]
-    distance_m: NDArray[np.float64]
-    age: NDArray[np.intp]
+    distance_m: NDArray[np.float64]  # (k,) the member's distance to the event, as it said
+    age: NDArray[np.intp]  # (k,) over how many links the entry has come
 
 
 @dataclass(frozen=True, eq=False)
 class Flags:
-    """The outcome of flag propagation.
+    """The outcome of flag propagation."""
 
-    Attributes
-    ----------
-    flagged
-        ``(n,)`` whether the agent responds to the event.
-    rounds
-        Rounds of the list form until nothing changed, or as many as were asked for; steps of the
-        token form.
-    messages
-        Transmissions over single links.
-    entries
-        Pairs (distance, agent) in them.
-    history
-        ``(rounds + 1, n)`` flags before the first round and after each.
-    """
-
-    flagged: NDArray[np.bool_]
+    flagged: NDArray[np.bool_]  # (n,) whether the agent responds to the event
+    # Rounds of the list form until nothing changed, or as many as were asked for; steps of the
+    # token form
     rounds: int
-    messages: int
-    entries: int
-    history: NDArray[np.bool_]
+    messages: int  # Transmissions over single links
+    entries: int  # Pairs (distance, agent) in them
+    history: NDArray[np.bool_]  # (rounds + 1, n) flags before the first round and after each
 
 
 def start_lists(distances_m: NDArray[np.float64]) -> FlagLists:
-    """Return lists in which every agent knows of itself only.
-
-    Parameters
-    ----------
-    distances_m
-        ``(n,)`` each agent's distance to the event.
-    """
+    """Return lists in which every agent knows of itself only."""
+    # Shapes: distances_m (n,).
     agents = np.arange(len(distances_m))
     return FlagLists(agents, agents, distances_m, np.zeros(len(agents), dtype=np.intp))
 
@@ -78,8 +51,8 @@ def start_lists(distances_m: NDArray[np.float64]) -> FlagLists:
 def flag_round(
     lists: FlagLists,
     network: Network,
-    distances_m: NDArray[np.float64],
-    wanted: NDArray[np.intp],
+    distances_m: NDArray[np.float64],  # (n,)
+    wanted: NDArray[np.intp],  # (n,) how many should respond, as each agent reckons
     *,
     lifetime: int | None = None,
     loss: Loss = 0.0,
@@ -89,24 +62,6 @@ def flag_round(
 
     Repeating this is self-stabilising: an agent that fails stops renewing its entry, which then
     dies of age everywhere.
-
-    Parameters
-    ----------
-    lists
-        What agents know before.
-    network
-        Who talks to whom.
-    distances_m
-        ``(n,)`` each agent's distance to the event now; NaN for an agent that has failed.
-    wanted
-        ``(n,)`` how many should respond, as each agent reckons.
-    lifetime
-        Entries that came over more links than this are dropped; None keeps all. At least the
-        network's diameter.
-    loss
-        Probability that the message over a link is lost.
-    generator
-        Draws the losses.
     """
     n = network.count
     sender, receiver = network.directed
@@ -154,7 +109,7 @@ def flags_of(lists: FlagLists, count: int) -> NDArray[np.bool_]:
 
 def propagate_flags(
     network: Network,
-    distances_m: NDArray[np.float64],
+    distances_m: NDArray[np.float64],  # (n,)
     wanted: int | NDArray[np.intp],
     *,
     rounds: int | None = None,
@@ -166,36 +121,6 @@ def propagate_flags(
     Without losses an agent sends only when its list has changed, and all lists are right after at
     most as many rounds as the network's diameter. An agent that is among the nearest is flagged
     from the start; others may be flagged for some rounds.
-
-    Parameters
-    ----------
-    network
-        Who talks to whom: a graph in which every agent that is not nearest to the event has a
-        neighbour nearer to it, such as that of Voronoi neighbours.
-    distances_m
-        ``(n,)`` each agent's distance to the event as it estimates it. Ties go to the smaller
-        number.
-    wanted
-        How many should respond; ``(n,)`` if agents reckon differently.
-    rounds
-        So many rounds; None until nothing changes any more.
-    loss
-        Probability that the message over a link is lost in a round; needs `rounds`, and every agent
-        sends in each of them.
-    generator
-        Draws the losses.
-
-    Raises
-    ------
-    InputError
-        A number is out of range, or losses are asked for without rounds or generator.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> chain = Network(4, np.array([[0, 1], [1, 2], [2, 3]]))
-    >>> propagate_flags(chain, np.array([3.0, 2.0, 1.0, 4.0]), 2).flagged.tolist()
-    [False, True, True, False]
     """
     n = network.count
     asked = np.broadcast_to(np.asarray(wanted, dtype=np.intp), (n,))
@@ -229,23 +154,6 @@ def pass_token(network: Network, distances_m: NDArray[np.float64], wanted: int) 
 
     The agent nearest to the event starts. The token carries the distances of the neighbours of all
     flagged agents; the nearest of them is next, and the token travels to it over flagged agents.
-
-    Parameters
-    ----------
-    network, distances_m
-        As for :func:`propagate_flags`.
-    wanted
-        How many should respond, from 0 to the number of agents.
-
-    Returns
-    -------
-    Flags
-        A message is one hop of the token, or the answer of one neighbour with its distance.
-
-    Raises
-    ------
-    InputError
-        A number is out of range, or the network does not connect the nearest agents.
     """
     n = network.count
     if distances_m.shape != (n,) or not 0 <= wanted <= n:

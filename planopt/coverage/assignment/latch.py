@@ -19,37 +19,15 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True)
 class Circumstance:
-    """The events, counts and agents that an assignment was made for.
+    """The events, counts and agents that an assignment was made for."""
 
-    Attributes
-    ----------
-    agents
-        Names of the agents that take part.
-    events
-        Estimated place ``(x, y)`` in metres of each event, by its name.
-    """
-
-    agents: frozenset[int]
+    agents: frozenset[int]  # Names of the agents that take part
+    # Estimated place (x, y) in metres of each event, by its name
     events: dict[str, tuple[float, float]]
 
 
 def is_due(last: Circumstance | None, now: Circumstance, moved_m: float) -> bool:
-    """Return whether an assignment has to be made again.
-
-    Parameters
-    ----------
-    last
-        What the present assignment was made for; None if there is none.
-    now
-        What is known now.
-    moved_m
-        An event whose estimate has moved by more than this counts as another.
-
-    Raises
-    ------
-    InputError
-        The threshold is negative or not finite.
-    """
+    """Return whether an assignment has to be made again."""
     positive(moved_m, "moved_m", zero=True)
     if last is None or last.agents != now.agents or last.events.keys() != now.events.keys():
         return True
@@ -67,36 +45,8 @@ def relatch(
     Missing agents are added and surplus ones released in order of distance. Then the farthest of
     those who respond and the nearest of those who do not are exchanged, as long as the second is
     nearer by more than the hysteresis.
-
-    Parameters
-    ----------
-    held
-        ``(n,)`` who responds so far.
-    distances_m
-        ``(n,)`` distances to the event; ties go to the smaller number.
-    wanted
-        How many should respond.
-    hysteresis_m
-        Gain in distance that an exchange needs; 0 gives the nearest agents.
-
-    Returns
-    -------
-    (n,) array
-        Who responds from now on: as many as wanted, none of them more than the hysteresis farther
-        away than an agent that does not.
-
-    Raises
-    ------
-    InputError
-        More agents are wanted than there are, or the hysteresis is negative.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> held, distances = np.array([True, False, False]), np.array([5.0, 4.0, 1.0])
-    >>> relatch(held, distances, 1, 2.0).tolist(), relatch(held, distances, 1, 9.0).tolist()
-    ([False, False, True], [True, False, False])
     """
+    # Shapes: held (n,); distances_m (n,).
     n = len(distances_m)
     positive(hysteresis_m, "hysteresis_m", zero=True)
     if not 0 <= wanted <= n:

@@ -27,30 +27,15 @@ NONE = -1
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """The assignment of agents to events.
+    """The assignment of agents to events."""
 
-    Attributes
-    ----------
-    event_of
-        ``(n,)`` number of each agent's event; `NONE` for an agent that covers.
-    total_m
-        Sum of the distances between agents and their events.
-    largest_m
-        The largest of them; 0 if nobody responds.
-    rounds
-        Rounds of asking; 0 for assignments that are computed with all distances known.
-    asked
-        How many times an event asked an agent.
-    released
-        How many times an agent declined or left an event for a nearer one.
-    """
-
-    event_of: NDArray[np.intp]
-    total_m: float
-    largest_m: float
+    event_of: NDArray[np.intp]  # (n,) number of each agent's event; `NONE` for an agent that covers
+    total_m: float  # Sum of the distances between agents and their events
+    largest_m: float  # The largest of them; 0 if nobody responds
+    # Rounds of asking; 0 for assignments that are computed with all distances known
     rounds: int = 0
-    asked: int = 0
-    released: int = 0
+    asked: int = 0  # How many times an event asked an agent
+    released: int = 0  # How many times an agent declined or left an event for a nearer one
 
 
 def fair_shares(demands: NDArray[np.intp], agents: int) -> NDArray[np.intp]:
@@ -59,25 +44,8 @@ def fair_shares(demands: NDArray[np.intp], agents: int) -> NDArray[np.intp]:
     Agents are given one by one to the event with the least share of its demand, which maximises
     the smallest share, then the second smallest, and so on. Ties go to the smaller demand, then to
     the smaller number.
-
-    Parameters
-    ----------
-    demands
-        ``(k,)`` what the events ask for.
-    agents
-        How many agents there are.
-
-    Raises
-    ------
-    InputError
-        A demand or the number of agents is negative.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> fair_shares(np.array([4, 2, 2]), 5).tolist()
-    [2, 2, 1]
     """
+    # Shapes: demands (k,).
     if agents < 0 or (demands < 0).any():
         raise InputError("demands and numbers of agents are at least 0", key="demands")
     given = np.zeros(len(demands), dtype=np.intp)
@@ -95,21 +63,8 @@ def deferred_acceptance(distances_m: NDArray[np.float64], demands: NDArray[np.in
     Every agent keeps the nearest event that it has or that asks it, and releases the others. Ties
     go to the smaller numbers. The events only need lists of the agents near them, which flag
     propagation gives.
-
-    Parameters
-    ----------
-    distances_m
-        ``(n, k)`` distance of each agent to each event.
-    demands
-        ``(k,)`` how many agents the events ask for, at most n in total:
-        :func:`fair_shares` gives such numbers.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, a distance is not finite or negative, or more agents are asked for than
-        there are.
     """
+    # Shapes: distances_m (n, k); demands (k,).
     _check(distances_m, demands)
     agents, events = distances_m.shape
     order = np.argsort(distances_m, axis=0, kind="stable")
@@ -143,16 +98,6 @@ def optimal_assignment(distances_m: NDArray[np.float64], demands: NDArray[np.int
 
     The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has a totally
     unimodular matrix, so that this assignment is its optimum.
-
-    Parameters
-    ----------
-    distances_m, demands
-        As for :func:`deferred_acceptance`.
-
-    Raises
-    ------
-    InputError
-        As there.
     """
     _check(distances_m, demands)
     seats = np.repeat(np.arange(len(demands)), demands)
@@ -167,18 +112,7 @@ def optimal_assignment(distances_m: NDArray[np.float64], demands: NDArray[np.int
 def bottleneck_assignment(
     distances_m: NDArray[np.float64], demands: NDArray[np.intp]
 ) -> Assignment:
-    """Assign agents to events so that the largest distance is least.
-
-    Parameters
-    ----------
-    distances_m, demands
-        As for :func:`deferred_acceptance`.
-
-    Raises
-    ------
-    InputError
-        As there.
-    """
+    """Assign agents to events so that the largest distance is least."""
     _check(distances_m, demands)
     seats = np.repeat(np.arange(len(demands)), demands)
     limits = np.unique(distances_m)

@@ -36,31 +36,19 @@ class Programmes:
     Minimise ``1/2 z' hessian z + linear' z``, the same Hessian for both dimensions. Places
     ``place_map @ z + place_offset`` stay in half-planes and discs, and ways ``way_map @ z +
     way_offset`` are at most so long.
-
-    Attributes
-    ----------
-    hessian, linear
-        ``(n, V, V)``, positive definite, and ``(n, V, 2)``.
-    place_map, place_offset
-        ``(n, N, V)`` and ``(n, N, 2)``.
-    normals, rooms
-        ``(n, K, 2)`` and ``(n, K)``: ``normal @ place <= room``. Zero normals with positive room
-        fill the table up.
-    centres, radii
-        ``(n, D, 2)`` and ``(n, D)``; infinite radii fill up.
-    way_map, way_offset, longest
-        ``(R, V)``, ``(n, R, 2)`` and ``(n, R)``.
     """
 
-    hessian: Floats
+    hessian: Floats  # (n, V, V), positive definite, and (n, V, 2)
     linear: Floats
-    place_map: Floats
+    place_map: Floats  # (n, N, V) and (n, N, 2)
     place_offset: Floats
+    # (n, K, 2) and (n, K): normal @ place <= room. Zero normals with positive room fill the table
+    # up.
     normals: Floats
     rooms: Floats
-    centres: Floats
+    centres: Floats  # (n, D, 2) and (n, D); infinite radii fill up
     radii: Floats
-    way_map: Floats
+    way_map: Floats  # (R, V), (n, R, 2) and (n, R)
     way_offset: Floats
     longest: Floats
 
@@ -136,13 +124,7 @@ class _Linear:
 
 
 def solve_programmes(given: Programmes) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return optima ``(n, V, 2)`` of programmes, and for whom they were found ``(n,)``.
-
-    Parameters
-    ----------
-    given
-        The programmes. Whose optimum without limits keeps all of them needs no iteration.
-    """
+    """Return optima ``(n, V, 2)`` of programmes, and for whom they were found ``(n,)``."""
     scale = np.abs(given.hessian).max(axis=(1, 2))[:, None, None]
     every = {each.name: getattr(given, each.name) for each in fields(given)}
     given = Programmes(**every | {"hessian": given.hessian / scale, "linear": given.linear / scale})

@@ -27,36 +27,17 @@ Partition = Literal["all", "coverage_only"]
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the laws.
+    """Gains of the laws."""
 
-    Attributes
-    ----------
-    event_per_s
-        k_1, of agents that respond to an event, in 1/s.
-    coverage_per_s
-        k_2, of agents that cover, in 1/s.
-
-    Raises
-    ------
-    InputError
-        A gain is not positive.
-    """
-
-    event_per_s: float = 1.0
-    coverage_per_s: float = 1.0
+    event_per_s: float = 1.0  # k_1, of agents that respond to an event, in 1/s
+    coverage_per_s: float = 1.0  # k_2, of agents that cover, in 1/s
 
     def __post_init__(self) -> None:
         positive(self.event_per_s, "control.event_gain_per_s")
         positive(self.coverage_per_s, "control.coverage_gain_per_s")
 
     def shares(self, responds: NDArray[np.bool_], time_step_s: float) -> NDArray[np.float64]:
-        """Return the share of the distance to its target that each agent covers in a step; (n,).
-
-        Raises
-        ------
-        InputError
-            A share is above 1: agents would overshoot.
-        """
+        """Return the share of the distance to its target that each agent covers in a step; (n,)."""
         largest = max(self.event_per_s, self.coverage_per_s) * time_step_s
         if not 0.0 < largest <= 1.0 + 1e-12:
             raise InputError(
@@ -71,42 +52,11 @@ class Gains:
 
 def coverage_aims(
     ground: Ground,
-    agents_m: NDArray[np.float64],
-    responds: NDArray[np.bool_],
+    agents_m: NDArray[np.float64],  # (n, 2) all agents
+    responds: NDArray[np.bool_],  # (n,) whether an agent responds to an event
     partition: Partition = "all",
 ) -> Cover:
-    """Return where covering agents should drive, and the cost of the partition.
-
-    Parameters
-    ----------
-    ground
-        What is covered.
-    agents_m
-        ``(n, 2)`` all agents.
-    responds
-        ``(n,)`` whether an agent responds to an event.
-    partition
-        ``all``: responding agents have cells as well; ``coverage_only``: they have none, so that
-        covering agents close the gap.
-
-    Returns
-    -------
-    Cover
-        Targets of responding agents are their own places. If nobody covers, the partition is of
-        all agents.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from planopt.coverage.ground import ConvexGround
-    >>> from planopt.coverage.region import convex_region
-    >>> ground = ConvexGround(convex_region(np.array([[0, 0], [2, 0], [2, 1], [0, 1]])))
-    >>> agents, responds = np.array([[0.5, 0.5], [1.5, 0.5]]), np.array([False, True])
-    >>> coverage_aims(ground, agents, responds).targets_m.round(9).tolist()
-    [[0.5, 0.5], [1.5, 0.5]]
-    >>> coverage_aims(ground, agents, responds, "coverage_only").targets_m.round(9).tolist()
-    [[1.0, 0.5], [1.5, 0.5]]
-    """
+    """Return where covering agents should drive, and the cost of the partition."""
     alone = partition == "coverage_only" and not responds.all()
     counted = ~responds if alone else np.ones_like(responds)
     found = ground.cover(_apart(ground, agents_m, ~responds)[counted])
@@ -137,20 +87,11 @@ def _apart(
 def law_velocities(
     agents_m: NDArray[np.float64],
     targets_m: NDArray[np.float64],
-    responds: NDArray[np.bool_],
+    responds: NDArray[np.bool_],  # (n,) whether an agent responds to an event
     gains: Gains,
 ) -> NDArray[np.float64]:
-    """Return the velocities of the laws, ``-k (p - target)``; (n, d) in m/s.
-
-    Parameters
-    ----------
-    agents_m, targets_m
-        ``(n, d)``: where agents are, and their events or centroids.
-    responds
-        ``(n,)`` whether an agent responds to an event.
-    gains
-        Of both laws.
-    """
+    """Return the velocities of the laws, ``-k (p - target)``; (n, d) in m/s."""
+    # Shapes: agents_m, targets_m (n, d).
     gain = np.where(responds, gains.event_per_s, gains.coverage_per_s)
     return gain[:, None] * (targets_m - agents_m)
 
@@ -163,27 +104,7 @@ def law_moves(
     time_step_s: float,
     speed_m_s: float | None = None,
 ) -> NDArray[np.float64]:
-    """Return where agents are after a step of the laws, with targets held and speeds clipped.
-
-    Parameters
-    ----------
-    agents_m, targets_m, responds, gains
-        As for :func:`law_velocities`.
-    time_step_s
-        Length of the step; times the larger gain at most 1.
-    speed_m_s
-        Largest speed; None without limit.
-
-    Returns
-    -------
-    (n, d) array
-        On the straight lines between agents and targets.
-
-    Raises
-    ------
-    InputError
-        The step is too long for a gain, or the speed is not positive.
-    """
+    """Return where agents are after a step of the laws, with targets held and speeds clipped."""
     move = gains.shares(responds, time_step_s)[:, None] * (targets_m - agents_m)
     if speed_m_s is not None:
         most = positive(speed_m_s, "limits.speed_m_s") * time_step_s

@@ -17,21 +17,11 @@ from planopt.coverage.limits import MoveLimits, RadioLimits
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Places, velocities and headings of agents.
+    """Places, velocities and headings of agents."""
 
-    Attributes
-    ----------
-    places_m
-        ``(n, 2)``.
-    velocities_m_s
-        ``(n, 2)`` velocities at the end of the last step.
-    headings_rad
-        ``(n,)``; they matter for unicycles alone.
-    """
-
-    places_m: NDArray[np.float64]
-    velocities_m_s: NDArray[np.float64]
-    headings_rad: NDArray[np.float64]
+    places_m: NDArray[np.float64]  # (n, 2)
+    velocities_m_s: NDArray[np.float64]  # (n, 2) velocities at the end of the last step
+    headings_rad: NDArray[np.float64]  # (n,); they matter for unicycles alone
 
 
 class Mover(Protocol):
@@ -54,15 +44,9 @@ class Mover(Protocol):
 
 @dataclass(frozen=True)
 class LawMover:
-    """Drives by the laws, with the speed clipped.
+    """Drives by the laws, with the speed clipped."""
 
-    Attributes
-    ----------
-    gains, time_step_s, speed_m_s
-        As for :func:`planopt.coverage.control.laws.law_moves`.
-    """
-
-    gains: Gains
+    gains: Gains  # As for :func:`planopt.coverage.control.laws.law_moves`
     time_step_s: float
     speed_m_s: float | None
 
@@ -82,22 +66,14 @@ class LawMover:
 
 @dataclass(frozen=True)
 class RecedingMover:
-    """Plans over a horizon with the targets held, and drives the first move.
+    """Plans over a horizon with the targets held, and drives the first move."""
 
-    Attributes
-    ----------
-    gains, limits, horizon
-        As for :func:`planopt.coverage.control.receding.plan_moves`.
-    radio
-        Links to base stations that agents keep over a tree; None for none.
-    lead
-        Whether plans follow targets that move; else targets are held over the horizon.
-    """
-
-    gains: Gains
+    gains: Gains  # As for :func:`planopt.coverage.control.receding.plan_moves`
     limits: MoveLimits
     horizon: int
+    # Links to base stations that agents keep over a tree; None for none
     radio: RadioLimits | None = None
+    # Whether plans follow targets that move; else targets are held over the horizon
     lead: bool = False
 
     def __call__(

@@ -31,33 +31,17 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """The variables and constraints that a double integrator adds to a programme.
+    """The variables and constraints that a double integrator adds to a programme."""
 
-    Attributes
-    ----------
-    velocities_m
-        ``(n, 2)`` way that each agent would go in a step at its velocity.
-    change_m
-        Largest change of that in a step.
-    stop_steps
-        ``(n,)`` in how many steps an agent stops from the largest speed it can have after the next.
-    """
-
-    velocities_m: Floats
-    change_m: float
+    velocities_m: Floats  # (n, 2) way that each agent would go in a step at its velocity
+    change_m: float  # Largest change of that in a step
+    # (n,) in how many steps an agent stops from the largest speed it can have after the next
     stop_steps: NDArray[np.intp]
 
 
 def stage_weights(share: Floats, horizon: int) -> tuple[Floats, Floats]:
-    """Return the weights of places ``(n, N)`` and of moves ``(n,)`` whose first move is the law's.
-
-    Parameters
-    ----------
-    share
-        ``(n,)`` gain times the step, the share of the distance that the law covers in it.
-    horizon
-        Number of steps N.
-    """
+    """Return the weights of places ``(n, N)`` and of moves ``(n,)`` that reproduce the law."""
+    # Shapes: share (n,).
     places = np.ones((len(share), horizon))
     places[:, -1] = 1.0 / share
     return places, (1.0 - share) / share**2
@@ -83,12 +67,12 @@ def saturated_paths(
 def solve_programme(
     starts_m: Floats,
     aims_m: Floats,
-    share: Floats,
+    share: Floats,  # (n,) as for :func:`stage_weights`
     horizon: int,
     most_m: float,
     sets: SafeSets,
     inertia: Inertia | None = None,
-    drifts_m: Floats | None = None,
+    drifts_m: Floats | None = None,  # (n, 2)
 ) -> tuple[Floats, Floats] | None:
     """Return the optimal paths and velocities of agents, or None if the solver gives up.
 
@@ -96,30 +80,8 @@ def solve_programme(
     weights of :func:`stage_weights`. With inertia, velocities w add
     ``|w_{j+1} - w_j|^2 / (2 share)^2``, and half of the last place's weight is that of the place
     where the agent would stop.
-
-    Parameters
-    ----------
-    starts_m, aims_m
-        ``(n, 2)``.
-    share
-        ``(n,)`` as for :func:`stage_weights`.
-    horizon
-        Number of steps.
-    most_m
-        Longest move of a step; infinite without limit.
-    sets
-        Where each agent stays in; it holds all starts.
-    inertia
-        For double integrators; None for single ones.
-    drifts_m
-        ``(n, 2)`` way that each aim moves in a step; None for aims that stand. Places and moves are
-        then those relative to the aim.
-
-    Returns
-    -------
-    tuple of arrays, or None
-        Paths ``(n, N + 1, 2)`` and velocities ``(n, N + 1, 2)`` on arrival in metres per step.
     """
+    # Shapes: starts_m, aims_m (n, 2).
     count, changes = len(starts_m), np.eye(horizon) - np.eye(horizon, k=-1)
     length = np.linalg.norm(aims_m - starts_m, axis=1)
     unit = np.maximum(length, most_m) if np.isfinite(most_m) else length
@@ -241,13 +203,7 @@ def _filled(
 
 
 def solve_by_clarabel(given: Programmes) -> Floats | None:
-    """Return the optima ``(n, V, 2)`` of programmes by Clarabel, or None if it gives up.
-
-    Parameters
-    ----------
-    given
-        The programmes, posed as one block-diagonal second-order cone programme.
-    """
+    """Return the optima ``(n, V, 2)`` of programmes by Clarabel, or None if it gives up."""
     import clarabel
     from scipy.sparse import coo_array, csc_array
 

@@ -33,21 +33,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RadioTree:
-    """The links that carry the network, and the places where agents keep them.
+    """The links that carry the network, and the places where agents keep them."""
 
-    Attributes
-    ----------
-    parent
-        ``(n,)`` the agent that each agent's link leads to; station ``k`` as ``-1 - k``. An agent
-        without connection is its own parent.
-    failure
-        ``(n,)`` bound on the probability that an agent has no connection over the tree now.
-    kept
-        Discs in which agents keep all links of the tree; empty for agents without connection.
-    """
-
+    # (n,) the agent that each agent's link leads to; station k as -1 - k. An agent without
+    # connection is its own parent.
     parent: NDArray[np.intp]
+    # (n,) bound on the probability that an agent has no connection over the tree now
     failure: Floats
+    # Discs in which agents keep all links of the tree; empty for agents without connection
     kept: SafeSets
 
     @property
@@ -57,27 +50,8 @@ class RadioTree:
 
 
 def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = None) -> RadioTree:
-    """Choose the tree in which links to a station fail least, and where agents keep it.
-
-    Parameters
-    ----------
-    places_m
-        ``(n, 2)`` agents.
-    radio
-        What has to be kept.
-    stops_m
-        ``(n, 2)`` where agents can stop; None where they are.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from planopt.coverage.limits import LinkLaw
-    >>> law = LinkLaw(np.array([-10.0, 2.5]), 6.0, np.zeros((2, 2)))
-    >>> radio = RadioLimits(np.array([[0.0, 0.0]]), law, law, -70.0, 0.9)
-    >>> tree = radio_tree(np.array([[20.0, 0.0], [90.0, 0.0], [999.0, 0.0]]), radio)
-    >>> tree.parent.tolist(), tree.connected.tolist()
-    ([-1, 0, 2], [True, True, False])
-    """
+    """Choose the tree in which links to a station fail least, and where agents keep it."""
+    # Shapes: places_m (n, 2); stops_m (n, 2).
     stops = places_m if stops_m is None else stops_m
     count, allowed = len(places_m), 1.0 - radio.p_min
     between, mapped = _failures(radio.agent_link, radio), radio.station_link

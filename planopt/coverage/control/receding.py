@@ -25,28 +25,16 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class NetworkMoves:
-    """Planned moves of all agents. The first one is meant to be driven; then plan again.
+    """Planned moves of all agents. The first one is meant to be driven; then plan again."""
 
-    Attributes
-    ----------
-    paths_m
-        ``(n, N + 1, 2)`` places at the ends of the steps, the present one first.
-    velocities_m_s
-        ``(n, N + 1, 2)`` velocities on arrival there, the present one first. A double integrator
-        changes its velocity evenly during a step; other agents have that of the step's end at once.
-    headings_rad
-        ``(n,)`` headings of unicycles after the first move; None for others.
-    stopping
-        ``(n,)`` whether an agent stands still or brakes because no other move was found.
-    solved
-        How many agents needed a programme; the others' way was free.
-    """
-
-    paths_m: Floats
+    paths_m: Floats  # (n, N + 1, 2) places at the ends of the steps, the present one first
+    # (n, N + 1, 2) velocities on arrival there, the present one first. A double integrator changes
+    # its velocity evenly during a step; other agents have that of the step's end at once.
     velocities_m_s: Floats
-    headings_rad: Floats | None
+    headings_rad: Floats | None  # (n,) headings of unicycles after the first move; None for others
+    # (n,) whether an agent stands still or brakes because no other move was found
     stopping: NDArray[np.bool_]
-    solved: int
+    solved: int  # How many agents needed a programme; the others' way was free
 
     @property
     def next_m(self) -> Floats:
@@ -56,64 +44,22 @@ class NetworkMoves:
 
 def plan_moves(
     ground: Ground,
-    positions_m: Floats,
-    targets_m: Floats,
+    positions_m: Floats,  # (n, 2) where agents are
+    targets_m: Floats,  # (n, 2)
     limits: MoveLimits,
     gain_per_s: float | Floats,
     horizon: int,
     *,
-    velocities_m_s: Floats | None = None,
-    headings_rad: Floats | None = None,
+    velocities_m_s: Floats | None = None,  # (n, 2)
+    headings_rad: Floats | None = None,  # (n,) present headings of unicycles
     kept: SafeSets | None = None,
-    target_velocities_m_s: Floats | None = None,
+    target_velocities_m_s: Floats | None = None,  # (n, 2)
 ) -> NetworkMoves:
     """Plan the moves of all agents over a horizon, with targets that stand or drift.
 
     The first move equals that of the law ``k (target - p)`` as long as no limit binds. Bodies never
     touch, and keep off obstacles and the border, during the whole move; stopping always stays
     possible.
-
-    Parameters
-    ----------
-    ground
-        Where agents are.
-    positions_m
-        ``(n, 2)`` where agents are.
-    targets_m
-        ``(n, 2)`` where they drive: centroids or events, or steps of ``ground.steered`` there.
-    limits
-        Their limits.
-    gain_per_s
-        The gain k of all agents, or ``(n,)`` of each; times the step at most 1.
-    horizon
-        Number of steps N.
-    velocities_m_s
-        ``(n, 2)`` present velocities of double integrators; None at rest. Others need none.
-    headings_rad
-        ``(n,)`` present headings of unicycles.
-    kept
-        More sets that agents stay in, such as those that keep radio links; they hold the agents'
-        reserves.
-    target_velocities_m_s
-        ``(n, 2)`` velocities of targets; None if all stand. The law is then that of the frame that
-        moves with the target, ``k (target - p) + v``.
-
-    Raises
-    ------
-    InputError
-        Bodies overlap, a shape is wrong or a number not finite, a step is too long for the gain,
-        or a velocity is above the limit.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from planopt.coverage.ground import ConvexGround
-    >>> from planopt.coverage.region import convex_region
-    >>> ground = ConvexGround(convex_region(np.array([[0, 0], [9, 0], [9, 9], [0, 9]])))
-    >>> agents, targets = np.array([[1.0, 4.0], [3.0, 4.0]]), np.array([[9.0, 4.0], [3.0, 8.0]])
-    >>> limits = MoveLimits(speed_m_s=1.5, body_radius_m=0.5)
-    >>> plan_moves(ground, agents, targets, limits, 0.5, 5).next_m.round(2).tolist()
-    [[1.5, 4.0], [3.0, 5.5]]
     """
     places, aims = (
         _checked(values, len(positions_m), key)
@@ -230,15 +176,8 @@ def _inert_moves(
 
 
 def stopping_ways(ways_m: Floats, change_m: float) -> Floats:
-    """Return the ways ``(n, 2)`` on which double integrators brake straight to rest.
-
-    Parameters
-    ----------
-    ways_m
-        ``(n, 2)`` velocities, as ways of a step.
-    change_m
-        Largest change of a velocity in a step. Braking is even and takes whole steps.
-    """
+    """Return the ways ``(n, 2)`` on which double integrators brake straight to rest."""
+    # Shapes: ways_m (n, 2).
     return 0.5 * _stop_steps(ways_m, change_m)[:, None] * ways_m
 
 

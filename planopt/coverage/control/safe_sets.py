@@ -37,25 +37,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SafeSets:
-    """The half-planes and discs that each agent stays in.
+    """The half-planes and discs that each agent stays in."""
 
-    Attributes
-    ----------
-    agent
-        ``(k,)`` whose half-plane each is.
-    normals, offsets_m
-        ``(k, 2)`` outward unit normals and ``(k,)``: the half-plane is ``normal @ q <= offset``.
-    disc_agent
-        ``(l,)`` whose disc each is.
-    centres_m, radii_m
-        ``(l, 2)`` and ``(l,)``.
-    """
-
-    agent: NDArray[np.intp]
-    normals: Floats
+    agent: NDArray[np.intp]  # (k,) whose half-plane each is
+    normals: Floats  # (k, 2) outward unit normals and (k,): the half-plane is normal @ q <= offset
     offsets_m: Floats
-    disc_agent: NDArray[np.intp]
-    centres_m: Floats
+    disc_agent: NDArray[np.intp]  # (l,) whose disc each is
+    centres_m: Floats  # (l, 2) and (l,)
     radii_m: Floats
 
     def share_inside(self, starts_m: Floats, ends_m: Floats) -> Floats:
@@ -154,22 +142,8 @@ def separate_cells(
 
     The line between two agents is halfway between the nearest points of their reserves. For agents
     that stop at once that is the bisector, and the cell is the Voronoi cell.
-
-    Parameters
-    ----------
-    places_m, stops_m
-        ``(n, 2)`` both ends of the reserves.
-    body_radius_m
-        Radius of the bodies; with 0 agents are points that may share a place, and have no cells.
-    reach_m
-        ``(n,)`` how far each agent gets in one step, its new reserve included. Agents with
-        reserves that are farther apart and not neighbours need no line between them.
-
-    Raises
-    ------
-    InputError
-        Two bodies overlap, or would when they stop.
     """
+    # Shapes: places_m, stops_m (n, 2); reach_m (n,).
     if body_radius_m == 0.0 or len(places_m) < 2:
         return half_planes(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
     pairs = _neighbours(places_m)
@@ -234,32 +208,12 @@ def ground_sets(
     ground: Ground,
     places_m: Floats,
     stops_m: Floats,
-    aims_m: Floats,
+    aims_m: Floats,  # (n, 2)
     keep_m: float,
     reach_m: float,
 ) -> SafeSets:
-    """Return for each agent a convex part of the ground that keeps off obstacles and border.
-
-    Parameters
-    ----------
-    ground
-        Where agents are.
-    places_m, stops_m
-        ``(n, 2)`` both ends of the reserves.
-    aims_m
-        ``(n, 2)`` where agents want to go; a corridor holds as much as is free of the straight way.
-    keep_m
-        What agents keep from obstacles and border. An agent that starts nearer to the border of a
-        convex ground gets no nearer; a geodesic ground has to be made with that clearance.
-    reach_m
-        How far agents get within the horizon.
-
-    Raises
-    ------
-    InputError
-        An agent is not in the free area, or the ground keeps less clearance or is of a kind
-        unknown here.
-    """
+    """Return for each agent a convex part of the ground that keeps off obstacles and border."""
+    # Shapes: places_m, stops_m (n, 2).
     free = ground.free if isinstance(ground, GeodesicGround) else None
     if free is None:
         outside = ~ground.hull.contains(places_m)
@@ -424,18 +378,8 @@ def _from_triangles(seeds: Floats, parts: Floats) -> tuple[Floats, Floats, Float
 
 
 def closest_points(one_m: Floats, other_m: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest points of two straight lines that do not cross.
-
-    Parameters
-    ----------
-    one_m, other_m
-        ``(k, 2, 2)`` ends of both lines.
-
-    Returns
-    -------
-    tuple of (k, 2) arrays
-        On the one, and on the other. An end of one of both lines is among them.
-    """
+    """Return the nearest points of two straight lines that do not cross."""
+    # Shapes: one_m, other_m (k, 2, 2).
     best = np.full(len(one_m), np.inf)
     here, there = one_m[:, 0].copy(), other_m[:, 0].copy()
     for lines, others, swapped in ((one_m, other_m, False), (other_m, one_m, True)):

@@ -24,21 +24,12 @@ DENSE = 400
 
 @dataclass(frozen=True, eq=False)
 class Count:
-    """The agents' estimates of their own number.
+    """The agents' estimates of their own number."""
 
-    Attributes
-    ----------
-    estimates
-        ``(n,)`` each agent's estimate, not rounded; infinite as long as an agent has heard nothing.
-    rounds
-        Rounds in which all agents talked to their neighbours.
-    messages
-        Transmissions over single links in one direction, lost ones included.
-    """
-
+    # (n,) each agent's estimate, not rounded; infinite as long as an agent has heard nothing
     estimates: NDArray[np.float64]
-    rounds: int
-    messages: int
+    rounds: int  # Rounds in which all agents talked to their neighbours
+    messages: int  # Transmissions over single links in one direction, lost ones included
 
     @property
     def rounded(self) -> NDArray[np.float64]:
@@ -48,38 +39,17 @@ class Count:
 
 @dataclass(frozen=True)
 class Election:
-    """The outcome of choosing a leader.
+    """The outcome of choosing a leader."""
 
-    Attributes
-    ----------
-    leader
-        Number of the agent with the largest identity.
-    rounds
-        Rounds until every agent knew it.
-    messages
-        Transmissions over single links; an agent sends when it has heard of a larger identity.
-    """
-
-    leader: int
-    rounds: int
+    leader: int  # Number of the agent with the largest identity
+    rounds: int  # Rounds until every agent knew it
+    # Transmissions over single links; an agent sends when it has heard of a larger identity
     messages: int
 
 
 def elect_leader(network: Network, identities: NDArray[np.intp] | None = None) -> Election:
-    """Choose the agent with the largest identity, by passing on the largest one heard of.
-
-    Parameters
-    ----------
-    network
-        Who talks to whom; connected.
-    identities
-        ``(n,)`` distinct numbers; the agents' own numbers if None.
-
-    Raises
-    ------
-    InputError
-        Identities are not distinct, or the network is not connected.
-    """
+    """Choose the agent with the largest identity, by passing on the largest one heard of."""
+    # Shapes: identities (n,).
     n = network.count
     best = np.arange(n) if identities is None else np.asarray(identities)
     if best.shape != (n,) or len(np.unique(best)) != n:
@@ -125,11 +95,6 @@ def second_modulus(network: Network) -> float:
 
     The modulus matters: on a graph that is nearly bipartite the most negative eigenvalue is the
     slow one.
-
-    Raises
-    ------
-    InputError
-        The network is not connected: it would be 1.
     """
     n = network.count
     if not is_connected(network):
@@ -158,18 +123,6 @@ def rounds_until_exact(agents: int, modulus: float) -> int:
 
     The error of an agent's value is at most ``modulus ** rounds``, and rounding ``1 / x`` is right
     once it is below ``1 / (n (2 n + 1))``.
-
-    Parameters
-    ----------
-    agents
-        Their number n.
-    modulus
-        Second largest eigenvalue modulus of the weights.
-
-    Raises
-    ------
-    InputError
-        The modulus is not from 0 to below 1: the network is not connected.
     """
     if not 0.0 <= modulus < 1.0:
         raise InputError(f"a modulus of {modulus:g}", key="modulus", remedy="connect the network")
@@ -181,7 +134,7 @@ def rounds_until_exact(agents: int, modulus: float) -> int:
 
 
 def average_round(
-    values: NDArray[np.float64],
+    values: NDArray[np.float64],  # (n,) or (n, k) what agents hold
     network: Network,
     *,
     loss: Loss = 0.0,
@@ -191,17 +144,6 @@ def average_round(
 
     A link that loses a message is left out in both directions, as agents find out by acknowledging
     each other's messages: then the sum of all values stays the same.
-
-    Parameters
-    ----------
-    values
-        ``(n,)`` or ``(n, k)`` what agents hold.
-    network
-        Who talks to whom.
-    loss
-        Probability that a link fails in this round.
-    generator
-        Draws the losses.
     """
     links, weights = network.links, link_weights(network)
     if np.any(loss):
@@ -223,32 +165,7 @@ def count_by_averaging(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Count:
-    """Count agents by average consensus from a leader.
-
-    Parameters
-    ----------
-    network
-        Who talks to whom.
-    leader
-        Number of the agent that starts with 1.
-    rounds
-        How often all agents average; :func:`rounds_until_exact` says how often suffices.
-    loss, generator
-        As for :func:`average_round`.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> ring = Network(5, np.array([[0, 1], [1, 2], [2, 3], [3, 4], [0, 4]]))
-    >>> needed = rounds_until_exact(5, second_modulus(ring))
-    >>> count_by_averaging(ring, 0, needed).rounded.tolist()
-    [5.0, 5.0, 5.0, 5.0, 5.0]
-    """
+    """Count agents by average consensus from a leader."""
     if not 0 <= leader < network.count:
         raise InputError(f"there is no agent {leader}", key="leader")
     if rounds < 0:

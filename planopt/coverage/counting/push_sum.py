@@ -18,31 +18,16 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class PushSum:
-    """The sums that agents and links hold.
+    """The sums that agents and links hold."""
 
-    Attributes
-    ----------
-    held
-        ``(n, 2)`` value and weight of each agent.
-    given
-        ``(n, 2)`` sums of what each agent ever gave to one neighbour.
-    taken
-        ``(2 e, 2)`` the sums that were last heard over each link in each direction.
-    """
-
-    held: NDArray[np.float64]
-    given: NDArray[np.float64]
+    held: NDArray[np.float64]  # (n, 2) value and weight of each agent
+    given: NDArray[np.float64]  # (n, 2) sums of what each agent ever gave to one neighbour
+    # (2 e, 2) the sums that were last heard over each link in each direction
     taken: NDArray[np.float64]
 
 
 def start_push_sum(network: Network, leader: int) -> PushSum:
-    """Return the state in which the leader has the value 1 and every agent the weight 1.
-
-    Raises
-    ------
-    InputError
-        There is no such leader.
-    """
+    """Return the state in which the leader has the value 1 and every agent the weight 1."""
     if not 0 <= leader < network.count:
         raise InputError(f"there is no agent {leader}", key="leader")
     held = np.stack((np.zeros(network.count), np.ones(network.count)), axis=1)
@@ -57,24 +42,7 @@ def push_sum_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> PushSum:
-    """Let every agent share what it holds with its neighbours once.
-
-    Parameters
-    ----------
-    state
-        What agents and links hold.
-    network
-        Who talks to whom; the same in all rounds.
-    loss
-        Probability that a message is lost, in each direction by itself.
-    generator
-        Draws the losses.
-
-    Raises
-    ------
-    InputError
-        The loss is out of range, or there is none to draw it.
-    """
+    """Let every agent share what it holds with its neighbours once."""
     sender, receiver = network.directed
     heard = gets_through(len(sender), loss, generator)
     share = state.held / (1.0 + network.degrees)[:, None]
@@ -94,24 +62,7 @@ def count_by_push_sum(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Count:
-    """Count agents by push-sum with running sums.
-
-    Parameters
-    ----------
-    network
-        Who talks to whom.
-    leader
-        Number of the agent that starts with the value 1.
-    rounds
-        How often all agents send.
-    loss, generator
-        As for :func:`push_sum_round`.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-    """
+    """Count agents by push-sum with running sums."""
     if rounds < 0:
         raise InputError(f"{rounds} rounds", key="rounds")
     state = start_push_sum(network, leader)

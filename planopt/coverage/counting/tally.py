@@ -36,7 +36,7 @@ from planopt.errors import InputError
 
 
 def running_round(
-    values: NDArray[np.float64],
+    values: NDArray[np.float64],  # (n,)
     network: Network,
     leader: int,
     innovation: float,
@@ -44,27 +44,7 @@ def running_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> NDArray[np.float64]:
-    """Let every agent update its running count once.
-
-    Parameters
-    ----------
-    values
-        ``(n,)`` each agent's count, not rounded; an agent that joins may start with anything.
-    network
-        Who talks to whom now.
-    leader
-        Number of the agent that leads now.
-    innovation
-        eps, above 0 and at most 1: smaller ones leave all agents nearer to n, and take longer to
-        follow: about n / eps rounds.
-    loss, generator
-        Links that fail, as in :func:`planopt.coverage.counting.consensus.average_round`.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-    """
+    """Let every agent update its running count once."""
     if not 0.0 < innovation <= 1.0:
         raise InputError(f"{innovation!r} is out of range", key="innovation")
     if not 0 <= leader < network.count:
@@ -78,11 +58,6 @@ def running_limit(network: Network, leader: int, innovation: float) -> NDArray[n
     """Return the counts ``(n,)`` at which updates without losses come to rest.
 
     The leader's is n, the others' are larger by at most innovation times a number of the network.
-
-    Raises
-    ------
-    InputError
-        The network is not connected.
     """
     every = np.arange(network.count)
     matrix = disagreement(network, np.where(every == leader, innovation, 0.0))
@@ -90,13 +65,7 @@ def running_limit(network: Network, leader: int, innovation: float) -> NDArray[n
 
 
 def largest_innovation(network: Network, leader: int) -> float:
-    """Return the innovation below which every agent's count at rest rounds to n.
-
-    Raises
-    ------
-    InputError
-        The network is not connected.
-    """
+    """Return the innovation below which every agent's count at rest rounds to n."""
     n = network.count
     if n == 1:
         return 1.0
@@ -119,35 +88,13 @@ LEAST_DRAWS = 3
 
 @dataclass(frozen=True, eq=False)
 class Minima:
-    """The smallest numbers that each agent has heard of.
+    """The smallest numbers that each agent has heard of."""
 
-    Attributes
-    ----------
-    values
-        ``(n, m)`` one for each of m numbers.
-    """
-
-    values: NDArray[np.float64]
+    values: NDArray[np.float64]  # (n, m) one for each of m numbers
 
 
 def draw_minima(agents: int, draws: int, generator: np.random.Generator) -> Minima:
-    """Draw each agent's numbers from the exponential distribution of mean 1.
-
-    Parameters
-    ----------
-    agents
-        How many agents draw.
-    draws
-        How many numbers each of them draws; the estimate's relative standard deviation is
-        ``1 / sqrt(draws - 2)``.
-    generator
-        Source of the numbers.
-
-    Raises
-    ------
-    InputError
-        There are too few draws.
-    """
+    """Draw each agent's numbers from the exponential distribution of mean 1."""
     if draws < LEAST_DRAWS:
         raise InputError(f"{draws} draws", key="draws", remedy=f"give {LEAST_DRAWS} or more")
     return Minima(generator.standard_exponential((agents, draws)))
@@ -160,19 +107,7 @@ def minima_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Minima:
-    """Let every agent send its numbers to its neighbours once and keep the smallest.
-
-    Parameters
-    ----------
-    minima
-        What agents know.
-    network
-        Who talks to whom.
-    loss
-        Probability that a message over a link is lost, in each direction by itself.
-    generator
-        Draws the losses.
-    """
+    """Let every agent send its numbers to its neighbours once and keep the smallest."""
     sender, receiver = network.directed
     heard = gets_through(len(sender), loss, generator)
     sender, receiver = sender[heard], receiver[heard]
@@ -189,26 +124,7 @@ def count_by_minima(
     *,
     loss: Loss = 0.0,
 ) -> Count:
-    """Count agents by the minima of exponential numbers.
-
-    Parameters
-    ----------
-    network
-        Who talks to whom.
-    draws
-        Numbers that each agent draws.
-    rounds
-        As many as the network's diameter suffice without losses.
-    generator
-        Draws numbers and losses.
-    loss
-        Probability that a message over a link is lost, in each direction by itself.
-
-    Raises
-    ------
-    InputError
-        A number is out of range.
-    """
+    """Count agents by the minima of exponential numbers."""
     if rounds < 0:
         raise InputError(f"{rounds} rounds", key="rounds")
     minima = draw_minima(network.count, draws, generator)
@@ -228,26 +144,8 @@ def count_interval(
     """Return the exact confidence interval of counts.
 
     n times the sum of m minima has the gamma distribution of shape m.
-
-    Parameters
-    ----------
-    estimates
-        ``(n,)`` from :func:`minima_estimates`.
-    draws
-        Numbers m that were drawn.
-    confidence
-        Probability that the interval holds the number of agents.
-
-    Returns
-    -------
-    low, high
-        ``(n,)`` each.
-
-    Raises
-    ------
-    InputError
-        The confidence is not between 0 and 1.
     """
+    # Shapes: estimates (n,); returns (n,).
     if not 0.0 < confidence < 1.0:
         raise InputError(f"{confidence!r} is no probability", key="confidence")
     tail = 0.5 * (1.0 - confidence)
@@ -261,32 +159,14 @@ Method = Literal["known", "leader", "minima", "running"]
 
 @dataclass(frozen=True)
 class Counting:
-    """The settings by which a network counts itself.
+    """The settings by which a network counts itself."""
 
-    Attributes
-    ----------
-    method
-        One of :data:`Method`.
-    rounds
-        Rounds in a step.
-    epoch_rounds
-        Rounds of an epoch, and of the running count before the first step.
-    draws
-        Numbers that each agent draws, for ``minima``.
-    innovation
-        Of the running count: smaller ones leave all agents nearer to the number, and follow slower
-        (:func:`planopt.coverage.counting.tally.largest_innovation`).
-
-    Raises
-    ------
-    InputError
-        A number of rounds is less than 1.
-    """
-
-    method: Method = "known"
-    rounds: int = 30
-    epoch_rounds: int = 600
-    draws: int = 400
+    method: Method = "known"  # One of :data:`Method`
+    rounds: int = 30  # Rounds in a step
+    epoch_rounds: int = 600  # Rounds of an epoch, and of the running count before the first step
+    draws: int = 400  # Numbers that each agent draws, for minima
+    # Of the running count: smaller ones leave all agents nearer to the number, and follow slower
+    # (:func:`planopt.coverage.counting.tally.largest_innovation`)
     innovation: float = 0.01
 
     def __post_init__(self) -> None:
@@ -297,59 +177,25 @@ class Counting:
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """The state of agents while they count.
+    """The state of agents while they count."""
 
-    Attributes
-    ----------
-    members
-        ``(n,)`` who took part in the last step.
-    values
-        ``(n, m)`` what they hold.
-    estimates
-        ``(n,)`` how many agents they believe there are; NaN for who does not take part.
-    leader
-        Number of the leading agent; -1 for none.
-    done
-        Rounds of the present epoch.
-    messages
-        Transmissions over single links in the last step, lost ones included.
-    """
-
-    members: NDArray[np.bool_]
-    values: NDArray[np.float64]
+    members: NDArray[np.bool_]  # (n,) who took part in the last step
+    values: NDArray[np.float64]  # (n, m) what they hold
+    # (n,) how many agents they believe there are; NaN for who does not take part
     estimates: NDArray[np.float64]
-    leader: int = -1
-    done: int = 0
-    messages: int = 0
+    leader: int = -1  # Number of the leading agent; -1 for none
+    done: int = 0  # Rounds of the present epoch
+    messages: int = 0  # Transmissions over single links in the last step, lost ones included
 
 
 def start_tally(
     counting: Counting,
     network: Network,
-    members: NDArray[np.bool_],
+    members: NDArray[np.bool_],  # (n,) who takes part
     generator: np.random.Generator,
     loss: Loss = 0.0,
 ) -> Tally:
-    """Count once before the first step.
-
-    Parameters
-    ----------
-    counting
-        How.
-    network
-        The members' links; they are numbered among themselves there.
-    members
-        ``(n,)`` who takes part.
-    generator
-        Draws numbers and losses.
-    loss
-        Probability that a message is lost.
-
-    Raises
-    ------
-    InputError
-        The members are not connected, or a number is out of range.
-    """
+    """Count once before the first step."""
     width = counting.draws if counting.method == "minima" else 1
     count = len(members)
     tally = Tally(members, np.zeros((count, width)), np.full(count, np.nan))
@@ -365,20 +211,7 @@ def tally_step(
     generator: np.random.Generator,
     loss: Loss = 0.0,
 ) -> Tally:
-    """Let members count for the rounds of one step.
-
-    Parameters
-    ----------
-    tally
-        What they held. Who has joined since takes over a member's estimate.
-    counting, network, members, generator, loss
-        As for :func:`start_tally`.
-
-    Raises
-    ------
-    InputError
-        As there.
-    """
+    """Let members count for the rounds of one step."""
     who = np.flatnonzero(members)
     estimates = np.full(len(members), np.nan)
     if counting.method == "known":

@@ -40,31 +40,19 @@ SINGULAR = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class EventEstimate:
-    """The most likely places of events.
+    """The most likely places of events."""
 
-    Attributes
-    ----------
-    positions_m
-        ``(j, 2)`` most likely places.
-    strengths
-        ``(j,)`` factors K of their signals, estimated or as given.
-    covariance_m2
-        ``(2 j, 2 j)`` covariance of the places, x and y of each event in turn: the inverse of the
-        Fisher information. Infinite on the diagonal where the readings leave a direction open.
-    misfit
-        Sum of squared residuals over the noise variance; about the number of readings if the model
-        is right.
-    rivals_m
-        ``(r, 2)`` other places that explain the readings nearly as well; for one event only.
-    velocity_m_s
-        ``(2,)`` estimated velocity of an event that moves; zero for others.
-    """
-
-    positions_m: NDArray[np.float64]
-    strengths: NDArray[np.float64]
+    positions_m: NDArray[np.float64]  # (j, 2) most likely places
+    strengths: NDArray[np.float64]  # (j,) factors K of their signals, estimated or as given
+    # (2 j, 2 j) covariance of the places, x and y of each event in turn: the inverse of the Fisher
+    # information. Infinite on the diagonal where the readings leave a direction open.
     covariance_m2: NDArray[np.float64]
+    # Sum of squared residuals over the noise variance; about the number of readings if the model is
+    # right
     misfit: float
+    # (r, 2) other places that explain the readings nearly as well; for one event only
     rivals_m: NDArray[np.float64]
+    # (2,) estimated velocity of an event that moves; zero for others
     velocity_m_s: NDArray[np.float64]
 
     @property
@@ -75,20 +63,12 @@ class EventEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """The motion of an event at a constant velocity, estimated together with its place.
+    """The motion of an event at a constant velocity, estimated together with its place."""
 
-    Attributes
-    ----------
-    ages_s
-        ``(k,)`` how long ago each reading was taken.
-    speed_std_m_s
-        Standard deviation of each component of the velocity before anything is read, more than 0.
-    guess_m_s
-        ``(2,)`` a velocity to start from besides zero, such as an earlier estimate.
-    """
-
-    ages_s: NDArray[np.float64]
+    ages_s: NDArray[np.float64]  # (k,) how long ago each reading was taken
+    # Standard deviation of each component of the velocity before anything is read, more than 0
     speed_std_m_s: float
+    # (2,) a velocity to start from besides zero, such as an earlier estimate
     guess_m_s: NDArray[np.float64]
 
 
@@ -113,34 +93,10 @@ def locate_events(
     events: int = 1,
     *,
     strength_known: bool = True,
-    near_m: NDArray[np.float64] | None = None,
+    near_m: NDArray[np.float64] | None = None,  # (g, 2)
     drift: Drift | None = None,
 ) -> EventEstimate:
-    """Estimate the places of events whose signals add up.
-
-    Parameters
-    ----------
-    sensor
-        The signal of one event, and the noise.
-    readings
-        What was measured where.
-    region
-        Where the events are.
-    events
-        How many there are.
-    strength_known
-        Whether all have the sensor's strength; if not, each event's strength is estimated as well.
-    near_m
-        ``(g, 2)`` places to start from, such as an earlier estimate and its rivals; a grid over the
-        region if None, which takes many times as long.
-    drift
-        How the one event moves; None for events that stand.
-
-    Raises
-    ------
-    InputError
-        There is no reading, less than one event is asked for, or several that move.
-    """
+    """Estimate the places of events whose signals add up."""
     if not len(readings.signal):
         raise InputError("there is no reading", key="readings", remedy="measure first")
     if events < 1:

@@ -16,25 +16,11 @@ class Readings:
     """Means of measurements, each at one place.
 
     The mean of repeated measurements at one place and their number hold all that they tell.
-
-    Attributes
-    ----------
-    positions_m
-        ``(k, 2)`` where they were taken.
-    signal
-        ``(k,)`` their means, in the signal's unit.
-    counts
-        ``(k,)`` how many measurements each is the mean of.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, or a number is not finite.
     """
 
-    positions_m: NDArray[np.float64]
-    signal: NDArray[np.float64]
-    counts: NDArray[np.float64]
+    positions_m: NDArray[np.float64]  # (k, 2) where they were taken
+    signal: NDArray[np.float64]  # (k,) their means, in the signal's unit
+    counts: NDArray[np.float64]  # (k,) how many measurements each is the mean of
 
     def __post_init__(self) -> None:
         count = len(self.signal)
@@ -57,13 +43,7 @@ def single_readings(positions_m: NDArray[np.float64], signal: NDArray[np.float64
 
 
 def pooled(logs: Iterable[Readings]) -> Readings:
-    """Join readings, and average those that were taken at the very same place.
-
-    Parameters
-    ----------
-    logs
-        Readings of one agent at several times, or of several agents.
-    """
+    """Join readings, and average those that were taken at the very same place."""
     every = [no_readings(), *logs]
     positions = np.concatenate([log.positions_m for log in every])
     signal = np.concatenate([log.signal for log in every])

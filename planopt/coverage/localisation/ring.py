@@ -22,28 +22,11 @@ LOOSE = 0.02
 
 def fisher_information(
     sensor: EventSensor,
-    positions_m: NDArray[np.float64],
-    event_m: NDArray[np.float64],
-    counts: NDArray[np.float64] | None = None,
+    positions_m: NDArray[np.float64],  # (k, 2) where agents measure
+    event_m: NDArray[np.float64],  # (2,) where the event is
+    counts: NDArray[np.float64] | None = None,  # (k,) how often they measure there; once if None
 ) -> NDArray[np.float64]:
-    """Return what measurements tell of an event of known strength, ``sum g^2 u u' / sigma^2``.
-
-    Parameters
-    ----------
-    sensor
-        The signal and its noise.
-    positions_m
-        ``(k, 2)`` where agents measure.
-    event_m
-        ``(2,)`` where the event is.
-    counts
-        ``(k,)`` how often they measure there; once if None.
-
-    Returns
-    -------
-    (2, 2) array
-        Per m^2. Zero for an agent at the event.
-    """
+    """Return what measurements tell of an event of known strength, ``sum g^2 u u' / sigma^2``."""
     offset = positions_m - event_m
     distance = np.linalg.norm(offset, axis=1)
     unit = offset / np.where(distance > 0.0, distance, 1.0)[:, None]
@@ -69,11 +52,6 @@ def ring_angles(count: int) -> NDArray[np.float64]:
 
     Equal angles, for which the information is the same in all directions; two agents stand 90
     degrees apart, since opposite each other they would tell of one direction only.
-
-    Raises
-    ------
-    InputError
-        There is less than one agent.
     """
     if count < 1:
         raise InputError(f"{count} agents", key="agents")
@@ -88,21 +66,8 @@ def ring_places(
 
     The ring is turned so that the sum of squared angles that agents have to turn is least; they do
     not cross each other's way.
-
-    Parameters
-    ----------
-    agents_m
-        ``(k, 2)`` where the agents are.
-    event_m
-        ``(2,)`` the ring's centre.
-    radius_m
-        Its radius; :func:`planopt.coverage.localisation.sensor.best_distance_m` tells most.
-
-    Raises
-    ------
-    InputError
-        The radius is not positive, or there is no agent.
     """
+    # Shapes: agents_m (k, 2); event_m (2,).
     positive(radius_m, "radius_m")
     offset = agents_m - event_m
     angle = np.arctan2(offset[:, 1], offset[:, 0])
@@ -129,16 +94,8 @@ def packed_places(
     Places are those of a hexagonal lattice that are nearest to the event, which is at a place, in
     the middle of two or of three, whichever leaves the farthest one nearest. The sum of squared
     distances from agents to places is least, so that agents that block each other swap places.
-
-    Parameters
-    ----------
-    agents_m
-        ``(k, 2)`` where the agents are.
-    event_m
-        ``(2,)`` what they crowd around.
-    body_radius_m
-        Radius of the bodies; more than 0.
     """
+    # Shapes: agents_m (k, 2); event_m (2,).
     count, side = len(agents_m), 2.0 * (1.0 + LOOSE) * positive(body_radius_m, "body_radius_m")
     shells = np.arange(-count, count + 1)
     steps = np.stack(np.meshgrid(shells, shells), axis=-1).reshape(-1, 2)
@@ -177,24 +134,8 @@ def fused(
     """Join independent estimates of one place, each weighted by its information.
 
     The sums in it can be averaged over a network, so that every agent gets the joint estimate.
-
-    Parameters
-    ----------
-    positions_m
-        ``(k, 2)`` estimates.
-    informations
-        ``(k, 2, 2)`` inverses of their covariances.
-
-    Returns
-    -------
-    position_m, information
-        ``(2,)`` and ``(2, 2)``.
-
-    Raises
-    ------
-    InputError
-        All of them together leave a direction open.
     """
+    # Shapes: positions_m (k, 2); informations (k, 2, 2); returns (2,).
     total = np.asarray(informations.sum(axis=0), dtype=np.float64)
     if not np.isfinite(cramer_rao_m2(total)):
         raise InputError("the estimates leave a direction open", key="informations")

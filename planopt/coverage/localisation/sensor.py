@@ -23,31 +23,14 @@ they are a tenth as wide."""
 
 @dataclass(frozen=True)
 class EventSensor:
-    """The measurement ``S = K F(d) + noise`` at a distance d from the event.
+    """The measurement ``S = K F(d) + noise`` at a distance d from the event."""
 
-    Attributes
-    ----------
-    noise_std
-        Standard deviation sigma of the Gaussian noise, in the signal's unit; more than 0.
-    strength
-        K: factor of the profile, more than 0. Estimators may treat it as unknown.
-    profile
-        F: decreasing function of the distance in metres; takes and returns arrays.
-    slope
-        Its derivative by distance.
-    reach_m
-        Beyond this distance the signal is of no use; used to look for the best distance.
-
-    Raises
-    ------
-    InputError
-        A number is not positive, or the profile increases somewhere within the reach.
-    """
-
+    # Standard deviation sigma of the Gaussian noise, in the signal's unit; more than 0
     noise_std: float
-    strength: float
-    profile: Profile
-    slope: Profile
+    strength: float  # K: factor of the profile, more than 0. Estimators may treat it as unknown.
+    profile: Profile  # F: decreasing function of the distance in metres; takes and returns arrays
+    slope: Profile  # Its derivative by distance
+    # Beyond this distance the signal is of no use; used to look for the best distance
     reach_m: float
 
     def __post_init__(self) -> None:
@@ -75,20 +58,7 @@ class EventSensor:
 def diffusion_sensor(
     noise_std: float, strength: float, scale_m: float = 1.0, reach_m: float = 100.0
 ) -> EventSensor:
-    """Return the sensor of a diffusing source, ``S = K / ((d / scale)^2 + 1) + noise``.
-
-    Parameters
-    ----------
-    noise_std, strength, reach_m
-        As in :class:`EventSensor`.
-    scale_m
-        Distance at which the signal has fallen to half.
-
-    Raises
-    ------
-    InputError
-        A number is not positive.
-    """
+    """Return the sensor of a diffusing source, ``S = K / ((d / scale)^2 + 1) + noise``."""
     positive(scale_m, "sensor.scale_m")
 
     def profile(distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -103,28 +73,11 @@ def diffusion_sensor(
 
 def measure(
     sensor: EventSensor,
-    positions_m: NDArray[np.float64],
-    event_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],  # (k, 2) where agents measure
+    event_m: NDArray[np.float64],  # (2,) where the event is
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw one measurement at each position.
-
-    Parameters
-    ----------
-    sensor
-        What is measured.
-    positions_m
-        ``(k, 2)`` where agents measure.
-    event_m
-        ``(2,)`` where the event is.
-    generator
-        Source of the noise.
-
-    Returns
-    -------
-    (k,) array
-        In the signal's unit.
-    """
+    """Draw one measurement at each position."""
     distance = np.linalg.norm(positions_m - event_m, axis=1)
     noise = generator.standard_normal(len(positions_m))
     return sensor.signal(distance) + sensor.noise_std * noise

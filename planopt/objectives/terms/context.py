@@ -216,24 +216,12 @@ class StepContext(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Many paths of one step, with predictions along them.
+    """Many paths of one step, with predictions along them."""
 
-    Attributes
-    ----------
-    at
-        What is known.
-    ways_m
-        ``(c, N, 2)`` places after each step.
-    stations
-        Each station's power along all of them.
-    told
-        What measurements of it along them tell.
-    """
-
-    at: StepContext
-    ways_m: NDArray[np.float64]
-    stations: Sequence[WayBatch]
-    told: Sequence[ToldBatch]
+    at: StepContext  # What is known
+    ways_m: NDArray[np.float64]  # (c, N, 2) places after each step
+    stations: Sequence[WayBatch]  # Each station's power along all of them
+    told: Sequence[ToldBatch]  # What measurements of it along them tell
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -288,42 +276,24 @@ class NearStation:
 
 @dataclass(frozen=True, eq=False)
 class NearPath:
-    """One path of a solver, near the path that it began from.
+    """One path of a solver, near the path that it began from."""
 
-    Attributes
-    ----------
-    at
-        What is known.
-    places_m
-        ``(N, 2)`` places after each step.
-    power, each
-        Power that connectivity rests on at every stage, and each station's; None and empty where
-        no term needs it and nothing is asked of connectivity.
-    joint
-        Each station's channel near the path, where places share measurements.
-    told
-        The same, of the anticipated channels: measurements along the path add to what they tell.
-    gates
-        How much of a measurement each place brings; None where no term measures.
-    ahead
-        ``(N,)`` number of the turn of the steered path that each place goes to; None if nothing
-        steers.
-    tried
-        ``(N,)`` which places are tries for connection; None where no term tries.
-    about_m
-        ``(N, 2)`` the path that it began from.
-    """
-
-    at: StepContext
-    places_m: NDArray[np.float64]
+    at: StepContext  # What is known
+    places_m: NDArray[np.float64]  # (N, 2) places after each step
+    # Power that connectivity rests on at every stage, and each station's; None and empty where no
+    # term needs it and nothing is asked of connectivity
     power: StagePower | None
     each: Sequence[StagePower]
+    # Each station's channel near the path, where places share measurements
     joint: Sequence[NearStation]
+    # The same, of the anticipated channels: measurements along the path add to what they tell
     told: Sequence[NearStation]
-    gates: Gates | None
+    gates: Gates | None  # How much of a measurement each place brings; None where no term measures
+    # (N,) number of the turn of the steered path that each place goes to; None if nothing steers
     ahead: NDArray[np.intp] | None
+    # (N,) which places are tries for connection; None where no term tries
     tried: NDArray[np.bool_] | None
-    about_m: NDArray[np.float64]
+    about_m: NDArray[np.float64]  # (N, 2) the path that it began from
 
     @property
     def stage_power(self) -> StagePower:

@@ -24,18 +24,9 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True)
 class CasadiTerm(Term):
-    """A user's own value of a path, written by :func:`planopt.extend.casadi_term`.
+    """A user's own value of a path, written by :func:`planopt.extend.casadi_term`."""
 
-    Attributes
-    ----------
-    weight
-        Factor in the sum of terms.
-    steps
-        The horizon that it is for.
-    program
-        Its instructions (:mod:`planopt.objectives.expression`).
-    """
-
+    # Factor in the sum of terms
     weight: Annotated[
         float,
         Field(
@@ -102,13 +93,7 @@ class CasadiTerm(Term):
                 )
 
     def known(self, at: StepContext, steps: int) -> dict[str, NDArray[np.float64]]:
-        """Return the inputs that do not depend on the path: the start, and the target if any.
-
-        Raises
-        ------
-        InputError
-            The expression is for another number of steps, or reads a target that there is not.
-        """
+        """Return the inputs that do not depend on the path: the start, and the target if any."""
         if self.steps != steps:
             raise InputError(
                 f"an expression is for {self.steps} steps, the plan has {steps}",
@@ -128,13 +113,7 @@ class CasadiTerm(Term):
         return known
 
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
-        """Return the expression of one path.
-
-        Raises
-        ------
-        InputError
-            It is not finite.
-        """
+        """Return the expression of one path."""
         power = at.power(path_m)
         chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
         given = self.known(at, len(path_m)) | {

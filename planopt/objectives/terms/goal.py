@@ -28,16 +28,6 @@ class GoalTerm(Term):
 
     The distance is that of the shortest way that keeps ``p_min`` at every place, or leaves contact
     as little as can be. The run ends once every robot stands within ``goal_radius_m`` of its goal.
-
-    Attributes
-    ----------
-    weight
-        Factor in the sum of terms, per metre and step.
-
-    Examples
-    --------
-    >>> GoalTerm(weight=0.02).steers
-    'goal'
     """
 
     kind: ClassVar[str] = "goal"

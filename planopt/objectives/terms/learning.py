@@ -28,16 +28,9 @@ LearningCriterion = Literal["T", "D", "A", "V"]
 
 @dataclass(frozen=True)
 class LearningTerm(Term):
-    """Information on the path loss that measurements along the path give.
+    """Information on the path loss that measurements along the path give."""
 
-    Attributes
-    ----------
-    weight
-        Factor in the sum of terms.
-    criterion
-        ``T`` (trace), ``D``, ``A`` or ``V`` (prediction over the workspace).
-    """
-
+    # T (trace), D, A or V (prediction over the workspace)
     criterion: Annotated[
         LearningCriterion,
         Field(

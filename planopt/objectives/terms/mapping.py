@@ -63,21 +63,10 @@ Nonnegative = Annotated[float, Field(ge=0, le=1e6)]
 
 @dataclass(frozen=True)
 class MappingTerm(Term):
-    """Uncertainty of the channel that measurements along the path remove.
+    """Uncertainty of the channel that measurements along the path remove."""
 
-    Attributes
-    ----------
-    weight
-        Factor in the sum of terms.
-    form
-        ``two_layer`` (steer to the maximiser of J_CH), ``path`` (J_CH summed along the path),
-        ``information`` or ``average`` (over the workspace).
-    variance_threshold_db2
-        sigma_TH^2 in dB^2.
-    closeness_per_m
-        zeta of ``psi(d) = exp(-zeta d)``.
-    """
-
+    # two_layer (steer to the maximiser of J_CH), path (J_CH summed along the path), information or
+    # average (over the workspace)
     form: Annotated[
         MappingForm,
         Field(
@@ -86,10 +75,12 @@ class MappingTerm(Term):
             "average (variance over the workspace)."
         ),
     ] = "information"
+    # sigma_TH^2 in dB^2
     variance_threshold_db2: Annotated[
         Nonnegative,
         Field(description="Variances up to this count as none, sigma_TH^2 in dB^2."),
     ] = 0.0
+    # zeta of psi(d) = exp(-zeta d)
     closeness_per_m: Annotated[
         Nonnegative,
         Field(description="zeta of exp(-zeta d), in 1/m: how much near places are preferred."),

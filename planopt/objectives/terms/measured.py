@@ -38,17 +38,7 @@ def measured_reward(
     nodes: Nodes,
     told: Callable[[NodeChannel, ChannelPosterior], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """Return what measuring at each node alone would tell of all stations; (ny, nx).
-
-    Parameters
-    ----------
-    at
-        What is known.
-    nodes
-        The lattice.
-    told
-        What measuring one station at each node tells.
-    """
+    """Return what measuring at each node alone would tell of all stations; (ny, nx)."""
     near = nodes.grid_m[nodes.window]
     found = added(
         told(

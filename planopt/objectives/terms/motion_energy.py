@@ -20,17 +20,8 @@ from planopt.targets.rounding import Derivatives, rounded_length
 def path_length_derivatives(
     start_m: NDArray[np.float64], path_m: NDArray[np.float64], width_m: float
 ) -> PathDerivatives:
-    """Sum of the lengths of all steps, each rounded within `width_m` of zero.
-
-    Parameters
-    ----------
-    start_m
-        ``(2,)`` where the first step begins.
-    path_m
-        ``(h, 2)``.
-    width_m
-        Over 0; a step is then longer than it is by at most 3/8 of it.
-    """
+    """Sum of the lengths of all steps, each rounded within `width_m` of zero."""
+    # Shapes: start_m (2,); path_m (h, 2).
     steps = rounded_length(np.diff(np.vstack([start_m, path_m]), axis=0), width_m)
     count = len(path_m)
     gradient = steps.gradient.copy()
@@ -40,15 +31,8 @@ def path_length_derivatives(
 
 
 def legs_curvature(legs: Derivatives, weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Second derivatives of a weighted sum of the lengths of steps; ``(2 h, 2 h)``.
-
-    Parameters
-    ----------
-    legs
-        Lengths of the h steps with derivatives by the step.
-    weight
-        ``(h,)``.
-    """
+    """Second derivatives of a weighted sum of the lengths of steps; ``(2 h, 2 h)``."""
+    # Shapes: weight (h,).
     count = len(weight)
     blocks = (weight[:, None] * legs.hessian)[:, [0, 1, 1, 2]].reshape(count, 2, 2)
     hessian = np.zeros((count, 2, count, 2))
@@ -62,15 +46,7 @@ def legs_curvature(legs: Derivatives, weight: NDArray[np.float64]) -> NDArray[np
 
 @dataclass(frozen=True)
 class MotionEnergyTerm(Term):
-    """Energy of motion, a cost: k1 a metre and k2 a second while moving, in joules.
-
-    Attributes
-    ----------
-    weight
-        Factor in the sum of terms, per joule; the energy is subtracted.
-    per_metre_j_m, power_w
-        k1 and k2.
-    """
+    """Energy of motion, a cost: k1 a metre and k2 a second while moving, in joules."""
 
     per_metre_j_m: Annotated[float, Field(ge=0, le=1e9, description="k1 in J/m.")]
     power_w: Annotated[float, Field(ge=0, le=1e9, description="k2 in W while moving.")] = 0.0

@@ -44,33 +44,15 @@ goal."""
 
 @dataclass(frozen=True)
 class TermSetting:
-    """The parts of a problem that decide whether a term can be planned for in it.
+    """The parts of a problem that decide whether a term can be planned for in it."""
 
-    Attributes
-    ----------
-    horizon
-        N, the steps of a plan.
-    stations
-        How many there are.
-    has_target
-        Whether there is a target.
-    has_dynamics
-        Whether a robot has inertia or a heading.
-    is_calibrated
-        Whether the law of connection is fitted.
-    is_free
-        Whether the term is the only one, and nothing is asked of connectivity.
-    has_estimates
-        Whether packets have estimates of a target.
-    """
-
-    horizon: int
-    stations: int
-    has_target: bool
-    has_dynamics: bool = False
-    is_calibrated: bool = False
-    is_free: bool = False
-    has_estimates: bool = False
+    horizon: int  # N, the steps of a plan
+    stations: int  # How many there are
+    has_target: bool  # Whether there is a target
+    has_dynamics: bool = False  # Whether a robot has inertia or a heading
+    is_calibrated: bool = False  # Whether the law of connection is fitted
+    is_free: bool = False  # Whether the term is the only one, and nothing is asked of connectivity
+    has_estimates: bool = False  # Whether packets have estimates of a target
 
 
 @dataclass(frozen=True)
@@ -308,13 +290,7 @@ _kinds: dict[str, type[Term]] = {}
 
 
 def register(term: type[Term]) -> None:
-    """Make the kind of a term known to problem files.
-
-    Raises
-    ------
-    InputError
-        The kind is no word, or another class has it.
-    """
+    """Make the kind of a term known to problem files."""
     kind = require_name(term.kind, f"the term {class_name(term)}")
     known = _kinds.get(kind)
     if known is not None and class_name(known) != class_name(term):
@@ -326,13 +302,7 @@ def register(term: type[Term]) -> None:
 
 
 def require_kind(term: Term, key: str) -> None:
-    """Refuse a term whose class problem files could not name or fill.
-
-    Raises
-    ------
-    InputError
-        Its class has no ``kind``, or attributes that are no fields of a dataclass.
-    """
+    """Refuse a term whose class problem files could not name or fill."""
     made = type(term)
     if not hasattr(made, "kind"):
         raise InputError(

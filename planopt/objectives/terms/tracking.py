@@ -74,31 +74,9 @@ class TrackingTerm(Term):
 
     A packet sent at distance r of the target's predicted position has the information 1 / g(r),
     ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
-
-    Attributes
-    ----------
-    weight
-        Factor in the sum of terms.
-    noise_curvature, noise_floor_m2, sweet_spot_m
-        Curvature (a number), least variance in m^2 and best distance in m of the sensor.
-    form
-        ``auto``: ``additive`` one step ahead, ``recourse`` beyond; ``sampled`` for other criteria
-        than the trace; beside other terms or a bound on connectivity, and of robots with inertia
-        or a heading, ``additive`` up to `LONGEST_ADDITIVE` steps, one where packets have
-        estimates, and ``sampled`` beyond. ``additive``: P(connected) / g(r), summed
-        over the steps. The others follow the station's filter: ``information`` bounds the expected
-        gain of information from above, ``covariance`` removes covariance as if losses were
-        independent in time, ``sampled`` averages over joint losses, ``recourse`` takes the end of
-        a path for a place that is tried.
-    beyond_steps, criterion
-        Of the form ``sampled``: steps beyond the horizon, and what counts of the covariance of the
-        target's position.
-    step_weights, terminal_weight
-        Weights of the steps ahead, the last one for all further steps, and a factor of the last
-        step of a plan.
-
     """
 
+    # Curvature (a number), least variance in m^2 and best distance in m of the sensor
     noise_curvature: Annotated[
         float,
         Field(
@@ -114,6 +92,13 @@ class TrackingTerm(Term):
     sweet_spot_m: Annotated[
         float, Field(ge=0, le=1e6, description="Distance in metres at which the sensor is best.")
     ]
+    # auto: additive one step ahead, recourse beyond; sampled for other criteria than the trace;
+    # beside other terms or a bound on connectivity, and of robots with inertia or a heading,
+    # additive up to `LONGEST_ADDITIVE` steps, one where packets have estimates, and sampled beyond.
+    # additive: P(connected) / g(r), summed over the steps. The others follow the station's filter:
+    # information bounds the expected gain of information from above, covariance removes covariance
+    # as if losses were independent in time, sampled averages over joint losses, recourse takes the
+    # end of a path for a place that is tried.
     form: Annotated[
         TrackingForm,
         Field(
@@ -126,6 +111,8 @@ class TrackingTerm(Term):
             "and sampled beyond."
         ),
     ] = "auto"
+    # Of the form sampled: steps beyond the horizon, and what counts of the covariance of the
+    # target's position
     beyond_steps: Annotated[
         int,
         Field(
@@ -142,6 +129,8 @@ class TrackingTerm(Term):
             "covariance of the target's position."
         ),
     ] = "trace"
+    # Weights of the steps ahead, the last one for all further steps, and a factor of the last step
+    # of a plan
     step_weights: Annotated[
         tuple[Annotated[float, Field(ge=0, le=1e9)], ...],
         Strict(False),

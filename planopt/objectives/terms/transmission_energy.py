@@ -25,32 +25,13 @@ NEPERS_PER_DB = math.log(10.0) / 10.0
 
 @dataclass(frozen=True)
 class Radio:
-    """An M-ary QAM link that always sends just strongly enough.
+    """An M-ary QAM link that always sends just strongly enough."""
 
-    Attributes
-    ----------
-    bits_per_symbol
-        R, spectral efficiency in bit/s/Hz.
-    bit_error_rate
-        BER that is to be kept, below 0.2.
-    noise_dbm
-        Receiver noise.
-    reference_transmit_dbm
-        The transmit power that the channel's K_PL is for.
-    send_s
-        How long it sends at each place.
-
-    Raises
-    ------
-    InputError
-        A rate is out of its range.
-    """
-
-    bits_per_symbol: float
-    bit_error_rate: float
-    noise_dbm: float
-    reference_transmit_dbm: float
-    send_s: float
+    bits_per_symbol: float  # R, spectral efficiency in bit/s/Hz
+    bit_error_rate: float  # BER that is to be kept, below 0.2
+    noise_dbm: float  # Receiver noise
+    reference_transmit_dbm: float  # The transmit power that the channel's K_PL is for
+    send_s: float  # How long it sends at each place
 
     def __post_init__(self) -> None:
         if not 0.0 < self.bit_error_rate < 0.2:
@@ -78,13 +59,6 @@ def expected_transmit_power_w(
     CNR is the ratio of channel to noise for one milliwatt sent. Power in dB is Gaussian, so
     E[1 / CNR] = exp((ln 10 / 10)^2 sigma^2 / 2) / CNR(mean). There is no greatest transmit power
     here: deep fades are paid in full.
-
-    Parameters
-    ----------
-    mean_db, deviation_db
-        Predicted received power, dBm, and its deviation.
-    radio
-        The link.
     """
     cnr_db = mean_db - radio.reference_transmit_dbm - radio.noise_dbm
     inverse = np.exp(0.5 * (NEPERS_PER_DB * deviation_db) ** 2 - NEPERS_PER_DB * cnr_db)
@@ -130,20 +104,11 @@ def transmission_energy_j(
 
 @dataclass(frozen=True)
 class TransmissionEnergyTerm(Term):
-    """Expected energy of sending some bits at the end of every step, a cost.
-
-    Attributes
-    ----------
-    weight
-        Factor in the sum of terms, per joule; the energy is subtracted.
-    bits, bandwidth_hz
-        Bits a step, and symbols a second.
-    bits_per_symbol, bit_error_rate, noise_dbm
-        As in :class:`planopt.objectives.terms.transmission_energy.Radio`.
-    """
+    """Expected energy of sending some bits at the end of every step, a cost."""
 
     bits: Annotated[float, Field(gt=0, le=1e15, description="Bits sent at the end of each step.")]
     bandwidth_hz: Annotated[float, Field(ge=1e-3, le=1e12, description="Symbols per second.")]
+    # As in :class:`planopt.objectives.terms.transmission_energy.Radio`
     bits_per_symbol: Annotated[
         float,
         Field(default=2.0, gt=0, le=16, description="Of the M-ary QAM, R in bit/s/Hz."),
@@ -180,13 +145,6 @@ class TransmissionEnergyTerm(Term):
         """Return the expected energy of sending at each place, to the station that needs least.
 
         The station is chosen at every place beforehand, by what is believed today.
-
-        Parameters
-        ----------
-        at
-            What is known.
-        powers
-            Predictions of each station's power.
         """
         radios = [self.radio(power) for power in at.transmit_powers_dbm]
         least = [

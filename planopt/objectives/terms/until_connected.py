@@ -27,17 +27,10 @@ from planopt.targets.rounding import Derivatives, rounded_length
 
 @dataclass(frozen=True)
 class UntilConnectedTerm(Term):
-    """Expected distance until connected, a cost.
+    """Expected distance until connected, a cost."""
 
-    Attributes
-    ----------
-    weight
-        Factor in the sum of terms, per metre; the distance is subtracted.
-    beyond_m
-        Metres that the search is expected to go on for where the place that the robot is steered
-        to is not connected; None: estimated from what is believed.
-    """
-
+    # Metres that the search is expected to go on for where the place that the robot is steered to
+    # is not connected; None: estimated from what is believed
     beyond_m: Annotated[
         float | None,
         Field(

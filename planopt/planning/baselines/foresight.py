@@ -33,13 +33,7 @@ ROUNDS = 5
 
 
 class FollowingPlanner:
-    """Follows a path that is given for the whole run.
-
-    Parameters
-    ----------
-    path_m
-        ``(T, 2)`` where each step of the run ends.
-    """
+    """Follows a path that is given for the whole run."""
 
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         self._path_m = path_m
@@ -54,22 +48,8 @@ class FollowingPlanner:
 def oracle_paths(
     problem: Problem, truth: Truth, target_m: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return paths by the information that is expected to arrive, multipath unknown.
-
-    Parameters
-    ----------
-    problem
-        With all robots, which start where the run starts.
-    truth
-        The ground truth.
-    target_m
-        ``(T + 1, 2)`` where the target is at the start and after each step.
-
-    Returns
-    -------
-    list
-        ``(T, 2)`` for each robot.
-    """
+    """Return paths by the information that is expected to arrive, multipath unknown."""
+    # Shapes: target_m (T + 1, 2); returns (T, 2).
     return _paths(problem, truth, target_m, knows_multipath=False, saturates=False)
 
 
@@ -165,17 +145,8 @@ def _paths(
 
 
 def best_nodes(road_map: RoadMap, first: int, rewards: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the nodes after each step of the walk of the largest sum of rewards; ``(T,)``.
-
-    Parameters
-    ----------
-    road_map
-        Nodes and moves of one step.
-    first
-        The node that the walk begins at.
-    rewards
-        ``(T, n)`` of being at each node after each step.
-    """
+    """Return the nodes after each step of the walk of the largest sum of rewards; ``(T,)``."""
+    # Shapes: rewards (T, n).
     count = len(road_map.nodes_m)
     value = np.full(count + 1, -np.inf)
     value[first] = 0.0

@@ -29,15 +29,7 @@ FEWEST_LANES = 3
 
 
 class LawnmowerPlanner:
-    """Sweeps one robot of a problem over its workspace; remembers how far it is.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    ground
-        Its geometry.
-    """
+    """Sweeps one robot of a problem over its workspace; remembers how far it is."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem, self._ground = problem, ground

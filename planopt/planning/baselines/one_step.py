@@ -46,17 +46,7 @@ def end_deviation(situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[
 
 
 class OneStepPlanner:
-    """Plans greedily for one robot of a problem whose objective is a sum of terms.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    ground
-        Its geometry.
-    score
-        What a path is worth.
-    """
+    """Plans greedily for one robot of a problem whose objective is a sum of terms."""
 
     def __init__(self, problem: Problem, ground: Ground, score: Score = as_ranked) -> None:
         self._problem, self._ground, self._score = problem, ground, score

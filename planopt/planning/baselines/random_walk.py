@@ -33,19 +33,7 @@ little."""
 
 
 class RandomPlanner:
-    """Walks one robot of a problem at random.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    ground
-        Its geometry.
-    generator
-        Draws the directions.
-    walk
-        Its kind.
-    """
+    """Walks one robot of a problem at random."""
 
     def __init__(
         self,
@@ -58,15 +46,7 @@ class RandomPlanner:
         self._generator, self._walk = generator, walk
 
     def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is.
-
-        Parameters
-        ----------
-        situation, judge
-            As of the horizon planner.
-        warm
-            The plan that led here, from whose direction a persistent walk turns.
-        """
+        """Plan from where the robot is."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
         heading = None if warm is None else _heading(warm.positions_m[1] - warm.positions_m[0])

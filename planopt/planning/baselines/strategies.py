@@ -93,22 +93,7 @@ def remembered_reward(situation: Situation, ways_m: NDArray[np.float64]) -> NDAr
 
 
 class StrategyPlanner:
-    """Plans for one robot that tracks a target, on a channel that it assumes.
-
-    Parameters
-    ----------
-    problem
-        With one robot and one station.
-    ground
-        Its geometry.
-    assumed
-        From the channel's parameters as they are believed to those that plans assume.
-
-    Raises
-    ------
-    InputError
-        The problem tracks nothing, or has several stations.
-    """
+    """Plans for one robot that tracks a target, on a channel that it assumes."""
 
     def __init__(self, problem: Problem, ground: Ground, assumed: Assumed) -> None:
         require_tracking(problem)

@@ -66,35 +66,17 @@ _INDEX = re.compile(r"\[\d+\]")
 
 @dataclass(frozen=True)
 class Disagreement:
-    """One value that is not as found.
+    """One value that is not as found."""
 
-    Attributes
-    ----------
-    key
-        Where it stands, as ``robots[0].x_m[3]``.
-    said, found
-        The two, as people read them.
-    """
-
-    key: str
-    said: str
+    key: str  # Where it stands, as robots[0].x_m[3]
+    said: str  # The two, as people read them
     found: str
 
 
 def disagreements(
     said: object, found: object, key: str = "", name: str = ""
 ) -> Iterator[Disagreement]:
-    """Every leaf of `said` that is not as in `found`, keys that only one of them has included.
-
-    Parameters
-    ----------
-    said, found
-        Tables, arrays, texts, numbers, booleans and None, as JSON has them; `said` is the file's.
-    key
-        Where they stand.
-    name
-        The last key that is no index: it says how well numbers must agree.
-    """
+    """Every leaf of `said` that is not as in `found`, keys that only one of them has included."""
     if isinstance(said, Mapping) and isinstance(found, Mapping):
         table, other = cast("Mapping[str, object]", said), cast("Mapping[str, object]", found)
         for part in dict.fromkeys([*other, *table]):

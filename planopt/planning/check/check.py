@@ -98,23 +98,13 @@ def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """The outcome of a check.
+    """The outcome of a check."""
 
-    Attributes
-    ----------
-    verdict
-        ``verified`` if there is nothing to object, else ``violated``; ``none`` for no plan.
-    certificates
-        What the verifier computed: one for a plan, one a step for a run.
-    reasons
-        Every objection; empty if verified.
-    remarks
-        What could not be judged, and how the problem differs from the library's of its name.
-    """
-
-    verdict: Verdict
+    verdict: Verdict  # verified if there is nothing to object, else violated; none for no plan
+    # What the verifier computed: one for a plan, one a step for a run
     certificates: tuple[Certificate, ...]
-    reasons: tuple[str, ...]
+    reasons: tuple[str, ...]  # Every objection; empty if verified
+    # What could not be judged, and how the problem differs from the library's of its name
     remarks: tuple[str, ...] = ()
 
     __repr__ = short_repr
@@ -229,15 +219,7 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
 
 @one_blas_thread()
 def load_result(path: Path | str) -> Solution | Run:
-    """Read a saved plan or run, as :func:`planopt.load_result` does.
-
-    Raises
-    ------
-    InputError
-        A file is missing, damaged, or contradicts the others.
-    NoPlanError
-        The folder says that there is no plan.
-    """
+    """Read a saved plan or run, as :func:`planopt.load_result` does."""
     saved = read_saved(Path(path))
     record = saved.record
     if isinstance(record, NoPlanRecord):

@@ -43,20 +43,11 @@ side of it: another machine rounds otherwise."""
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """The measurements taken on the way of a run.
+    """The measurements taken on the way of a run."""
 
-    Attributes
-    ----------
-    places_m
-        ``(k, 2)`` where.
-    true_dbm
-        ``(k,)`` the true power there, NaN where nobody knows it.
-    known_before_step
-        ``(steps,)`` how many measurements of the first station there were before each step.
-    """
-
-    places_m: NDArray[np.float64]
-    true_dbm: NDArray[np.float64]
+    places_m: NDArray[np.float64]  # (k, 2) where
+    true_dbm: NDArray[np.float64]  # (k,) the true power there, NaN where nobody knows it
+    # (steps,) how many measurements of the first station there were before each step
     known_before_step: NDArray[np.int64]
 
     @property
@@ -103,16 +94,8 @@ def taken_on_the_way(
     tracks_m: NDArray[np.float64],
     true_dbm: NDArray[np.float64],
 ) -> Taken:
-    """Return where robots measure in turn: not near an earlier measurement.
-
-    Parameters
-    ----------
-    problem, belief
-        The problem, and the file of a robot's belief.
-    tracks_m, true_dbm
-        ``(robots, steps + 1, 2)`` places of the robots whose measurements it has, and
-        ``(robots, steps + 1)`` the true power there.
-    """
+    """Return where robots measure in turn: not near an earlier measurement."""
+    # Shapes: tracks_m, true_dbm (robots, steps + 1, 2).
     known = [[*own.measurements.positions_m[: own.first]] for own in belief.stations]
     spacing = closing_m(problem.channel.measure_spacing_m)
     said = np.diff([*belief.known_before_step, len(belief.measurements)])
@@ -140,15 +123,7 @@ def _nearest_m(places_m: list[NDArray[np.float64]], place_m: NDArray[np.float64]
 def learnt_again(
     problem: Problem, saved: Sequence[SavedBelief]
 ) -> tuple[list[list[Belief]], list[str]]:
-    """Return what the first measurements of each belief tell of each station; or why they do not.
-
-    Parameters
-    ----------
-    problem
-        What was asked.
-    saved
-        Files of beliefs.
-    """
+    """Return what the initial measurements imply for each station, or why they do not."""
     found: list[list[Belief]] = []
     for belief in saved:
         try:
@@ -179,23 +154,7 @@ def belief_reasons(
     taken: Taken,
     seed: int,
 ) -> list[str]:
-    """Return what in the file cannot be so.
-
-    Parameters
-    ----------
-    problem, seed
-        What was asked.
-    belief
-        The file.
-    learnt
-        From its first measurements of each station.
-    posteriors
-        Of each station, rebuilt from all its measurements.
-    given
-        From problem and seed, if it is to be had.
-    taken
-        What was measured on the way.
-    """
+    """Return what in the file cannot be so."""
     reasons: list[str] = []
     each = zip(belief.stations, learnt, posteriors, strict=True)
     for station, (own, first, posterior) in enumerate(each):

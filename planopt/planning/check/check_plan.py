@@ -74,15 +74,7 @@ OBSTACLE = "world.obstacles ("
 
 
 def explanation_faults(case: Case, explanation: Sequence[Relaxation]) -> list[str]:
-    """Return what in the explanation of one robot's plan cannot be so.
-
-    Parameters
-    ----------
-    case
-        The plan as it was judged again.
-    explanation
-        Every change that is said to help this robot.
-    """
+    """Return what in the explanation of one robot's plan cannot be so."""
     if case.plan.verdict is Verdict.VERIFIED:
         return ["explanation: says what would help, but the plan is verified"] * bool(explanation)
     missed = faults_of(case)
@@ -175,20 +167,7 @@ LATER_KEY = "crossings"
 def check_plan(
     saved: Saved, record: PlanRecord, given: Given | None
 ) -> tuple[list[Certificate], list[str]]:
-    """Return the worst of the plans' certificates, computed again, and every reason to reject.
-
-    Parameters
-    ----------
-    saved, record
-        What was read.
-    given
-        What problem and seed give, if it is to be had.
-
-    Raises
-    ------
-    InputError
-        States or inputs of a robot that has some are missing.
-    """
+    """Return the worst of the plans' certificates, computed again, and every reason to reject."""
     problem, belief = saved.problem, saved.beliefs[0]
     learnt, unfitted = learnt_again(problem, saved.beliefs)
     if faults := length_faults(saved) or unfitted:
@@ -231,15 +210,7 @@ def length_faults(saved: Saved) -> list[str]:
 def rebuilt_solution(
     saved: Saved, record: PlanRecord, learnt: Sequence[Belief]
 ) -> tuple[Solution, list[str]]:
-    """Return the plans as they must be, and every reason to reject what they are said to be.
-
-    Parameters
-    ----------
-    saved, record
-        What was read.
-    learnt
-        From the first measurements of each station.
-    """
+    """Return the plans as they must be, and every reason to reject what they are said to be."""
     problem = saved.problem
     posteriors = last_posteriors(saved.beliefs[0], first_posteriors(saved.beliefs[0]))
     place, alone = Place.of(problem), circumstances_of(problem, posteriors)
@@ -330,20 +301,8 @@ def _crossings_again(
 def pending_faults(
     aim: Aim, paths_m: Sequence[NDArray[np.float64]], number: int, rounds: int
 ) -> list[str]:
-    """Return what is wrong with the plans that a robot says it was told.
-
-    Parameters
-    ----------
-    aim
-        What robot `number` planned for.
-    paths_m
-        ``(N + 1, 2)`` each: the plans that all robots made in this step.
-    number
-        The robot's.
-    rounds
-        How often robots plan in a step. After the first round a robot may have been told a plan
-        that was exchanged for a better one, which no file has.
-    """
+    """Return what is wrong with the plans that a robot says it was told."""
+    # Shapes: paths_m (N + 1, 2).
     if rounds > 1:
         return []
     others = [path[1:] for other, path in enumerate(paths_m) if other != number]
@@ -406,15 +365,7 @@ def _leads_to_goal(problem: Problem, route_m: NDArray[np.float64]) -> bool:
 
 
 def _effort_faults(plan: Plan, where: str) -> list[str]:
-    """Wall times cannot be computed again, but solving is part of planning and takes time.
-
-    Parameters
-    ----------
-    plan
-        The plan.
-    where
-        What to put before the key.
-    """
+    """Wall times cannot be computed again, but solving is part of planning and takes time."""
     text = f"{PLAN_FILE}, key {where}solve_s: {plan.solve_s:g}"
     if plan.solve_s > plan.wall_s:
         return [f"{text}, but wall_s is {plan.wall_s:g}"]

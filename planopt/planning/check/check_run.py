@@ -111,20 +111,7 @@ class _Rebuilt:
 def check_run(
     saved: Saved, record: RunRecord, given: Given | None
 ) -> tuple[list[Certificate], list[str]]:
-    """Return the worst certificate of each step over the robots, and every reason to reject.
-
-    Parameters
-    ----------
-    saved, record
-        What was read.
-    given
-        What problem and seed give, if it is to be had.
-
-    Raises
-    ------
-    InputError
-        States or inputs of a robot that has some are missing.
-    """
+    """Return the worst certificate of each step over the robots, and every reason to reject."""
     problem = saved.problem
     learnt, unfitted = learnt_again(problem, saved.beliefs)
     if faults := length_faults(saved, record) or unfitted:
@@ -174,18 +161,7 @@ def check_run(
 def rebuilt_run(
     saved: Saved, record: RunRecord, learnt: Sequence[Sequence[Belief]], truths: Sequence[Truth]
 ) -> _Rebuilt:
-    """Return the run as it must be, with every objection to its plans and its end.
-
-    Parameters
-    ----------
-    saved, record
-        What was read; its lengths fit.
-    learnt
-        From the first measurements of each robot's belief, by station.
-    truths
-        Of each station; without them, true powers and what follows from the whole ground truth
-        are taken as they stand.
-    """
+    """Return the run as it must be, with every objection to its plans and its end."""
     problem, numbers = saved.problem, range(len(saved.problem.robots))
     places = places_of(problem, len(saved.steps[0].steps))
     tracks = np.array([steps.positions_m for steps in saved.steps])
@@ -383,19 +359,7 @@ def _plan_reasons(
     plan: Plan,
     previous: Plan | None,
 ) -> list[str]:
-    """Return what is wrong with one released plan.
-
-    Parameters
-    ----------
-    problem, index
-        What was asked, and its obstacles.
-    where
-        File and key of the plan.
-    step
-        Of which step it is.
-    plan, previous
-        The plan, and the one before it.
-    """
+    """Return what is wrong with one released plan."""
     objections = list(plan.certificate.reasons)
     if objections and plan.drive is None:
         objections[:0] = obstacles_met(problem, index, plan.positions_m)

@@ -67,17 +67,7 @@ POLISHED = (Rung.PLAN, Rung.COLD_RETRY, Rung.RELAXED)
 
 
 def provenance_faults(problem: Problem, plan: Plan, previous: Plan | None) -> list[tuple[str, str]]:
-    """Key and reason for everything in a rebuilt plan's provenance that cannot be so.
-
-    Parameters
-    ----------
-    problem
-        What was asked.
-    plan
-        The plan.
-    previous
-        The plan that the step before was the first of; None if there is none.
-    """
+    """Key and reason for everything in a rebuilt plan's provenance that cannot be so."""
     return [
         *_rung_faults(problem, plan, previous),
         *_termination_faults(problem, plan),
@@ -229,18 +219,10 @@ def _unpolished_faults(plan: Plan) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Geometry that all plans of a problem share.
+    """Geometry that all plans of a problem share."""
 
-    Attributes
-    ----------
-    index
-        The obstacles.
-    region
-        Where the map is wanted; None on the way to a goal.
-    """
-
-    index: ObstacleIndex
-    region: Region | None
+    index: ObstacleIndex  # The obstacles
+    region: Region | None  # Where the map is wanted; None on the way to a goal
 
     @classmethod
     def of(cls, problem: Problem) -> Place:
@@ -274,45 +256,24 @@ def obstacles_met_then(
 
 @dataclass(frozen=True)
 class Effort:
-    """Wall times and iterations, which nothing proves.
+    """Wall times and iterations, which nothing proves."""
 
-    Attributes
-    ----------
-    wall_s, solve_s, iterations
-        As in :class:`planopt.planning.plan.Plan`.
-    """
-
-    wall_s: float = 0.0
+    wall_s: float = 0.0  # As in :class:`planopt.planning.plan.Plan`
     solve_s: float = 0.0
     iterations: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """Context of one plan of one robot.
+    """Context of one plan of one robot."""
 
-    Attributes
-    ----------
-    problem
-        With this robot alone.
-    place
-        Its geometry.
-    posteriors
-        Channel estimate of each station when the plan was made.
-    state
-        ``(s,)`` of the robot then.
-    aim
-        External inputs of the objective.
-    circumstances
-        What else was known then.
-    """
-
-    problem: Problem
-    place: Place
+    problem: Problem  # With this robot alone
+    place: Place  # Its geometry
+    # Channel estimate of each station when the plan was made
     posteriors: Sequence[ChannelPosterior]
-    state: NDArray[np.float64]
-    aim: Aim
-    circumstances: Circumstances
+    state: NDArray[np.float64]  # (s,) of the robot then
+    aim: Aim  # External inputs of the objective
+    circumstances: Circumstances  # What else was known then
 
 
 def rebuilt_plan(
@@ -323,21 +284,7 @@ def rebuilt_plan(
     residual: float | None,
     effort: Effort,
 ) -> Plan:
-    """Return the plan of a path (N + 1, 2) with the robot's own place first.
-
-    Parameters
-    ----------
-    asked
-        Its context.
-    path_m, drive
-        The path from the file, and how the robot drives along it; None for the single integrator.
-    record
-        Rung, termination, lattice objective and pivot are taken from it.
-    residual
-        KKT residual of the path, if a solver found it.
-    effort
-        Taken as it is.
-    """
+    """Return the plan of a path (N + 1, 2) with the robot's own place first."""
     problem = asked.problem
     judgement = judge(
         problem,

@@ -206,15 +206,7 @@ STEPS_TRIED = 20
 
 
 def explain_no_way(problem: Problem, solve_again: SolveAgain) -> tuple[Relaxation, ...]:
-    """Return changes that would open a way to the goal, each by itself.
-
-    Parameters
-    ----------
-    problem
-        For which :func:`planopt.planning.scene.build_scene` found none.
-    solve_again
-        Judges the changed problems.
-    """
+    """Return changes that would open a way to the goal, each by itself."""
     found = [_clearance(problem, solve_again)]
     if is_joined(problem, problem.constraints.clearance_m):
         found.append(_step(problem, solve_again))
@@ -305,19 +297,7 @@ def explain_blocked(
     margins: NodeMargins,
     solve_again: SolveAgain,
 ) -> tuple[Relaxation, ...]:
-    """Return changes that would open a path to the goal, each by itself.
-
-    Parameters
-    ----------
-    problem
-        With a bound that may not be missed, which no path keeps.
-    road_map, first, goal
-        Where the robot may drive, nodes that it can come to by its first step, and the goal's.
-    margins
-        Connectivity at its nodes by the problem's threshold and p_min.
-    solve_again
-        Judges the changed problems.
-    """
+    """Return changes that would open a path to the goal, each by itself."""
     threshold = problem.stations[0].threshold_dbm
     chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
     lacking_db = MARGIN_PAD_DB - widest(road_map, first, goal, margins.margin_db)
@@ -339,15 +319,8 @@ def explain_blocked(
 def widest(
     road_map: RoadMap, first: NDArray[np.intp], goal: int, score: NDArray[np.float64]
 ) -> float:
-    """Return the largest score that all nodes of some path to the goal have.
-
-    Parameters
-    ----------
-    road_map, first, goal
-        As :func:`explain_blocked` takes them.
-    score
-        ``(n,)`` of the nodes.
-    """
+    """Return the largest score that all nodes of some path to the goal have."""
+    # Shapes: score (n,).
     count = len(score)
     end, move = np.nonzero(road_map.sources < count)
     begin = road_map.sources[end, move]
@@ -396,17 +369,7 @@ BY_ALL_MEANS = 1e4
 def crossings(
     problem: Problem, plans: Sequence[Plan], posteriors: Sequence[ChannelPosterior]
 ) -> tuple[Crossing, ...]:
-    """Return what verified plans to goals cross and why, one for each robot that crosses a hole.
-
-    Parameters
-    ----------
-    problem
-        With all robots.
-    plans
-        Of each robot, in the problem's order.
-    posteriors
-        What is believed of each station.
-    """
+    """Return what verified plans to goals cross and why, one for each robot that crosses a hole."""
     found = [
         explain_crossing(problem_of_robot(problem, number), posteriors, plan)
         for number, plan in enumerate(plans)
@@ -418,17 +381,7 @@ def crossings(
 def explain_crossing(
     problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan
 ) -> Crossing | None:
-    """Return what a robot's way to its goal crosses and why; None where it keeps the bound.
-
-    Parameters
-    ----------
-    problem
-        With this robot alone.
-    posteriors
-        What is believed of each station.
-    plan
-        The robot's plan from its start.
-    """
+    """Return what a robot's way to its goal crosses and why; None where it keeps the bound."""
     if not plan.holes:
         return None
     scene = build_scene(problem)

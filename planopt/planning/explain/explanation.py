@@ -15,27 +15,14 @@ from planopt.world.moving_obstacle import MovingDiscs
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One robot's plan from the start of a run.
+    """One robot's plan from the start of a run."""
 
-    Attributes
-    ----------
-    problem
-        With all robots.
-    number
-        Of the robot.
-    posteriors
-        What the plan was made from, of each station.
-    plan
-        The plan.
-    moving
-        What it must keep from: moving obstacles, and the plans of the other robots where a
-        separation is asked for.
-    """
-
-    problem: Problem
-    number: int
-    posteriors: Sequence[ChannelPosterior]
-    plan: Plan
+    problem: Problem  # With all robots
+    number: int  # Of the robot
+    posteriors: Sequence[ChannelPosterior]  # What the plan was made from, of each station
+    plan: Plan  # The plan
+    # What it must keep from: moving obstacles, and the plans of the other robots where a separation
+    # is asked for
     moving: MovingDiscs
 
     @property

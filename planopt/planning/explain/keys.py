@@ -30,21 +30,11 @@ Missed = Literal["connection", "separation", "moving"]
 
 @dataclass(frozen=True)
 class Fault:
-    """A constraint that a plan does not keep.
+    """A constraint that a plan does not keep."""
 
-    Attributes
-    ----------
-    missed
-        The connection, the distance of other robots, or that of moving obstacles.
-    stages
-        Steps (1 is the first) that it is about.
-    shortfall, unit
-        By how much it is missed; the unit is empty for a probability.
-    """
-
-    missed: Missed
-    stages: tuple[int, ...]
-    shortfall: float
+    missed: Missed  # The connection, the distance of other robots, or that of moving obstacles
+    stages: tuple[int, ...]  # Steps (1 is the first) that it is about
+    shortfall: float  # By how much it is missed; the unit is empty for a probability
     unit: str
 
 
@@ -134,28 +124,15 @@ DIGITS = 5
 
 @dataclass(frozen=True)
 class Key:
-    """One key with a number.
+    """One key with a number."""
 
-    Attributes
-    ----------
-    name, unit
-        As the problem file has them; the unit is empty for a probability or a count.
-    asked
-        Its value.
-    limit
-        The loosest value that is looked at; above or below `asked`.
-    changed
-        From the whole problem and a value to the problem with it.
-    whole
-        Whether it counts something.
-    """
-
-    name: str
+    name: str  # As the problem file has them; the unit is empty for a probability or a count
     unit: str
-    asked: float
-    limit: float
+    asked: float  # Its value
+    limit: float  # The loosest value that is looked at; above or below `asked`
+    # From the whole problem and a value to the problem with it
     changed: Callable[[Problem, float], Problem]
-    whole: bool = False
+    whole: bool = False  # Whether it counts something
 
     @property
     def most(self) -> float:

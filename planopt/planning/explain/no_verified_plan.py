@@ -43,19 +43,7 @@ MOST_SOLVES = 20
 def least_relaxation(
     key: Key, helps: Callable[[float], bool], first: float, step: float, floor: float = 0.0
 ) -> float | None:
-    """The value of a key nearest to what is asked that helps; None where none is found.
-
-    Parameters
-    ----------
-    key
-        The key.
-    helps
-        Whether the problem with a value of it, solved again, has a verified plan.
-    first, step
-        The amount that is tried first, and by how much more is tried then.
-    floor
-        An amount that is known not to help.
-    """
+    """The value of a key nearest to what is asked that helps; None where none is found."""
     solves = 0
 
     def look(amount: float) -> tuple[bool, float]:
@@ -172,15 +160,7 @@ HALVINGS = 7
 
 
 def explain_no_verified_plan(case: Case, plan_again: PlanAgain) -> tuple[Relaxation, ...]:
-    """Return changes that would let everything be kept, each by itself.
-
-    Parameters
-    ----------
-    case
-        With a plan that is not verified.
-    plan_again
-        Solves the changed problems.
-    """
+    """Return changes that would let everything be kept, each by itself."""
     found: dict[str, Relaxation] = {}
     for fault in faults_of(case):
         near = _near_misses(case, plan_again) if fault.missed == "connection" else ()

@@ -91,15 +91,7 @@ MOST_PLACES = 50_000
 
 
 def is_possible(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> bool:
-    """Return whether what is within reach by each step does not rule the rule out.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    posteriors
-        What is believed of the channel.
-    """
+    """Return whether what is within reach by each step does not rule the rule out."""
     constraints, steps = problem.constraints, problem.planner.horizon
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     places = (x_max - x_min) * (y_max - y_min) * (COARSE_NODES / problem.step_length_m) ** 2

@@ -79,13 +79,7 @@ class NpzArrays:
 
 
 def saved_arrays(path: Path) -> NpzArrays:
-    """Read every array of a file.
-
-    Raises
-    ------
-    InputError
-        As :func:`planopt.files.npz.read_npz`.
-    """
+    """Read every array of a file."""
     try:
         return NpzArrays(path, read_npz(path))
     except InputError as error:
@@ -106,43 +100,21 @@ OPTIONAL_NAMES = ("resolution_db", "position_std_m", "time_s")
 
 @dataclass(frozen=True, eq=False)
 class SavedBelief:
-    """A belief as it stands in its file.
+    """A belief as it stands in its file."""
 
-    Attributes
-    ----------
-    file
-        The file.
-    parameters
-        As fitted from the first measurements.
-    measurements
-        All, in the order taken.
-    first
-        How many of them the fit and the first posterior rest on.
-    known_before_step
-        ``(steps,)`` how many were known when each step of a run was planned; empty for a plan.
-    theta_known
-        Whether theta was given rather than estimated.
-    values_db, noise_variance_db2
-        ``(kappa,)`` the Gaussian measurements that stood for them.
-    arrays
-        All that the file has, by name.
-    calibrated_at_dbm
-        The threshold that the law of connection was calibrated for; None where it was not.
-    further
-        Of each further station, in the problem's order.
-    """
-
-    file: Path
-    parameters: ChannelParameters
-    measurements: Measurements
-    first: int
+    file: Path  # The file
+    parameters: ChannelParameters  # As fitted from the first measurements
+    measurements: Measurements  # All, in the order taken
+    first: int  # How many of them the fit and the first posterior rest on
+    # (steps,) how many were known when each step of a run was planned; empty for a plan
     known_before_step: NDArray[np.int64]
-    theta_known: bool
-    values_db: NDArray[np.float64]
+    theta_known: bool  # Whether theta was given rather than estimated
+    values_db: NDArray[np.float64]  # (kappa,) the Gaussian measurements that stood for them
     noise_variance_db2: NDArray[np.float64]
-    arrays: Mapping[str, NDArray[Any]]
+    arrays: Mapping[str, NDArray[Any]]  # All that the file has, by name
+    # The threshold that the law of connection was calibrated for; None where it was not
     calibrated_at_dbm: float | None = None
-    further: tuple[SavedBelief, ...] = ()
+    further: tuple[SavedBelief, ...] = ()  # Of each further station, in the problem's order
 
     @property
     def stations(self) -> tuple[SavedBelief, ...]:
@@ -158,22 +130,10 @@ def station_prefix(station: int) -> str:
 def write_belief(
     path: Path,
     belief: Belief,
-    known_before_step: NDArray[np.int64],
+    known_before_step: NDArray[np.int64],  # (steps,)
     further_known: Sequence[NDArray[np.int64]] = (),
 ) -> None:
-    """Save a belief, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        Ends in ``.npz``.
-    belief
-        At the end of the run, or of the plan.
-    known_before_step
-        ``(steps,)`` how many measurements each step was planned on; empty for a plan.
-    further_known
-        The same of each further station.
-    """
+    """Save a belief, whole or not at all."""
     arrays = belief_arrays(belief, known_before_step)
     for station, (own, known) in enumerate(
         zip(belief.further, further_known, strict=True), start=1
@@ -235,14 +195,7 @@ def parameter_arrays(parameters: ChannelParameters) -> dict[str, NDArray[Any]]:
 
 
 def read_belief(path: Path, stations: int = 1) -> SavedBelief:
-    """Read what :func:`write_belief` wrote of so many stations.
-
-    Raises
-    ------
-    InputError
-        The file is missing, truncated or no ``npz``, or an array is missing, of the wrong shape
-        or impossible; with the file and the array's name as the key.
-    """
+    """Read what :func:`write_belief` wrote of so many stations."""
     arrays = saved_arrays(path)
     further: list[SavedBelief] = []
     for station in range(1, stations):

@@ -54,29 +54,12 @@ def drive_json(drive: Drive | None) -> dict[str, dict[str, list[float | None]]]:
 
 def drive_of(
     dynamics: Dynamics | None,
-    positions_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],  # (N + 1, 2) its places
     table: Mapping[str, Sequence[float | None] | NDArray[np.float64]] | None,
     file: Path,
     key: str,
 ) -> Drive | None:
-    """The drive that a table of a saved file says; None of a single integrator.
-
-    Parameters
-    ----------
-    dynamics
-        Of the robot.
-    positions_m
-        ``(N + 1, 2)`` its places.
-    table
-        Columns by name.
-    file, key
-        Where they stand.
-
-    Raises
-    ------
-    InputError
-        A column is missing, has another length or lacks a number.
-    """
+    """The drive that a table of a saved file says; None of a single integrator."""
     if dynamics is None:
         return None
     columns: list[NDArray[np.float64]] = []

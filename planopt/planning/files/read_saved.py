@@ -58,62 +58,31 @@ _AnyRecord = TypeVar("_AnyRecord", bound=BaseModel)
 
 @dataclass(frozen=True, eq=False)
 class Saved:
-    """A saved plan or run, read but not judged.
+    """A saved plan or run, read but not judged."""
 
-    Attributes
-    ----------
-    file, data
-        Its JSON file, and what that says, in full; in today's form if the file has a former one.
-    record
-        The same, typed, as far as judging needs it.
-    problem
-        Rebuilt from it.
-    steps
-        The rows of each robot; none where the record is of no plan at all.
-    beliefs
-        The one that plans rest on; of each robot after a run; none where there is no plan.
-    tables
-        By file name: further tables of a run.
-    former
-        Whether the file has the form of an earlier version.
-    """
-
+    # Its JSON file, and what that says, in full; in today's form if the file has a former one
     file: Path
     data: Mapping[str, Any]
-    record: PlanRecord | RunRecord | NoPlanRecord
-    problem: Problem
+    record: PlanRecord | RunRecord | NoPlanRecord  # The same, typed, as far as judging needs it
+    problem: Problem  # Rebuilt from it
+    # The rows of each robot; none where the record is of no plan at all
     steps: tuple[Steps, ...] = ()
+    # The one that plans rest on; of each robot after a run; none where there is no plan
     beliefs: tuple[SavedBelief, ...] = ()
+    # By file name: further tables of a run
     tables: Mapping[str, dict[str, NDArray[np.float64]]] = field(
         default_factory=dict[str, dict[str, NDArray[np.float64]]]
     )
-    former: bool = False
+    former: bool = False  # Whether the file has the form of an earlier version
 
 
 def read_saved(path: Path) -> Saved:
-    """Read a saved plan or run.
-
-    Parameters
-    ----------
-    path
-        The folder, or the JSON file in it.
-
-    Raises
-    ------
-    InputError
-        A file is missing, truncated or not what it should be; with file, key or row.
-    """
+    """Read a saved plan or run."""
     return saved_from(*read_object(path))
 
 
 def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
-    """The JSON file of a saved plan or run, and what it says.
-
-    Raises
-    ------
-    InputError
-        There is none, it is no JSON object, or its folder holds files of two results.
-    """
+    """The JSON file of a saved plan or run, and what it says."""
     file = _json_file(path)
     require_one_result(file.parent, PLAN_OR_RUN)
     return file, _read_json(file)
@@ -202,13 +171,7 @@ def _read_json(file: Path) -> Mapping[str, Any]:
 
 
 def _record(file: Path, data: Mapping[str, Any], model: type[_AnyRecord]) -> _AnyRecord:
-    """Return what `file` says, typed.
-
-    Raises
-    ------
-    InputError
-        A key is missing or of the wrong kind.
-    """
+    """Return what `file` says, typed."""
     try:
         return model.model_validate(data)
     except ValidationError as error:

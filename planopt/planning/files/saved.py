@@ -60,20 +60,6 @@ def save_solution(solution: Solution, folder: Path, *, pictures_follow: bool = F
     """Save plans so that they can be judged from their files alone.
 
     They replace the plan or run that the folder had, with its pictures.
-
-    Parameters
-    ----------
-    solution
-        The plans, which rest on one belief.
-    folder
-        Made if it is missing.
-    pictures_follow
-        Whether pictures will be added (:func:`planopt.files.result_folder.added_results`).
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be written; what it had is still there.
     """
     steps = joined_steps([steps_of_plan(plan) for plan in solution.plans])
     with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
@@ -109,13 +95,7 @@ def save_no_plan(
     *,
     pictures_follow: bool = False,
 ) -> None:
-    """Save that there is no plan, as `PLAN_FILE` or `RUN_FILE`, in place of what there was.
-
-    Raises
-    ------
-    OutputError
-        The folder cannot be written.
-    """
+    """Save that there is no plan, as `PLAN_FILE` or `RUN_FILE`, in place of what there was."""
     with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
         write_result(data, problem, new / name)
 
@@ -154,16 +134,8 @@ def known_before_steps(
 
     Measurements of the run are taken at the places driven to, in order, each place at most once
     a visit; so going along both finds the step of each.
-
-    Parameters
-    ----------
-    belief
-        At the end of the run.
-    first
-        How many of its measurements were there before the run.
-    tracks_m
-        ``(steps + 1, 2)`` the places, the start first, of each robot that they are of.
     """
+    # Shapes: tracks_m (steps + 1, 2).
     taken = belief.posterior.measurements.positions_m
     count = first
     known: list[int] = []

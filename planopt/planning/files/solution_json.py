@@ -247,13 +247,7 @@ def blocked_json(ways: Iterable[BlockedWay]) -> dict[str, Any]:
 def blocked_again(
     said: Iterable[BlockedRecord], names: Collection[str], file: Path
 ) -> tuple[BlockedWay, ...]:
-    """Return the ways of the key ``blocked``, of which nothing is judged.
-
-    Raises
-    ------
-    InputError
-        A way is of no robot in `names`, or has not as many x as y.
-    """
+    """Return the ways of the key ``blocked``, of which nothing is judged."""
     for number, one in enumerate(said):
         if one.robot not in names:
             raise InputError(

@@ -31,13 +31,7 @@ from planopt.robots.drive import Drive
 
 
 def read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[str, str]]]:
-    """Line number and cells of every row below a header that must be `columns`.
-
-    Raises
-    ------
-    InputError
-        The file is missing or not text, has another header, or a row has too few or too many cells.
-    """
+    """Line number and cells of every row below a header that must be `columns`."""
     text = read_text(path)
     try:
         rows = list(csv.reader(io.StringIO(text), strict=True))
@@ -57,13 +51,7 @@ def read_rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, dict[st
 
 
 def read_number(cell: str, name: str, path: Path, line: int, *, may_miss: bool) -> float:
-    """A finite number, or NaN for an empty cell of a column that may have some.
-
-    Raises
-    ------
-    InputError
-        It is neither.
-    """
+    """A finite number, or NaN for an empty cell of a column that may have some."""
     if not cell and may_miss:
         return np.nan
     try:
@@ -88,25 +76,15 @@ REQUIRED_NUMBERS = ("t_s", "x_m", "y_m")
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """The table by columns.
+    """The table by columns."""
 
-    Attributes
-    ----------
-    robots, steps
-        Whose rows they are, and the number of each robot's step, row by row.
-    numbers
-        `NUMBER_COLUMNS` by name, NaN where a cell is empty; ``(n,)`` each.
-    labels
-        `LABEL_COLUMNS` by name.
-    motion
-        Columns of states and inputs by name, of robots that cannot turn or stop at will; NaN where
-        a cell is empty.
-    """
-
-    robots: tuple[str, ...]
+    robots: tuple[str, ...]  # Whose rows they are, and the number of each robot's step, row by row
     steps: tuple[int, ...]
+    # `NUMBER_COLUMNS` by name, NaN where a cell is empty; (n,) each
     numbers: dict[str, NDArray[np.float64]]
-    labels: dict[str, tuple[str, ...]]
+    labels: dict[str, tuple[str, ...]]  # `LABEL_COLUMNS` by name
+    # Columns of states and inputs by name, of robots that cannot turn or stop at will; NaN where a
+    # cell is empty
     motion: dict[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
 
     @property
@@ -223,13 +201,7 @@ def require_pandas() -> Any:
 
 
 def steps_dataframe(steps: Steps) -> Any:
-    """Return the table as a pandas DataFrame; `connected` is a nullable boolean.
-
-    Raises
-    ------
-    InputError
-        pandas is not installed.
-    """
+    """Return the table as a pandas DataFrame; `connected` is a nullable boolean."""
     pandas = require_pandas()
     connected = [{"1": True, "0": False}.get(cell) for cell in steps.labels["connected"]]
     columns = {
@@ -244,21 +216,7 @@ def steps_dataframe(steps: Steps) -> Any:
 
 
 def read_steps(path: Path, motion_columns: Sequence[str] = ()) -> Steps:
-    """Read what :func:`steps_text` wrote.
-
-    Parameters
-    ----------
-    path
-        The file.
-    motion_columns
-        The columns of states and inputs that it must have.
-
-    Raises
-    ------
-    InputError
-        It is missing, not text, lacks a column or has a cell that is no number; with row and
-        column.
-    """
+    """Read what :func:`steps_text` wrote."""
     robots: list[str] = []
     steps: list[int] = []
     numbers: dict[str, list[float]] = {name: [] for name in (*NUMBER_COLUMNS, *motion_columns)}
@@ -317,13 +275,7 @@ def table_text(table: NumberTable) -> str:
 
 
 def read_table(path: Path, columns: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """Read what :func:`table_text` wrote.
-
-    Raises
-    ------
-    InputError
-        It is missing, not text, has other columns or a cell that is no number.
-    """
+    """Read what :func:`table_text` wrote."""
     found: dict[str, list[float]] = {name: [] for name in columns}
     for line, row in read_rows(path, columns):
         for name in columns:

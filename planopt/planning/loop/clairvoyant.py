@@ -41,24 +41,13 @@ def run_costs(
     problem: Problem,
     road_maps: Sequence[RoadMap],
     truths: Sequence[Truth],
-    tracks_m: Sequence[NDArray[np.float64]],
+    tracks_m: Sequence[NDArray[np.float64]],  # (n + 1, 2) places of each robot
     outcome: Outcome,
 ) -> dict[str, float]:
     """Return the costs of a run to goals: driven, a clairvoyant's, and their ratio, by metric.
 
     Costs are sums over all robots; each robot's clairvoyant is alone. The ratio is NaN for a run
     that did not arrive.
-
-    Parameters
-    ----------
-    problem, truths
-        What was run, and each station's channel.
-    road_maps
-        Lattice of each robot with a node at its goal; none where there are no goals.
-    tracks_m
-        ``(n + 1, 2)`` places of each robot.
-    outcome
-        Of the run.
     """
     if not road_maps:
         return {}
@@ -95,17 +84,7 @@ def clairvoyant_path(
     index: ObstacleIndex,
     truths: Sequence[Truth],
 ) -> NDArray[np.float64]:
-    """Corners (k, 2) of the cheapest path from the robot's start to its goal.
-
-    Parameters
-    ----------
-    problem
-        The problem, with a path from its start to its goal.
-    road_map, index
-        Its lattice with a node at the goal, and its obstacles.
-    truths
-        Each station's.
-    """
+    """Corners (k, 2) of the cheapest path from the robot's start to its goal."""
     thresholds = [radio.true_threshold_dbm for radio in problem.stations]
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:

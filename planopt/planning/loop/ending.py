@@ -32,43 +32,21 @@ place has stalled."""
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """The progress of one robot.
+    """The progress of one robot."""
 
-    Attributes
-    ----------
-    problem
-        With this robot alone.
-    states
-        ``(s,)`` each, its place first: at the start and after each step.
-    learnt
-        Whether something was measured after each step.
-    plans
-        The plan that each step was the first of.
-    posteriors
-        What it believes of each station's channel now.
-    """
-
-    problem: Problem
+    problem: Problem  # With this robot alone
+    # (s,) each, its place first: at the start and after each step
     states: Sequence[NDArray[np.float64]]
-    learnt: Sequence[bool]
-    plans: Sequence[Plan]
-    posteriors: Sequence[ChannelPosterior]
+    learnt: Sequence[bool]  # Whether something was measured after each step
+    plans: Sequence[Plan]  # The plan that each step was the first of
+    posteriors: Sequence[ChannelPosterior]  # What it believes of each station's channel now
 
 
 def run_ending(
     problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
-    """Return how a run ends after its last step so far, and why in words; None if it goes on.
-
-    Parameters
-    ----------
-    problem
-        With all robots.
-    connected
-        ``(steps, robots)`` who was connected, in truth, after each step so far.
-    robots
-        All of them.
-    """
+    """Return how a run ends after its last step so far, and why in words; None if it goes on."""
+    # Shapes: connected (steps, robots).
     if problem.task == "reach":
         return goals_ending(problem, robots)
     return terms_ending(problem, connected, robots) if len(connected) else None
@@ -118,20 +96,7 @@ def goal_ending(
     learnt: Sequence[bool],
     plan: Plan | None,
 ) -> tuple[Outcome, str] | None:
-    """Return how a run ends where its track does, and why in words; None if it goes on.
-
-    Parameters
-    ----------
-    problem
-        A problem that is to reach a goal.
-    track
-        States (s,) of the robot, its place first; of a single integrator its place. The start
-        comes first.
-    learnt
-        Whether something was measured after each step.
-    plan
-        The plan whose first step was the last one; None at the start.
-    """
+    """Return how a run ends where its track does, and why in words; None if it goes on."""
     here = track[-1]
     if is_at_goal(problem, here[:2]) and stands(problem, here):
         where = "the start is within" if plan is None else "within"
@@ -155,17 +120,7 @@ def standstill(
     *,
     alone: bool = True,
 ) -> str | None:
-    """Return why a robot that stands or circles will go on so, in words; None if it may not.
-
-    Parameters
-    ----------
-    problem, track, learnt
-        As in :func:`goal_ending`; at least one step was driven.
-    plan
-        The plan whose first step was the last one.
-    alone
-        Whether nothing else that plans depend on changes while the robot stands.
-    """
+    """Return why a robot that stands or circles will go on so, in words; None if it may not."""
     stood = bool(np.linalg.norm((track[-1] - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
     # A plan that drives on after waiting is another start for the next one.
     waits = np.linalg.norm(plan.positions_m - plan.positions_m[0], axis=1).max() > STANDSTILL_M
@@ -208,16 +163,8 @@ def terms_ending(
     It ends once all robots of which that is asked are connected, or at their goals; once no robot
     will ever do anything again, which is a failure unless nothing is left to learn; and after
     `planner.max_steps`. A run whose robots do not all go on by then has stalled too.
-
-    Parameters
-    ----------
-    problem
-        What is run.
-    connected
-        ``(steps, robots)`` who was connected, in truth, after each step so far; at least one step.
-    robots
-        All of them.
     """
+    # Shapes: connected (steps, robots).
     steps, asked = len(connected), problem.terms[0]
     waiting = [robot.problem.terms[0].ends_connected for robot in robots]
     if asked.ends_connected and bool(connected[-1, waiting].all()):

@@ -83,17 +83,7 @@ def learn_stations(problem: Problem, given: Given) -> Belief:
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Take measurements into a belief, but for those nearer than the spacing to earlier ones.
-
-    Parameters
-    ----------
-    problem
-        Says the spacing.
-    belief
-        The belief before; returned itself where no measurement is taken in.
-    measured
-        Of each station, in the order in which they were taken; none where nothing was measured.
-    """
+    """Take measurements into a belief, but for those nearer than the spacing to earlier ones."""
     if not measured:
         return belief
     rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)

@@ -148,32 +148,20 @@ class RobotRun:
 
 @dataclass(frozen=True, eq=False)
 class TargetLog:
-    """A target over a run, row 0 at the start.
+    """A target over a run, row 0 at the start."""
 
-    Attributes
-    ----------
-    true_m, station_mean_m
-        ``(steps + 1, 2)`` where it was, and where the station thought that it was.
-    station_variance_m2
-        ``(steps + 1,)`` trace of the station's covariance of its position.
-    station_determinant_m4
-        ``(steps + 1,)`` determinant of that covariance.
-    nees
-        ``(steps + 1,)`` e' P^-1 e of the station's estimate of its position, with the error e.
-    nis
-        ``(steps, robots)`` nu' S^-1 nu of each robot's filter, with the innovation nu of its
-        measurement and the covariance S that the filter expects of it; NaN without measurement.
-    delivered
-        ``(steps, robots)`` whose packets arrived.
-    """
-
+    # (steps + 1, 2) where it was, and where the station thought that it was
     true_m: NDArray[np.float64]
     station_mean_m: NDArray[np.float64]
+    # (steps + 1,) trace of the station's covariance of its position
     station_variance_m2: NDArray[np.float64]
-    station_determinant_m4: NDArray[np.float64]
+    station_determinant_m4: NDArray[np.float64]  # (steps + 1,) determinant of that covariance
+    # (steps + 1,) e' P^-1 e of the station's estimate of its position, with the error e
     nees: NDArray[np.float64]
+    # (steps, robots) nu' S^-1 nu of each robot's filter, with the innovation nu of its measurement
+    # and the covariance S that the filter expects of it; NaN without measurement
     nis: NDArray[np.float64]
-    delivered: NDArray[np.bool_]
+    delivered: NDArray[np.bool_]  # (steps, robots) whose packets arrived
 
     __repr__ = short_repr
 
@@ -185,34 +173,23 @@ class TargetLog:
 
 @dataclass(frozen=True, eq=False)
 class ChannelLog:
-    """Errors of the first robot's channel after each step; row 0 at the start.
+    """Errors of the first robot's channel after each step; row 0 at the start."""
 
-    Attributes
-    ----------
-    rms_db
-        ``(steps + 1,)`` root mean square error of the predicted power over the workspace, the
-        error against path loss, shadowing and multipath.
-    anmse_db
-        ``(steps + 1,)`` average normalised mean square error of [GM11], dB; fragile where the
-        true power comes near 0 dBm, therefore beside `rms_db`.
-    theta_variance_db
-        ``(steps + 1,)`` trace of M over |theta|^2, in dB (Fig. 2 of [GM11]); NaN where path loss is
-        known.
-    log_det_m
-        ``(steps + 1,)`` log det M, nats: what the criterion D lowers, whatever the units of theta;
-        NaN where a path loss parameter is known.
-    rms_without_multipath_db
-        ``(steps + 1,)`` as `rms_db`, the error against path loss and shadowing alone.
-    path_loss_variance_db2
-        ``(steps + 1,)`` variance of the predicted path loss, gamma^T M gamma, its mean over the
-        workspace.
-    """
-
+    # (steps + 1,) root mean square error of the predicted power over the workspace, the error
+    # against path loss, shadowing and multipath
     rms_db: NDArray[np.float64]
+    # (steps + 1,) average normalised mean square error of [GM11], dB; fragile where the true power
+    # comes near 0 dBm, therefore beside `rms_db`
     anmse_db: NDArray[np.float64]
+    # (steps + 1,) trace of M over |theta|^2, in dB (Fig. 2 of [GM11]); NaN where path loss is
+    # known.
     theta_variance_db: NDArray[np.float64]
+    # (steps + 1,) log det M, nats: what the criterion D lowers, whatever the units of theta; NaN
+    # where a path loss parameter is known
     log_det_m: NDArray[np.float64]
+    # (steps + 1,) as `rms_db`, the error against path loss and shadowing alone
     rms_without_multipath_db: NDArray[np.float64]
+    # (steps + 1,) variance of the predicted path loss, gamma^T M gamma, its mean over the workspace
     path_loss_variance_db2: NDArray[np.float64]
 
     __repr__ = short_repr
@@ -289,15 +266,8 @@ def channel_log(rows: Sequence[tuple[float, ...]]) -> ChannelLog:
 def target_log(
     watches: Iterable[TargetWatch | None], delivered: NDArray[np.bool_]
 ) -> TargetLog | None:
-    """The log of what was known after each step, the start first; None without target.
-
-    Parameters
-    ----------
-    watches
-        ``steps + 1`` of them, or None throughout.
-    delivered
-        ``(steps, robots)`` whose packets arrived.
-    """
+    """The log of what was known after each step, the start first; None without target."""
+    # Shapes: delivered (steps, robots).
     known = [watch for watch in watches if watch is not None]
     if not known:
         return None
@@ -340,23 +310,11 @@ def _squared(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> flo
 
 def watched(
     first: TargetWatch | None,
-    tracks_m: NDArray[np.float64],
-    delivered: NDArray[np.bool_],
+    tracks_m: NDArray[np.float64],  # (robots, steps + 1, 2) where they were
+    delivered: NDArray[np.bool_],  # (steps, robots) whose packets arrived
     generator: np.random.Generator,
 ) -> list[TargetWatch | None]:
-    """Return what is known of the target after each step of robots that have been driven already.
-
-    Parameters
-    ----------
-    first
-        At the start; None without target.
-    tracks_m
-        ``(robots, steps + 1, 2)`` where they were.
-    delivered
-        ``(steps, robots)`` whose packets arrived.
-    generator
-        As it is after drawing `first`.
-    """
+    """Return the target estimate after each step of robots that have already moved."""
     watches = [first]
     for step, arrived in enumerate(delivered, start=1):
         watch = watches[-1]

@@ -99,17 +99,7 @@ def run_metrics(
     channel: ChannelLog | None,
     costs: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return the metrics of all robots together, by name.
-
-    Parameters
-    ----------
-    problem
-        What was run.
-    runs
-        One a robot.
-    target, channel, costs
-        As in :class:`planopt.planning.run.Run`; what is not there has no metrics.
-    """
+    """Return the metrics of all robots together, by name."""
     found: dict[str, float] = {}
     each = [run.metrics for run in runs]
     led = [robot.goal_m is not None for robot in problem.robots]
@@ -201,13 +191,6 @@ def run_holes(run: RobotRun) -> tuple[Hole, ...]:
 
 
 def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_]) -> float:
-    """Longest driven length between connected places, counting the steps that end in none.
-
-    Parameters
-    ----------
-    lengths_m
-        ``(n,)`` length of each step.
-    connected
-        ``(n,)`` whether the place that it ends at is connected.
-    """
+    """Longest driven length between connected places, counting the steps that end in none."""
+    # Shapes: lengths_m (n,); connected (n,).
     return longest_run(lengths_m, ~connected, 0.0)

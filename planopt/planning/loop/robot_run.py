@@ -33,23 +33,11 @@ def true_serving_dbm(
 
 def step_log(
     problem: Problem,
-    track_m: NDArray[np.float64],
-    true_dbm: NDArray[np.float64],
+    track_m: NDArray[np.float64],  # (steps + 1, 2) where the robot was, the start first
+    true_dbm: NDArray[np.float64],  # (steps + 1,) the true power there
     plans: Sequence[Plan],
 ) -> StepLog:
-    """Tabulate a run; row 0 is the start, as the first plan saw it.
-
-    Parameters
-    ----------
-    problem
-        What was run.
-    track_m
-        ``(steps + 1, 2)`` where the robot was, the start first.
-    true_dbm
-        ``(steps + 1,)`` the true power there.
-    plans
-        The plan that each step was the first of.
-    """
+    """Tabulate a run; row 0 is the start, as the first plan saw it."""
     first = plans[:1]
 
     def column(at_start: float, values: list[float]) -> NDArray[np.float64]:
@@ -106,19 +94,8 @@ def robot_run(
     learnt: Sequence[bool],
     ended: tuple[Outcome, str],
 ) -> RobotRun:
-    """Return one robot's part of a run, from its track and the plans that led along it.
-
-    Parameters
-    ----------
-    problem
-        With this robot alone.
-    track_m, true_dbm
-        ``(steps + 1, 2)`` where the robot was, and ``(steps + 1,)`` the true power there.
-    plans, learnt
-        The plan that each step was the first of, and whether it brought a measurement.
-    ended
-        The outcome, and why.
-    """
+    """Return one robot's part of a run, from its track and the plans that led along it."""
+    # Shapes: track_m, true_dbm (steps + 1, 2).
     log = step_log(problem, track_m, true_dbm, plans)
     drive = driven(problem.robots[0], plans)
     reached = ended[0] is Outcome.REACHED and problem.robots[0].goal_m is not None

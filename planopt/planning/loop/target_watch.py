@@ -37,55 +37,29 @@ MOST_HELD = 8
 
 @dataclass(frozen=True, eq=False)
 class Sent:
-    """Measurements of the target after one step, and whose packets got through.
+    """Measurements of the target after one step, and whose packets got through."""
 
-    Attributes
-    ----------
-    measured_m, positions_m
-        ``(n, 2)`` where each robot measured it, and where the robot was.
-    seen, delivered
-        ``(n,)`` who measured it at all, and whose packet of this step arrives.
-    """
-
-    measured_m: NDArray[np.float64]
+    measured_m: NDArray[np.float64]  # (n, 2) where each robot measured it, and where the robot was
     positions_m: NDArray[np.float64]
-    seen: NDArray[np.bool_]
+    seen: NDArray[np.bool_]  # (n,) who measured it at all, and whose packet of this step arrives
     delivered: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class TargetWatch:
-    """The target of a run, and what is known of it after some steps.
+    """The target of a run, and what is known of it after some steps."""
 
-    Attributes
-    ----------
-    model, sensor
-        How it moves, and how it is sensed.
-    true_m
-        ``(max_steps + 1, 2)`` where it truly is after each step.
-    robots
-        Each robot's own filter.
-    station
-        The station's filter.
-    packets, delay_steps
-        What packets have of the target, and how long they take.
-    sent
-        What robots measured and sent after each step.
-    known
-        ``(steps, robots)`` which of these measurements the station knows now.
-    past
-        The station's filter at the start and after each step but the last, from these.
-    """
-
-    model: TargetModel
+    model: TargetModel  # How it moves, and how it is sensed
     sensor: Sensor
-    true_m: NDArray[np.float64]
-    robots: tuple[InformationState, ...]
-    station: InformationState
-    packets: Packets = "measurements"
+    true_m: NDArray[np.float64]  # (max_steps + 1, 2) where it truly is after each step
+    robots: tuple[InformationState, ...]  # Each robot's own filter
+    station: InformationState  # The station's filter
+    packets: Packets = "measurements"  # What packets have of the target, and how long they take
     delay_steps: int = 0
-    sent: tuple[Sent, ...] = ()
+    sent: tuple[Sent, ...] = ()  # What robots measured and sent after each step
+    # (steps, robots) which of these measurements the station knows now
     known: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    # The station's filter at the start and after each step but the last, from these
     past: tuple[InformationState, ...] = ()
 
     def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
@@ -182,47 +156,21 @@ def observed(
     watch: TargetWatch,
     step: int,
     positions_m: NDArray[np.float64],
-    delivered: NDArray[np.bool_],
+    delivered: NDArray[np.bool_],  # (n,) whose packet arrives at the station
     generator: np.random.Generator,
 ) -> TargetWatch:
-    """Return all filters after step number `step`, robots standing at `positions_m` (n, 2).
-
-    Parameters
-    ----------
-    watch
-        What was known before.
-    step
-        1 is the first.
-    positions_m
-        Where the robots are; each measures the target.
-    delivered
-        ``(n,)`` whose packet arrives at the station.
-    generator
-        Source of the sensors' noise.
-    """
+    """Return all filters after step number `step`, robots standing at `positions_m` (n, 2)."""
     measured = sense(watch.sensor, positions_m, watch.true_m[step], generator)
     return counted(watch, measured, positions_m, delivered)
 
 
 def counted(
     watch: TargetWatch,
-    measured_m: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
-    delivered: NDArray[np.bool_],
+    measured_m: NDArray[np.float64],  # (n, 2)
+    positions_m: NDArray[np.float64],  # (n, 2) where the robots are
+    delivered: NDArray[np.bool_],  # (n,) whose packet arrives at the station
 ) -> TargetWatch:
-    """Return all filters a step later, after measurements of the target.
-
-    Parameters
-    ----------
-    watch
-        Filters before.
-    measured_m
-        ``(n, 2)`` where each robot measured the target, NaN where it did not.
-    positions_m
-        ``(n, 2)`` where the robots are.
-    delivered
-        ``(n,)`` whose packet arrives at the station.
-    """
+    """Return all filters a step later, after measurements of the target."""
     seen = np.asarray(np.isfinite(measured_m).all(axis=1), dtype=np.bool_)
     measured = np.where(seen[:, None], measured_m, positions_m)
     robots = tuple(

@@ -35,27 +35,13 @@ def moving_count(discs: MovingDiscs) -> int:
 def lines_about(
     pieces: PackedPieces,
     discs: MovingDiscs,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (N + 1, 2) the start path, the robot's place first
     count: int,
     clearance_m: float,
     step_length_m: float,
     pad_m: float = 0.0,
 ) -> SeparatingLines:
-    """Lines of a start path from the convex pieces and the moving discs nearest to its segments.
-
-    Parameters
-    ----------
-    pieces, discs
-        What stands and what moves.
-    path_m
-        ``(N + 1, 2)`` the start path, the robot's place first.
-    count
-        Lines a segment in all.
-    clearance_m, step_length_m
-        Limits.
-    pad_m
-        What is not known of where the robot is on its way when.
-    """
+    """Lines of a start path from the convex pieces and the moving discs nearest to its segments."""
     reach = LINE_REACH_STEPS * step_length_m
     standing = count - moving_count(discs)
     lines = separating_lines(pieces, path_m[:-1], path_m[1:], standing, reach)
@@ -78,20 +64,8 @@ def lines_with_violated(
     """Lines of the start path with what the result comes too near to put in.
 
     None if nothing is to blame that has no line.
-
-    Parameters
-    ----------
-    pieces
-        All convex pieces.
-    lines
-        What the result was kept from.
-    start_path_m, path_m
-        ``(N + 1, 2)`` the path that the lines are of, and the result, the robot's place first.
-    clearance_m, step_length_m
-        Limits.
-    discs, pad_m
-        What moves, and as in :func:`lines_about`.
     """
+    # Shapes: start_path_m, path_m (N + 1, 2).
     standing = lines.piece.shape[1] - moving_count(discs)
     chosen = lines.piece[:, :standing].copy()
     now = separating_lines(pieces, path_m[:-1], path_m[1:], standing, step_length_m)

@@ -18,15 +18,8 @@ from planopt.planning.programme.path_shape import PathShape
 def path_row_values(
     path_m: NDArray[np.float64], line: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Values (m,) and gradients (m, 2 N) of all rows, m = N + N lines + (N - 1) lines.
-
-    Parameters
-    ----------
-    path_m
-        ``(N + 1, 2)`` the robot's own place first.
-    line
-        ``(N, lines, 4)`` normals, offsets at the segments' ends and at their starts.
-    """
+    """Values (m,) and gradients (m, 2 N) of all rows, m = N + N lines + (N - 1) lines."""
+    # Shapes: path_m (N + 1, 2); line (N, lines, 4).
     n, lines = int(line.shape[0]), int(line.shape[1])
     steps = np.diff(path_m, axis=0)
     stage = np.arange(n)
@@ -54,23 +47,14 @@ NO_VARIABLE = -1
 
 @dataclass(frozen=True, eq=False)
 class ConeRows:
-    """The rows of a programme that are cones.
+    """The rows of a programme that are cones."""
 
-    Attributes
-    ----------
-    row
-        ``(k,)`` their numbers.
-    own, less
-        ``(k, 2)`` columns of the pairs of z, and of those that are taken from it; `NO_VARIABLE`
-        where that is none.
-    weight, constant
-        ``(k,)`` of the row.
-    """
-
-    row: NDArray[np.intp]
+    row: NDArray[np.intp]  # (k,) their numbers
+    # (k, 2) columns of the pairs of z, and of those that are taken from it; `NO_VARIABLE` where
+    # that is none
     own: NDArray[np.intp]
     less: NDArray[np.intp]
-    weight: NDArray[np.float64]
+    weight: NDArray[np.float64]  # (k,) of the row
     constant: NDArray[np.float64]
 
     def __len__(self) -> int:

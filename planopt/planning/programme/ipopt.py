@@ -126,31 +126,17 @@ def call_nlp(
 
 @dataclass(frozen=True)
 class ExactNlp:
-    """Objective (minimised) and rows with their derivatives, CasADi expressions all.
+    """Objective (minimised) and rows with their derivatives, CasADi expressions all."""
 
-    Attributes
-    ----------
-    x, p
-        Variables and parameters.
-    lam_f, lam_g
-        Weight of the objective and multipliers of the rows.
-    f, g
-        Objective and rows.
-    gradient, jacobian
-        Of objective and rows.
-    hessian
-        Upper triangle of that of ``lam_f f + lam_g . g``.
-    """
-
-    x: Any
+    x: Any  # Variables and parameters
     p: Any
-    lam_f: Any
+    lam_f: Any  # Weight of the objective and multipliers of the rows
     lam_g: Any
-    f: Any
+    f: Any  # Objective and rows
     g: Any
-    gradient: Any
+    gradient: Any  # Of objective and rows
     jacobian: Any
-    hessian: Any
+    hessian: Any  # Upper triangle of that of lam_f f + lam_g . g.
 
 
 def exact_solver(name: str, nlp: ExactNlp, options: dict[str, Any]) -> Any:

@@ -18,21 +18,11 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True)
 class StageMargins:
-    """Margins in dB with derivatives by position.
+    """Margins in dB with derivatives by position."""
 
-    Attributes
-    ----------
-    value
-        ``(n,)`` dB.
-    gradient
-        ``(n, 2)`` dB/m.
-    hessian
-        ``(n, 3)`` dB/m^2: xx, xy, yy.
-    """
-
-    value: NDArray[np.float64]
-    gradient: NDArray[np.float64]
-    hessian: NDArray[np.float64]
+    value: NDArray[np.float64]  # (n,) dB
+    gradient: NDArray[np.float64]  # (n, 2) dB/m
+    hessian: NDArray[np.float64]  # (n, 3) dB/m^2: xx, xy, yy
 
 
 def margins_of(
@@ -89,21 +79,12 @@ class MarginSource:
 
 @dataclass(frozen=True)
 class PathValue:
-    """A value of a path of N steps with derivatives by its positions.
+    """A value of a path of N steps with derivatives by its positions."""
 
-    Attributes
-    ----------
-    value
-        What the path is worth.
-    gradient
-        ``(N, 2)``.
-    hessian
-        ``(N, 3)``, xx, xy and yy of each stage, if stagewise. ``(7 N - 4,)`` if a chain: these, and
-        xx, xy, yx and yy between each stage and the next. Else ``(2 N, 2 N)``.
-    """
-
-    value: float
-    gradient: NDArray[np.float64]
+    value: float  # What the path is worth
+    gradient: NDArray[np.float64]  # (N, 2)
+    # (N, 3), xx, xy and yy of each stage, if stagewise. (7 N - 4,) if a chain: these, and xx, xy,
+    # yx and yy between each stage and the next. Else (2 N, 2 N).
     hessian: NDArray[np.float64]
 
 

@@ -32,19 +32,11 @@ TINY = 1e-30
 
 @dataclass(frozen=True)
 class MotionShape:
-    """The structure of the rows.
+    """The structure of the rows."""
 
-    Attributes
-    ----------
-    dynamics, step_s
-        Of the robot, and the duration of a step.
-    horizon, lines
-        N, and separating lines a segment.
-    """
-
-    dynamics: Dynamics
+    dynamics: Dynamics  # Of the robot, and the duration of a step
     step_s: float
-    horizon: int
+    horizon: int  # N, and separating lines a segment
     lines: int
 
     @property
@@ -117,20 +109,8 @@ class MotionRows:
 
 
 def motion_rows(shape: MotionShape, q: Any, w: Any, start: Components, line: Any) -> MotionRows:
-    """The rows of positions `q` and variables `w`.
-
-    Parameters
-    ----------
-    shape
-        The structure.
-    q, w
-        ``(2 N,)`` and the variables, by index.
-    start
-        The state at the start.
-    line
-        Normals and offsets (at end and start) of the N segments and of the way of stopping, by
-        segment and line, flat.
-    """
+    """The rows of positions `q` and variables `w`."""
+    # Shapes: q, w (2 N,).
     dynamics, step_s = shape.dynamics, shape.step_s
     rows = MotionRows([], [], [], [], [], [])
     before = start

@@ -41,16 +41,6 @@ def kkt_residual(
     """Largest of stationarity, primal violation, wrong sign and complementarity, unscaled.
 
     Infinite where any of them is not a number.
-
-    Parameters
-    ----------
-    gradient, jacobian
-        Of the objective ``(n,)`` and of the rows ``(m, n)`` at the point.
-    rows, row_bounds, row_multipliers
-        Values ``(m,)``, their bounds, their multipliers.
-    variables, variable_bounds, variable_multipliers
-        The same for the variables; fixed ones (equal bounds) are left out of stationarity, because
-        their multiplier is free.
     """
     free = variable_bounds.lower < variable_bounds.upper
     stationarity = gradient + jacobian.T @ row_multipliers + variable_multipliers
@@ -77,17 +67,7 @@ def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 def named_multipliers(
     rows: NDArray[np.float64], horizon: int, lines: int, bounds: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return multipliers of :mod:`~planopt.planning.programme.path_rows` and connectivity.
-
-    Parameters
-    ----------
-    rows
-        Of all rows, in the programme's order.
-    horizon, lines
-        N, and separating lines a segment.
-    bounds
-        How many rows bound connectivity, the last ones.
-    """
+    """Return multipliers of :mod:`~planopt.planning.programme.path_rows` and connectivity."""
     speed, line_end, line_start = np.split(
         rows[: horizon * (1 + 2 * lines) - lines], [horizon, horizon * (1 + lines)]
     )
@@ -104,18 +84,12 @@ Point = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NlpFunctions:
-    """Functions of variables x, parameters p and rows' multipliers.
+    """Functions of variables x, parameters p and rows' multipliers."""
 
-    Attributes
-    ----------
-    values
-        ``(x, p)`` to the objective (minimised), and to all rows.
-    derivatives
-        ``(x, p, multipliers)`` to the gradient of the objective, the Jacobian of the rows, and the
-        Hessian of objective + multipliers . rows.
-    """
-
+    # (x, p) to the objective (minimised), and to all rows
     values: Callable[[Point, Point], tuple[float, Point]]
+    # (x, p, multipliers) to the gradient of the objective, the Jacobian of the rows, and the
+    # Hessian of objective + multipliers . rows.
     derivatives: Callable[[Point, Point, Point], tuple[Point, Point, Point]]
 
 
@@ -145,29 +119,17 @@ def nlp_functions(solver: Any) -> NlpFunctions:
 
 @dataclass(frozen=True)
 class NlpPoint:
-    """The point that the solver returned.
+    """The point that the solver returned."""
 
-    Attributes
-    ----------
-    positions_m
-        ``(N, 2)``.
-    slack_db
-        ``(N,)``, or ``(0,)`` where no connectivity is bounded; variables that a programme has
-        besides come after them.
-    row_multipliers, variable_multipliers
-        By row of the programme and by variable; positive at an upper bound, negative at a lower.
-    termination
-        Why it stopped.
-    iterations
-        Its count.
-    """
-
-    positions_m: NDArray[np.float64]
+    positions_m: NDArray[np.float64]  # (N, 2)
+    # (N,), or (0,) where no connectivity is bounded; variables that a programme has besides come
+    # after them
     slack_db: NDArray[np.float64]
+    # By row of the programme and by variable; positive at an upper bound, negative at a lower
     row_multipliers: NDArray[np.float64]
     variable_multipliers: NDArray[np.float64]
-    termination: Termination
-    iterations: int
+    termination: Termination  # Why it stopped
+    iterations: int  # Its count
 
 
 def nlp_point(

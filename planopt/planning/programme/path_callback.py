@@ -13,19 +13,7 @@ from numpy.typing import NDArray
 
 
 class PathCallback(ca.Callback):
-    """A NumPy function of the flattened positions (2 N,) as a CasADi function.
-
-    Parameters
-    ----------
-    name
-        What CasADi calls it.
-    stages
-        N.
-    size
-        How many numbers it gives.
-    evaluate
-        From positions (2 N,) to these numbers, in any shape.
-    """
+    """A NumPy function of the flattened positions (2 N,) as a CasADi function."""
 
     def __init__(
         self,
@@ -106,20 +94,7 @@ def path_callbacks(
     curved: int,
     evaluate: Callable[[NDArray[np.float64]], Differentiated],
 ) -> PathCallbacks:
-    """Callbacks of one quantity.
-
-    Parameters
-    ----------
-    name
-        What CasADi calls it.
-    stages
-        N.
-    values, curved
-        How many numbers its value and its Hessian have. The gradient has two for each stage of
-        each quantity that a stage has.
-    evaluate
-        From positions (2 N,) to the quantity, quick where it is asked for one place again.
-    """
+    """Callbacks of one quantity."""
     return PathCallbacks(
         PathCallback(name, stages, values, lambda at: np.asarray(evaluate(at).value)),
         PathCallback(

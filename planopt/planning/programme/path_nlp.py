@@ -65,26 +65,15 @@ from planopt.planning.programme.pivot import PARAMETERS, goal_cost_s
 
 @dataclass(frozen=True)
 class PathFunctions:
-    """Functions of variables x, parameters p and what the callbacks give.
+    """Functions of variables x, parameters p and what the callbacks give."""
 
-    Attributes
-    ----------
-    objective, gradient
-        ``(x, p, v)`` to the objective (minimised), ``(x, p, dv)`` to its gradient.
-    rows, jacobian
-        ``(x, p, m, w)`` to all rows, ``(x, p, dm, dw)`` to their Jacobian.
-    hessian
-        ``(x, p, lam_f, lam_g, hv, hm, hw)`` to the upper triangle of the Lagrangian's Hessian.
-    parameters, row_count
-        How many there are.
-    """
-
-    objective: Any
+    objective: Any  # (x, p, v) to the objective (minimised), (x, p, dv) to its gradient
     gradient: Any
-    rows: Any
+    rows: Any  # (x, p, m, w) to all rows, (x, p, dm, dw) to their Jacobian
     jacobian: Any
+    # (x, p, lam_f, lam_g, hv, hm, hw) to the upper triangle of the Lagrangian's Hessian
     hessian: Any
-    parameters: int
+    parameters: int  # How many there are
     row_count: int
 
 
@@ -214,27 +203,13 @@ DRIVEN_SETTLED: dict[str, Any] = SETTLED | {
 
 @dataclass(frozen=True)
 class PathNlp:
-    """A built solver.
+    """A built solver."""
 
-    Attributes
-    ----------
-    shape
-        Its structure.
-    source
-        Where its value and margins come from.
-    solver
-        The CasADi solver.
-    solve
-        One call of it, or of another method with its functions.
-    callbacks
-        Kept so that they live as long as the solver.
-    """
-
-    shape: PathShape
-    source: ValueSource
-    solver: Any
-    solve: SolveNlp
-    callbacks: tuple[PathCallbacks, ...]
+    shape: PathShape  # Its structure
+    source: ValueSource  # Where its value and margins come from
+    solver: Any  # The CasADi solver
+    solve: SolveNlp  # One call of it, or of another method with its functions
+    callbacks: tuple[PathCallbacks, ...]  # Kept so that they live as long as the solver
 
 
 def build_path_nlp(
@@ -302,28 +277,14 @@ in 14 of 180 straight tasks, without in none, and elsewhere they gained nothing.
 
 @dataclass(frozen=True)
 class ReachNlp:
-    """A built solver.
+    """A built solver."""
 
-    Attributes
-    ----------
-    horizon, lines
-        Its structure: N, and separating lines a segment.
-    source
-        Where its margins come from.
-    solver
-        The CasADi solver.
-    solve
-        One call of it, or of another method with its functions.
-    callbacks
-        Kept so that they live as long as the solver.
-    """
-
-    horizon: int
+    horizon: int  # Its structure: N, and separating lines a segment
     lines: int
-    source: MarginSource
-    solver: Any
-    solve: SolveNlp
-    callbacks: PathCallbacks
+    source: MarginSource  # Where its margins come from
+    solver: Any  # The CasADi solver
+    solve: SolveNlp  # One call of it, or of another method with its functions
+    callbacks: PathCallbacks  # Kept so that they live as long as the solver
 
 
 STEP_ROUNDING_M = 1e-2

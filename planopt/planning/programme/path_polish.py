@@ -34,43 +34,22 @@ def _none() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class MotionTask:
-    """The start of a polish.
+    """The start of a polish."""
 
-    Attributes
-    ----------
-    shape
-        Structure of the rows.
-    drive
-        Along the start path, from the robot's state on.
-    stop_lines
-        Separating lines of the way of stopping after it, of one segment.
-    """
-
-    shape: MotionShape
-    drive: Drive
-    stop_lines: SeparatingLines
+    shape: MotionShape  # Structure of the rows
+    drive: Drive  # Along the start path, from the robot's state on
+    stop_lines: SeparatingLines  # Separating lines of the way of stopping after it, of one segment
 
 
 @dataclass(frozen=True, eq=False)
 class MotionNumbers:
-    """A task as arrays; all empty for the single integrator.
+    """A task as arrays; all empty for the single integrator."""
 
-    Attributes
-    ----------
-    start
-        First guess of the variables w.
-    parameters
-        What the solver is told beside the lines of the path.
-    rows
-        Bounds of the rows.
-    task, line
-        What it is of, and all lines, flat.
-    """
-
-    start: NDArray[np.float64] = field(default_factory=_none)
+    start: NDArray[np.float64] = field(default_factory=_none)  # First guess of the variables w
+    # What the solver is told beside the lines of the path
     parameters: NDArray[np.float64] = field(default_factory=_none)
-    rows: Bounds = field(default_factory=lambda: Bounds(_none(), _none()))
-    task: MotionTask | None = None
+    rows: Bounds = field(default_factory=lambda: Bounds(_none(), _none()))  # Bounds of the rows
+    task: MotionTask | None = None  # What it is of, and all lines, flat
     line: NDArray[np.float64] = field(default_factory=_none)
 
     def values(
@@ -101,18 +80,8 @@ def motion_numbers(
     stop_line: NDArray[np.float64],
     bounds_m: tuple[float, float, float, float],
 ) -> MotionNumbers:
-    """The arrays of a task.
-
-    Parameters
-    ----------
-    task
-        None for the single integrator.
-    line, stop_line
-        ``(N, lines, 4)`` and ``(1, lines, 4)`` normals and offsets at end and start, clearance
-        included.
-    bounds_m
-        The workspace.
-    """
+    """The arrays of a task."""
+    # Shapes: line, stop_line (N, lines, 4).
     if task is None:
         return MotionNumbers()
     shape, drive = task.shape, task.drive
@@ -131,55 +100,26 @@ def motion_numbers(
 
 @dataclass(frozen=True)
 class PathTask:
-    """The task of one polish.
+    """The task of one polish."""
 
-    Attributes
-    ----------
-    start_m
-        ``(2,)`` where the robot is.
-    path_m
-        ``(N, 2)`` the start path.
-    lines
-        Separating lines of the start path's N segments.
-    clearance_m, step_length_m
-        Limits.
-    bounds_m
-        The workspace ``(x_min, y_min, x_max, y_max)``.
-    evaluate
-        Value and margins by path.
-    scale
-        What a unit of value counts in the solver, so that its tolerances mean something.
-    bound_db
-        ``(N,)`` what the margins must reach, or None where no connectivity is bounded.
-    slack_limit_db
-        ``(N,)`` how much of it may be missing; zero where the bound is hard. ``(1,)`` of a total.
-    slack_weight
-        Cost of a missing dB.
-    total_bound
-        What the sum over stages must reach, or None where none is bounded.
-    total_per_db
-        What a dB of slack adds to it.
-    motion
-        Of the robot's dynamics; None for the single integrator.
-    charge
-        Of the way to a goal; None where none is charged.
-    """
-
-    start_m: NDArray[np.float64]
-    path_m: NDArray[np.float64]
-    lines: SeparatingLines
-    clearance_m: float
+    start_m: NDArray[np.float64]  # (2,) where the robot is
+    path_m: NDArray[np.float64]  # (N, 2) the start path
+    lines: SeparatingLines  # Separating lines of the start path's N segments
+    clearance_m: float  # Limits
     step_length_m: float
-    bounds_m: tuple[float, float, float, float]
-    evaluate: EvaluatePath
-    scale: float
+    bounds_m: tuple[float, float, float, float]  # The workspace (x_min, y_min, x_max, y_max)
+    evaluate: EvaluatePath  # Value and margins by path
+    scale: float  # What a unit of value counts in the solver, so that its tolerances mean something
+    # (N,) what the margins must reach, or None where no connectivity is bounded
     bound_db: NDArray[np.float64] | None = None
+    # (N,) how much of it may be missing; zero where the bound is hard. (1,) of a total.
     slack_limit_db: NDArray[np.float64] | None = None
-    slack_weight: float = 0.0
+    slack_weight: float = 0.0  # Cost of a missing dB
+    # What the sum over stages must reach, or None where none is bounded
     total_bound: float | None = None
-    total_per_db: float = 0.0
-    motion: MotionTask | None = None
-    charge: GoalCharge | None = None
+    total_per_db: float = 0.0  # What a dB of slack adds to it
+    motion: MotionTask | None = None  # Of the robot's dynamics; None for the single integrator
+    charge: GoalCharge | None = None  # Of the way to a goal; None where none is charged
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> Polished:

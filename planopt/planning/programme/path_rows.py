@@ -65,17 +65,7 @@ def stage_rows(gradients: Any, n: int) -> Any:
 
 
 def path_rows(n: int, lines: int, q: Any, start: Any, line: Any) -> Any:
-    """Stack the rows, in the order of the module's docstring.
-
-    Parameters
-    ----------
-    n, lines
-        N, and separating lines a segment.
-    q, start
-        CasADi expressions: positions (2 N,) and where the robot is (2,).
-    line
-        (4 N lines,) normals, offsets at the end and at the start, by segment and line.
-    """
+    """Stack the rows, in the order of the module's docstring."""
     speed, line_end, line_start = [], [], []
     for k in range(n):
         here = q[2 * k : 2 * k + 2]

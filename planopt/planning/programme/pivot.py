@@ -45,27 +45,16 @@ PARAMETERS = 7
 
 @dataclass(frozen=True)
 class GoalCharge:
-    """The numbers of the cost.
+    """The numbers of the cost."""
 
-    Attributes
-    ----------
-    pivot_m
-        ``(2,)``.
-    effort_s_m2, rate_s_m, braking_s_m
-        Cost of squared step length, of a metre beyond the horizon, and of a metre driven before it
-        comes to stand.
-    each_step
-        What c_k is besides, for every k: 0 where the pivot is not come to.
-    rounding_m
-        Of the distance to the pivot.
-    """
-
-    pivot_m: NDArray[np.float64]
+    pivot_m: NDArray[np.float64]  # (2,)
+    # Cost of squared step length, of a metre beyond the horizon, and of a metre driven before it
+    # comes to stand
     effort_s_m2: float
     rate_s_m: float
     braking_s_m: float
-    each_step: float
-    rounding_m: float
+    each_step: float  # What c_k is besides, for every k: 0 where the pivot is not come to
+    rounding_m: float  # Of the distance to the pivot
 
     @property
     def numbers(self) -> NDArray[np.float64]:
@@ -75,15 +64,7 @@ class GoalCharge:
 
 
 def goal_cost_s(shape: MotionShape, q: Any, w: Any, start: Components, charge: Any) -> Any:
-    """The cost of positions `q` and variables `w`.
-
-    Parameters
-    ----------
-    shape, q, w, start
-        As for :func:`planopt.planning.programme.motion_rows.motion_rows`.
-    charge
-        The numbers of a `GoalCharge`.
-    """
+    """The cost of positions `q` and variables `w`."""
     pivot = (charge[0], charge[1])
     effort, rate, braking, each_step, rounding = (charge[i] for i in range(2, PARAMETERS))
     before, cost = start, 0.0
@@ -125,21 +106,7 @@ lies at least that far ahead, or a polished path would come to it and have nowhe
 
 
 class Ahead:
-    """The rest of the way from wherever a path ends, as a pivot.
-
-    Parameters
-    ----------
-    problem, scene, start
-        What is planned, where, and the cost-to-go.
-    node_margin_db
-        As :func:`find_pivot` takes them.
-
-    Attributes
-    ----------
-    pivot
-        Counts for places near the start path's end which see it. Farther off, what lies between
-        may cost more than the straight line to it.
-    """
+    """The rest of the way from wherever a path ends, as a pivot."""
 
     def __init__(
         self,
@@ -239,23 +206,9 @@ def find_pivot(
     node_margin_db: NDArray[np.float64] | None,
     step_length_m: float,
     clearance: float,
-    origin_m: NDArray[np.float64] | None = None,
+    origin_m: NDArray[np.float64] | None = None,  # (2,)
 ) -> Pivot:
-    """Farthest point of the way that is seen from the start path's end, or one out of reach.
-
-    Parameters
-    ----------
-    scene, start
-        Where, and the start path with its cost to go.
-    node_margin_db
-        Margins of all nodes if the way must keep the bound: then no place seen lies beyond a
-        change between within and below it, unless the place before it is within reach. None if
-        it need not.
-    step_length_m, clearance
-        Longest step, and the clearance that a line of sight must keep.
-    origin_m
-        ``(2,)`` where the pivot must be seen from; None for the start path's end.
-    """
+    """Farthest point of the way that is seen from the start path's end, or one out of reach."""
     end = int(start.nodes[-1])
     way = way_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
     places = scene.road_map.nodes_m[way]

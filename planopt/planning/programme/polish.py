@@ -24,98 +24,51 @@ from planopt.world.separation import SeparatingLines
 
 @dataclass(frozen=True)
 class Polished:
-    """The result of a polish.
+    """The result of a polish."""
 
-    Attributes
-    ----------
-    path_m
-        ``(N, 2)``; only worth something if a verifier says so.
-    slack_db
-        ``(N,)`` missing dB.
-    termination, iterations
-        Why the solver stopped, after how many iterations.
-    kkt_residual
-        Unscaled, computed without the solver's derivatives.
-    multipliers
-        By name: ``speed`` (N,), ``line_end`` (N, lines), ``line_start`` (N - 1, lines),
-        ``connectivity`` (N,).
-    inputs
-        ``(N, m)`` of a robot that cannot turn or stop at will; None of a single integrator.
-    """
-
-    path_m: NDArray[np.float64]
-    slack_db: NDArray[np.float64]
-    termination: Termination
+    path_m: NDArray[np.float64]  # (N, 2); only worth something if a verifier says so
+    slack_db: NDArray[np.float64]  # (N,) missing dB
+    termination: Termination  # Why the solver stopped, after how many iterations
     iterations: int
-    kkt_residual: float
+    kkt_residual: float  # Unscaled, computed without the solver's derivatives
+    # By name: speed (N,), line_end (N, lines), line_start (N - 1, lines), connectivity (N,)
     multipliers: dict[str, NDArray[np.float64]]
+    # (N, m) of a robot that cannot turn or stop at will; None of a single integrator
     inputs: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
 class OutagePrice:
-    """The price of being out of contact on the way.
+    """The price of being out of contact on the way."""
 
-    Attributes
-    ----------
-    price_s_m
-        Of a metre that is certainly out of contact.
-    share_before
-        Share of a metre that is charged at the start.
-    charged
-        ``(N,)`` the same after each step, were that certainly out of contact.
-    """
-
-    price_s_m: float
-    share_before: float
+    price_s_m: float  # Of a metre that is certainly out of contact
+    share_before: float  # Share of a metre that is charged at the start
+    # (N,) the same after each step, were that certainly out of contact
     charged: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class ReachTask:
-    """The task of one polish.
+    """The task of one polish."""
 
-    Attributes
-    ----------
-    start_m
-        ``(2,)`` where the robot is.
-    path_m
-        ``(N, 2)`` the start path.
-    lines
-        Separating lines of the start path's N segments.
-    clearance_m, step_length_m
-        Limits.
-    bounds_m
-        The workspace ``(x_min, y_min, x_max, y_max)``.
-    arrival
-        Step (1..N) from which on the start path stands still and so does the polished one; None
-        if it moves to its end.
-    pivot_m
-        ``(2,)`` the visible point on the way to the goal that the last position is drawn to.
-    effort_s_m2, rate_s_m
-        Cost of squared step length, and of a metre beyond the horizon.
-    margins
-        Connectivity margin of each stage by position, then the score of each that the probability
-        of connection has.
-    bound_db
-        ``(N,)`` what the margins must reach.
-    outage
-        What it costs to be out of contact after each step.
-    """
-
-    start_m: NDArray[np.float64]
-    path_m: NDArray[np.float64]
-    lines: SeparatingLines
-    clearance_m: float
+    start_m: NDArray[np.float64]  # (2,) where the robot is
+    path_m: NDArray[np.float64]  # (N, 2) the start path
+    lines: SeparatingLines  # Separating lines of the start path's N segments
+    clearance_m: float  # Limits
     step_length_m: float
-    bounds_m: tuple[float, float, float, float]
+    bounds_m: tuple[float, float, float, float]  # The workspace (x_min, y_min, x_max, y_max)
+    # Step (1..N) from which on the start path stands still and so does the polished one; None if it
+    # moves to its end
     arrival: int | None
+    # (2,) the visible point on the way to the goal that the last position is drawn to
     pivot_m: NDArray[np.float64]
-    effort_s_m2: float
+    effort_s_m2: float  # Cost of squared step length, and of a metre beyond the horizon
     rate_s_m: float
+    # Connectivity margin of each stage by position, then the score of each that the probability of
+    # connection has
     margins: MarginFunction
-    bound_db: NDArray[np.float64]
-    outage: OutagePrice
+    bound_db: NDArray[np.float64]  # (N,) what the margins must reach
+    outage: OutagePrice  # What it costs to be out of contact after each step
 
 
 def polish(nlp: ReachNlp, task: ReachTask) -> Polished:

@@ -42,66 +42,34 @@ the connectivity margin (n,) in dB."""
 
 @dataclass(frozen=True, eq=False)
 class GoalGrid:
-    """Places where a robot may be, and the moves between them; the goal is one of them.
+    """Places where a robot may be, and the moves between them; the goal is one of them."""
 
-    Attributes
-    ----------
-    spacing_m
-        Of the grid.
-    nodes_m
-        ``(n, 2)``.
-    ends
-        ``(2, m)`` nodes that each move joins.
-    goal
-        Number of the goal's node.
-    coarse_m
-        ``(c, 2)`` places of a coarser grid about them.
-    corners, weights
-        ``(n, 4)`` of which coarse places each node's value is the mean, and how weighted.
-    """
-
-    spacing_m: float
-    nodes_m: NDArray[np.float64]
-    ends: NDArray[np.intp]
-    goal: int
-    coarse_m: NDArray[np.float64]
+    spacing_m: float  # Of the grid
+    nodes_m: NDArray[np.float64]  # (n, 2)
+    ends: NDArray[np.intp]  # (2, m) nodes that each move joins
+    goal: int  # Number of the goal's node
+    coarse_m: NDArray[np.float64]  # (c, 2) places of a coarser grid about them
+    # (n, 4) of which coarse places each node's value is the mean, and how weighted
     corners: NDArray[np.intp]
     weights: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class GoalCosts:
-    """The costs of a grid by one belief.
+    """The costs of a grid by one belief."""
 
-    Attributes
-    ----------
-    share
-        ``(n,)`` of a metre at each node that the price is charged on.
-    to_goal_m
-        ``(n,)`` cost of the cheapest path to the goal.
-    best_margin_db
-        The largest connectivity margin found anywhere.
-    """
-
-    share: NDArray[np.float64]
-    to_goal_m: NDArray[np.float64]
-    best_margin_db: float
+    share: NDArray[np.float64]  # (n,) of a metre at each node that the price is charged on
+    to_goal_m: NDArray[np.float64]  # (n,) cost of the cheapest path to the goal
+    best_margin_db: float  # The largest connectivity margin found anywhere
 
 
 @dataclass(frozen=True)
 class PricedPath:
-    """The cost of a path with the rest of the way, and that of the cheapest found.
+    """The cost of a path with the rest of the way, and that of the cheapest found."""
 
-    Attributes
-    ----------
-    cost_m, best_m
-        Metres, those out of contact counted at the outage price.
-    step_m, excess_m
-        The cost of its first step, and that with the cheapest path from there less `best_m`.
-    """
-
-    cost_m: float
+    cost_m: float  # Metres, those out of contact counted at the outage price
     best_m: float
+    # The cost of its first step, and that with the cheapest path from there less `best_m`
     step_m: float
     excess_m: float
 
@@ -166,17 +134,7 @@ def _coarser(
 
 
 def goal_costs(grid: GoalGrid, contact_at: ContactAt, price: float) -> GoalCosts:
-    """Cost of the cheapest path to the goal from every node of the grid.
-
-    Parameters
-    ----------
-    grid
-        Where to search.
-    contact_at
-        What the price is charged on, and the margins.
-    price
-        What a metre out of contact costs besides.
-    """
+    """Cost of the cheapest path to the goal from every node of the grid."""
     coarse, margin = contact_at(grid.coarse_m)
     share = (coarse[grid.corners] * grid.weights).sum(axis=1)
     one, other = grid.ends
@@ -199,19 +157,7 @@ def price_path(
     positions_m: NDArray[np.float64],
     share: NDArray[np.float64],
 ) -> PricedPath:
-    """Compare a path (N + 1, 2), its first place included, with the cheapest one from there.
-
-    Parameters
-    ----------
-    grid, index
-        Where to search, and the obstacles.
-    costs
-        Of the grid by the same belief and price.
-    price
-        What a metre out of contact costs besides.
-    positions_m, share
-        The path, and the share of a metre at its places that the price is charged on.
-    """
+    """Compare a path (N + 1, 2), its first place included, with the cheapest one from there."""
 
     def rest_m(k: int) -> float:
         """Cost of the cheapest path from the k-th place on."""

@@ -29,22 +29,14 @@ from planopt.world.ways import Way
 
 @dataclass(frozen=True)
 class Apart:
-    """Least distances of a motion from others at equal times.
+    """Least distances of a motion from others at equal times."""
 
-    Attributes
-    ----------
-    min_separation_m
-        Least distance from any other robot that a separation is asked from; None without one.
-    min_moving_clearance_m
-        Least distance from any moving obstacle, as large as it is predicted to be, negative inside
-        one; None without one.
-    reasons
-        Which of them it comes too near to, in which step and by how much.
-    """
-
+    # Least distance from any other robot that a separation is asked from; None without one
     min_separation_m: float | None
+    # Least distance from any moving obstacle, as large as it is predicted to be, negative inside
+    # one; None without one
     min_moving_clearance_m: float | None
-    reasons: tuple[str, ...]
+    reasons: tuple[str, ...]  # Which of them it comes too near to, in which step and by how much
 
 
 def judge_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = None) -> Apart:
@@ -103,21 +95,11 @@ def swept_motion(
 
 @dataclass(frozen=True)
 class MotionJudgement:
-    """The findings on a motion.
+    """The findings on a motion."""
 
-    Attributes
-    ----------
-    clearance_m
-        Least distance of the swept way to an obstacle.
-    defect_m
-        Largest violation of the motion model and the input set.
-    reasons
-        What is violated; empty if all is kept.
-    """
-
-    clearance_m: float
-    defect_m: float
-    reasons: tuple[str, ...]
+    clearance_m: float  # Least distance of the swept way to an obstacle
+    defect_m: float  # Largest violation of the motion model and the input set
+    reasons: tuple[str, ...]  # What is violated; empty if all is kept
 
 
 def judge_motion(

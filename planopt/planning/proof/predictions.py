@@ -28,21 +28,12 @@ from planopt.problems.problem import Problem
 
 @dataclass(frozen=True, eq=False)
 class Serving:
-    """The beliefs of stations, each of which may connect.
+    """The beliefs of stations, each of which may connect."""
 
-    Attributes
-    ----------
-    posteriors
-        Of each station's channel.
-    thresholds_dbm
-        From which power on each connects; predictions are judged by the first.
-    p_min
-        The bound's probability.
-    """
-
-    posteriors: tuple[ChannelPosterior, ...]
+    posteriors: tuple[ChannelPosterior, ...]  # Of each station's channel
+    # From which power on each connects; predictions are judged by the first
     thresholds_dbm: tuple[float, ...]
-    p_min: float
+    p_min: float  # The bound's probability
 
     @property
     def laws(self) -> Laws:
@@ -134,18 +125,10 @@ NEWTON_STEP_DB = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class BroadPrediction:
-    """Predicts for a bound that is to hold with probability `p_min` under all parameters.
+    """Predicts for a bound that is to hold with probability `p_min` under all parameters."""
 
-    Attributes
-    ----------
-    marginal
-        The channel given measurements, over several covariances.
-    p_min
-        The bound's probability.
-    """
-
-    marginal: MarginalPosterior
-    p_min: float
+    marginal: MarginalPosterior  # The channel given measurements, over several covariances
+    p_min: float  # The bound's probability
 
     def __call__(self, positions_m: NDArray[np.float64]) -> Prediction:
         """Mean and deviation at `positions_m` (n, 2) whose bound margin is the mixture's."""
@@ -200,15 +183,7 @@ Broad = BroadPrediction | Serving
 
 
 def broad_prediction(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Broad | None:
-    """Return the prediction that the bound rests on; None where the only posterior serves.
-
-    Parameters
-    ----------
-    problem
-        What is asked.
-    posteriors
-        Of each of its stations.
-    """
+    """Return the prediction that the bound rests on; None where the only posterior serves."""
     if len(posteriors) > 1 or posteriors[0].outcomes is not None:
         thresholds = tuple(radio.threshold_dbm for radio in problem.stations)
         return Serving(tuple(posteriors), thresholds, problem.constraints.p_min)

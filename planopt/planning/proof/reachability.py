@@ -84,24 +84,13 @@ def best_by_ways(
     margin_db: MarginAt,
     start_m: NDArray[np.float64],
     clearance: float,
-    reach_m: NDArray[np.float64],
+    reach_m: NDArray[np.float64],  # (k,) how far the robot gets, ascending
     looked: list[Places],
     spacing_m: float,
 ) -> tuple[float, ...]:
     """Best margin (dB) by each of k reaches, if good places count only where a way leads to them.
 
     A negative one is a bound above: ways are only measured to places that keep the bound.
-
-    Parameters
-    ----------
-    index, bounds_m, margin_db, start_m, clearance
-        As for :func:`planopt.planning.proof.reachability.best_margins_by_step`.
-    reach_m
-        ``(k,)`` how far the robot gets, ascending.
-    looked
-        What was found by air: the nodes of a grid first, then places about the best of them.
-    spacing_m
-        Of the grid.
     """
     ways = shortest_ways(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
@@ -198,9 +187,9 @@ def best_margins_by_step(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    start_m: NDArray[np.float64],
+    start_m: NDArray[np.float64],  # (2,) where the robot is
     step_length_m: float,
-    steps: NDArray[np.intp],
+    steps: NDArray[np.intp],  # (k,) increasing, the first step being 1
     clearance: float,
     may_reach: MayReach | None = None,
 ) -> tuple[float, ...]:
@@ -208,23 +197,6 @@ def best_margins_by_step(
 
     One grid serves all steps, so that more time never gives a worse place, unless the robot cannot
     wait there.
-
-    Parameters
-    ----------
-    index, bounds_m
-        The obstacles and the workspace.
-    margin_db
-        Positions (n, 2) to margins (n,).
-    start_m
-        ``(2,)`` where the robot is.
-    step_length_m
-        How far it gets in a step.
-    steps
-        ``(k,)`` increasing, the first step being 1.
-    clearance
-        The clearance that it must keep, in metres.
-    may_reach
-        Where a robot may be that cannot turn or stop at will; None for any other.
     """
     radius = float(steps[-1]) * step_length_m
     spacing = step_length_m / (FINE_NODES if steps[-1] <= FINE_STEPS else COARSE_NODES)

@@ -49,24 +49,12 @@ MAX_CELLS = 250_000
 
 @dataclass(frozen=True, eq=False)
 class RoughClearance:
-    """Distances at the corners of square cells over the workspace.
+    """Distances at the corners of square cells over the workspace."""
 
-    Attributes
-    ----------
-    origin_m
-        ``(2,)`` of corner ``[0, 0]``.
-    cell_m
-        Side of a cell.
-    distance_m
-        ``(ny, nx)`` to the nearest obstacle, none farther than `far_m`.
-    bounds_m
-        ``(x_min, y_min, x_max, y_max)``.
-    """
-
-    origin_m: NDArray[np.float64]
-    cell_m: float
-    distance_m: NDArray[np.float64]
-    bounds_m: tuple[float, float, float, float]
+    origin_m: NDArray[np.float64]  # (2,) of corner [0, 0]
+    cell_m: float  # Side of a cell
+    distance_m: NDArray[np.float64]  # (ny, nx) to the nearest obstacle, none farther than `far_m`
+    bounds_m: tuple[float, float, float, float]  # (x_min, y_min, x_max, y_max)
 
     def is_free(self, places_m: NDArray[np.float64], clearance: float) -> NDArray[np.bool_]:
         """Return whether places (..., 2) are in bounds and about `clearance` from obstacles."""
@@ -116,19 +104,7 @@ SAMPLES = (0.5, 1.0)
 def straight_starts(
     situation: Situation, index: ObstacleIndex, rough: RoughClearance, horizon: int
 ) -> NDArray[np.float64]:
-    """Ways (c, N, 2) at full speed, every one of them free.
-
-    Parameters
-    ----------
-    situation
-        Where the robot is, and its limits.
-    index
-        The obstacles.
-    rough
-        A raster of distances to them.
-    horizon
-        N.
-    """
+    """Ways (c, N, 2) at full speed, every one of them free."""
     heading, turn = (
         grid.ravel()
         for grid in np.meshgrid(
@@ -145,20 +121,10 @@ def driven_ways(
     situation: Situation,
     index: ObstacleIndex,
     rough: RoughClearance,
-    turn_rad: NDArray[np.float64],
-    speed: NDArray[np.float64],
+    turn_rad: NDArray[np.float64],  # (N, c) before each step, the first one from the x axis
+    speed: NDArray[np.float64],  # (N, c) as a share of the largest
 ) -> NDArray[np.float64]:
-    """Drive c ways at once; ``(c, N, 2)``.
-
-    Parameters
-    ----------
-    situation, index, rough
-        As in :func:`straight_starts`.
-    turn_rad
-        ``(N, c)`` before each step, the first one from the x axis.
-    speed
-        ``(N, c)`` as a share of the largest.
-    """
+    """Drive c ways at once; ``(c, N, 2)``."""
     problem = situation.problem
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     longest = problem.step_length_m - STEP_PAD_M
@@ -268,14 +234,8 @@ def commands_via(
     """Ways to a place, straight or in an arc, from there on in all directions or waiting.
 
     None where it is out of reach.
-
-    Parameters
-    ----------
-    start_m, place_m
-        ``(2,)``.
-    horizon, longest_m
-        N, and the longest step.
     """
+    # Shapes: start_m, place_m (2,).
     offset = (place_m - start_m) / longest_m
     chord, heading = float(np.hypot(*offset)), math.atan2(offset[1], offset[0])
     fewest = max(1, math.ceil(chord))
@@ -330,15 +290,7 @@ ROUNDS, FOLLOWED = (3, 3, 4), (6, 3, 3)
 
 
 class CoupledStarts:
-    """Finds ways for one robot of a problem; keeps its raster of distances.
-
-    Parameters
-    ----------
-    problem
-        With one robot and a sum of terms.
-    ground
-        Its geometry.
-    """
+    """Finds ways for one robot of a problem; keeps its raster of distances."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -351,17 +303,7 @@ class CoupledStarts:
         known_m: list[NDArray[np.float64]],
         budget: Budget = UNLIMITED,
     ) -> list[NDArray[np.float64]]:
-        """The best ways (N, 2), told apart, best first by what is measured near them.
-
-        Parameters
-        ----------
-        situation
-            What is known.
-        known_m
-            Ways (N, 2) found otherwise, to be improved with the others.
-        budget
-            Until when they are improved.
-        """
+        """The best ways (N, 2), told apart, best first by what is measured near them."""
         fan = straight_starts(situation, self._index, self._rough, self._problem.planner.horizon)
         longest = self._problem.step_length_m - STEP_PAD_M
 

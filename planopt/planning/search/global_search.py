@@ -58,59 +58,25 @@ CORRECTION_ROUNDS = 8
 
 @dataclass(frozen=True)
 class GlobalStart:
-    """The initial guess of the polish.
+    """The initial guess of the polish."""
 
-    Attributes
-    ----------
-    nodes
-        ``(N,)`` lattice nodes.
-    path_m
-        ``(N, 2)`` their places.
-    margin_db
-        ``(N,)`` connectivity margins there, of what is asked of each step.
-    route_m
-        ``(r, 2)`` the path beyond its end, to the goal.
-    beyond_m
-        ``(b, 2)`` its beginning, as far as it keeps the bound and may be come to in N steps.
-    ways
-        Cost-to-go of the nodes, in metres; infinite at those that it was not looked for at.
-    metre_cost
-        ``(n,)`` what a metre costs at every node.
-    is_blocked
-        Whether path or route lead where driving is forbidden.
-    is_direct
-        Whether the robot is to drive this very path, having wandered enough.
-    gives_way
-        Whether it is to drive this very path, which keeps from those of other robots.
-    """
-
-    nodes: NDArray[np.intp]
-    path_m: NDArray[np.float64]
-    margin_db: NDArray[np.float64]
-    route_m: NDArray[np.float64]
+    nodes: NDArray[np.intp]  # (N,) lattice nodes
+    path_m: NDArray[np.float64]  # (N, 2) their places
+    margin_db: NDArray[np.float64]  # (N,) connectivity margins there, of what is asked of each step
+    route_m: NDArray[np.float64]  # (r, 2) the path beyond its end, to the goal
+    # (b, 2) its beginning, as far as it keeps the bound and may be come to in N steps
     beyond_m: NDArray[np.float64]
+    # Cost-to-go of the nodes, in metres; infinite at those that it was not looked for at
     ways: Ways
-    metre_cost: NDArray[np.float64]
-    is_blocked: bool
-    is_direct: bool = False
+    metre_cost: NDArray[np.float64]  # (n,) what a metre costs at every node
+    is_blocked: bool  # Whether path or route lead where driving is forbidden
+    is_direct: bool = False  # Whether the robot is to drive this very path, having wandered enough
+    # Whether it is to drive this very path, which keeps from those of other robots
     gives_way: bool = False
 
 
 class GlobalSearch:
-    """Finds start paths; keeps its map of the channel.
-
-    Parameters
-    ----------
-    problem, scene
-        What is planned, and where.
-    others
-        Robots beside the problem's, for which it may have to make room.
-
-    Attributes
-    ----------
-    margins
-        Connectivity at the lattice nodes, as the last search left it.
-    """
+    """Finds start paths; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self._problem = problem
@@ -136,13 +102,7 @@ class GlobalSearch:
         self._here_m = np.inf
 
     def find_start(self, situation: Situation) -> GlobalStart | None:
-        """Search from where the robot is; None if no node is in reach.
-
-        Parameters
-        ----------
-        situation
-            What is known.
-        """
+        """Search from where the robot is; None if no node is in reach."""
         problem, scene = self._problem, self._scene
         broad = situation.circumstances.broad
         self.margins.refresh(situation.posterior, broad, situation.power)
@@ -167,22 +127,8 @@ class GlobalSearch:
     def beside(
         self, position_m: NDArray[np.float64], start: GlobalStart, discs: MovingDiscs
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Search a path to the goal that keeps from discs all the way; None if there is none.
-
-        Parameters
-        ----------
-        position_m
-            ``(2,)`` where the robot is.
-        start
-            The path that it would drive without them, found on the present belief.
-        discs
-            What moves, over all T steps that count.
-
-        Returns
-        -------
-        start, (T + 1, 2) array, TimedPath
-            Its first N steps, where the robot would be after each step, and the path.
-        """
+        """Search a path to the goal that keeps from discs all the way; None if there is none."""
+        # Shapes: position_m (2,).
         problem, scene = self._problem, self._scene
         nodes, lengths = first_moves(scene.ground, problem, position_m)
         _, here = self.margins.at(position_m[None])

@@ -34,21 +34,7 @@ REFINEMENTS = 3
 
 
 def ways_to_good_place(judge: Judge, tried: Sequence[Candidate]) -> list[NDArray[np.float64]]:
-    """Paths (N, 2) to a place within reach by the first step that could meet the bound.
-
-    Parameters
-    ----------
-    judge
-        What the candidates were judged by.
-    tried
-        Candidates that are not verified.
-
-    Returns
-    -------
-    list
-        The same way in steps that are clear and in steps of one length, which cut corners;
-        one if it is straight, none if no such place is found.
-    """
+    """Paths (N, 2) to a place within reach by the first step that could meet the bound."""
     problem, index = judge.problem, judge.index
     sound = [candidate for candidate in tried if candidate.sound]
     step = min((step for candidate in sound for step in candidate.avoidable), default=None)

@@ -24,18 +24,10 @@ from planopt.world.road_map import RoadMap
 
 @dataclass(frozen=True)
 class LatticePath:
-    """The cheapest path found.
+    """The cheapest path found."""
 
-    Attributes
-    ----------
-    nodes
-        ``(N,)`` node after each step.
-    cost_s
-        Its cost, penalties and cost to go included.
-    """
-
-    nodes: NDArray[np.intp]
-    cost_s: float
+    nodes: NDArray[np.intp]  # (N,) node after each step
+    cost_s: float  # Its cost, penalties and cost to go included
 
 
 def search_lattice(
@@ -46,38 +38,13 @@ def search_lattice(
     step_s: float,
     effort_weight_s2_m2: float,
     goal_node: int,
-    node_penalty_s: NDArray[np.float64],
-    terminal_cost_s: NDArray[np.float64],
-    surcharge_s_m: NDArray[np.float64] | None = None,
+    node_penalty_s: NDArray[np.float64],  # (n,)
+    terminal_cost_s: NDArray[np.float64],  # (n,) added for the last node
+    surcharge_s_m: NDArray[np.float64] | None = None,  # (n + 1,)
     moving: MovingDiscs = NOTHING_MOVES,
     first_step: int = 0,
 ) -> LatticePath | None:
-    """Find the cheapest path of `horizon` steps, or None if no node can be reached at all.
-
-    Parameters
-    ----------
-    road_map
-        The graph.
-    first_nodes, first_length_m
-        Nodes that the first step may end at, and how long it is to each.
-    horizon
-        N.
-    step_s, effort_weight_s2_m2
-        Cost of a step: :func:`planopt.objectives.reach.step_cost_s`.
-    goal_node
-        Staying there costs nothing.
-    node_penalty_s
-        ``(n,)`` added for every step that ends at a node, or ``(N, n)`` for each step its own.
-    surcharge_s_m
-        ``(n + 1,)`` added for a metre at each node, and last where the robot is; a move is charged
-        the mean of its ends. None for none.
-    terminal_cost_s
-        ``(n,)`` added for the last node.
-    moving
-        What moves and closes moves for a step; the first steps are the caller's.
-    first_step
-        Which of the steps of `moving` the path begins with.
-    """
+    """Find the cheapest path of `horizon` steps, or None if no node can be reached at all."""
     if first_nodes.size == 0:
         return None
     count = len(road_map.nodes_m)
@@ -166,29 +133,13 @@ def _without_blocked(
 
 
 def retime(
-    start_m: NDArray[np.float64],
-    path_m: NDArray[np.float64],
-    beyond_m: NDArray[np.float64],
+    start_m: NDArray[np.float64],  # (2,) where the robot is
+    path_m: NDArray[np.float64],  # (N, 2) its path; where it stands still at its end it has arrived
+    beyond_m: NDArray[np.float64],  # (b, 2)
     step_m: float,
 ) -> NDArray[np.float64]:
-    """Sample the way of a path anew, N places `step_m` apart.
-
-    Parameters
-    ----------
-    start_m
-        ``(2,)`` where the robot is.
-    path_m
-        ``(N, 2)`` its path; where it stands still at its end it has arrived.
-    beyond_m
-        ``(b, 2)`` the way beyond, used only by a path that has not arrived.
-    step_m
-        Longest step.
-
-    Returns
-    -------
-    NDArray
-        ``(N, 2)``. A way that ends earlier is walked in equal steps, then it stands.
-    """
+    """Sample the way of a path anew, N places `step_m` apart."""
+    # Shapes: returns (N, 2).
     horizon = len(path_m)
     arrived = horizon > 1 and bool((path_m[-1] == path_m[-2]).all())
     way = np.vstack([start_m, path_m] if arrived else [start_m, path_m, beyond_m])

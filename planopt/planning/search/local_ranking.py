@@ -66,15 +66,7 @@ class _Station:
 
 
 class LocalRanking:
-    """Values ways of one situation.
-
-    Parameters
-    ----------
-    situation
-        What is known.
-    about_m
-        ``(c, N, 2)`` ways like those that will be valued: measurements near them are used.
-    """
+    """Values ways of one situation."""
 
     def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
         self._situation = situation

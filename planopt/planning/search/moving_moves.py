@@ -19,21 +19,13 @@ from planopt.world.moving_obstacle import MovingDiscs, passing_gaps_m
 
 @dataclass(frozen=True)
 class MoveTable:
-    """The moves of a lattice, ready for searching.
+    """The moves of a lattice, ready for searching."""
 
-    Attributes
-    ----------
-    lattice
-        Whose moves they are.
-    closed
-        ``(21, ny + 2 REACH, nx + 2 REACH)``: 0 where a move from the node is open, else minus
-        infinity; with a margin of closed nodes around the lattice.
-    hindered
-        ``(ny, nx)`` free nodes that some move from a free node does not lead to.
-    """
-
-    lattice: Lattice
+    lattice: Lattice  # Whose moves they are
+    # (21, ny + 2 REACH, nx + 2 REACH): 0 where a move from the node is open, else minus infinity;
+    # with a margin of closed nodes around the lattice
     closed: NDArray[np.float64]
+    # (ny, nx) free nodes that some move from a free node does not lead to
     hindered: NDArray[np.bool_]
 
 
@@ -124,13 +116,6 @@ class MovingMoves:
 
     Seen from a disc, a move along (dx, dy) is the same vector wherever it ends, so that one formula
     serves all nodes.
-
-    Parameters
-    ----------
-    lattice
-        Whose moves.
-    discs
-        What moves.
     """
 
     def __init__(self, lattice: Lattice, discs: MovingDiscs) -> None:
@@ -140,20 +125,7 @@ class MovingMoves:
     def hindered(
         self, step: int, rows: slice, columns: slice
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Nodes of a window that some move in one step does not lead to, and which moves these are.
-
-        Parameters
-        ----------
-        step
-            0 is the first of the horizon.
-        rows, columns
-            The window, in the lattice.
-
-        Returns
-        -------
-        (n,), (n,), (21, n) arrays
-            Rows, columns, and whether each move to the node comes too near.
-        """
+        """Nodes of a window that some one-step move does not reach, and these moves."""
         nodes: list[NDArray[np.intp]] = []
         moves: list[NDArray[np.bool_]] = []
         for number in range(len(self._discs)):

@@ -24,19 +24,7 @@ from planopt.world.road_map import RoadMap
 
 
 class LatticeMap:
-    """A tile map for each station, combined where there are several.
-
-    Parameters
-    ----------
-    lattice
-        Its nodes.
-
-    Attributes
-    ----------
-    mean_db, deviation_db
-        ``(ny, nx)`` as in :class:`planopt.channel.maps.tile_map.TileMap`; after a refresh they may
-        be other arrays.
-    """
+    """A tile map for each station, combined where there are several."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
@@ -59,17 +47,7 @@ class LatticeMap:
         broad: Broad | None = None,
         window_m: tuple[float, float, float, float] | None = None,
     ) -> None:
-        """Follow what is believed, within a window or everywhere.
-
-        Parameters
-        ----------
-        posterior
-            Of the first station.
-        broad
-            All stations, where there are several.
-        window_m
-            As for :meth:`planopt.channel.maps.tile_map.TileMap.refresh`.
-        """
+        """Follow what is believed, within a window or everywhere."""
         if not isinstance(broad, Serving):
             self._maps[0].refresh(posterior, window_m)
             return
@@ -92,25 +70,7 @@ class LatticeMap:
 
 
 class NodeMargins:
-    """Margins in dB and probabilities at the nodes of a road map, for one belief at a time.
-
-    Parameters
-    ----------
-    road_map
-        The nodes.
-    threshold_dbm, p_min
-        The bound: ``mean - z_p deviation - threshold``.
-    everywhere
-        Whether the outage price is charged where the bound is kept, too.
-
-    Attributes
-    ----------
-    mean_db, deviation_db, margin_db
-        ``(n,)`` of the nodes.
-    outage_share
-        ``(n,)`` what the outage price is charged on there
-        (:func:`planopt.objectives.reach.outage_share`).
-    """
+    """Margins in dB and probabilities at the nodes of a road map, for one belief at a time."""
 
     def __init__(
         self, road_map: RoadMap, threshold_dbm: float, p_min: float, everywhere: bool = False
@@ -138,17 +98,7 @@ class NodeMargins:
         broad: Broad | None = None,
         power: Callable[[NDArray[np.float64]], Prediction] | None = None,
     ) -> None:
-        """Follow the belief: recompute what its new measurements changed.
-
-        Parameters
-        ----------
-        posterior
-            Of the first station.
-        broad
-            What counts in its place where it is not the posterior alone.
-        power
-            Exact values of both at places (n, 2); None to predict them here.
-        """
+        """Follow the belief: recompute what its new measurements changed."""
         self._map.refresh(posterior, broad)
         self._power = power or partial(search_prediction, posterior, broad=broad)
         self.mean_db = self._map.mean_db.take(self._nodes)
@@ -190,20 +140,6 @@ class NodeField:
 
     The map conditions each tile on the measurements nearest to it, which is fast and slightly off.
     Wherever a path is about to rest on a node's value, that of more measurements replaces it.
-
-    Parameters
-    ----------
-    lattice
-        Its nodes.
-
-    Attributes
-    ----------
-    grid_m
-        ``(ny, nx, 2)`` positions of the nodes.
-    mean_db, deviation_db
-        ``(ny, nx)``; NaN at nodes that are not free, or were never within reach.
-    window
-        Rows and columns of the nodes that the last refresh was for.
     """
 
     def __init__(self, lattice: Lattice) -> None:

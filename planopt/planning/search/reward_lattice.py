@@ -35,13 +35,6 @@ class StageFrame:
     Where moves cost nothing and none is closed, the best of 21 sources is the largest value in a
     disc: five maxima along rows and columns. Hindered nodes, and all nodes where moves cost
     something, look at their sources one by one.
-
-    Parameters
-    ----------
-    table, move_value
-        As :func:`planopt.planning.search.reward_lattice.search_rewards`.
-    windows
-        Of all stages.
     """
 
     def __init__(
@@ -169,68 +162,31 @@ StageReward = Callable[[int, Window], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class LatticeValues:
-    """Best value of every node at every stage.
+    """Best value of every node at every stage."""
 
-    Attributes
-    ----------
-    table
-        The moves that it was found with.
-    move_value
-        ``(21,)`` what each move is worth.
-    values
-        For each stage its window's values; the windows grow by `REACH` nodes to each side.
-    windows
-        The windows, in the lattice with its margin.
-    moving
-        What moves beside the lattice, and closes moves for a step.
-    """
-
-    table: MoveTable
-    move_value: NDArray[np.float64]
+    table: MoveTable  # The moves that it was found with
+    move_value: NDArray[np.float64]  # (21,) what each move is worth
+    # For each stage its window's values; the windows grow by `REACH` nodes to each side
     values: tuple[NDArray[np.float64], ...]
-    windows: tuple[Window, ...]
-    moving: MovingMoves | None = None
+    windows: tuple[Window, ...]  # The windows, in the lattice with its margin
+    moving: MovingMoves | None = None  # What moves beside the lattice, and closes moves for a step
 
 
 def search_rewards(
     table: MoveTable,
-    first: NDArray[np.intp],
-    first_value: NDArray[np.float64],
-    move_value: NDArray[np.float64],
+    first: NDArray[np.intp],  # (n, 2) nodes (iy, ix), at least one, that the first step may end at
+    first_value: NDArray[np.float64],  # (n,) what these first steps are worth in themselves
+    move_value: NDArray[np.float64],  # (21,)
     horizon: int,
     reward: StageReward,
     moving: MovingMoves | None = None,
 ) -> LatticeValues:
-    """Find the best value of every node that N = `horizon` steps can lead to.
-
-    Parameters
-    ----------
-    table
-        The lattice's moves.
-    first
-        ``(n, 2)`` nodes (iy, ix), at least one, that the first step may end at.
-    first_value
-        ``(n,)`` what these first steps are worth in themselves.
-    move_value
-        ``(21,)`` what each later move is worth in itself (its energy, negative).
-    horizon
-        N.
-    reward
-        What it is worth to be at a node after a step; minus infinity at nodes that are not free.
-    moving
-        What moves and closes moves for a step; the first steps are the caller's.
-    """
+    """Find the best value of every node that N = `horizon` steps can lead to."""
     return RewardSearch(table, first, first_value, move_value, horizon, moving)(reward)
 
 
 class RewardSearch:
-    """:func:`search_rewards` from one place, for one reward after the other.
-
-    Parameters
-    ----------
-    table, first, first_value, move_value, horizon, moving
-        As there.
-    """
+    """:func:`search_rewards` from one place, for one reward after the other."""
 
     def __init__(
         self,

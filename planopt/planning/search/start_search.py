@@ -56,17 +56,7 @@ costs as much as all steps can gain: no reward is worth it."""
 
 
 class StageRewards:
-    """Rewards of one situation, as the lattice search asks for them.
-
-    Parameters
-    ----------
-    situation
-        What is known.
-    field
-        Predictions at the nodes, refreshed for the situation.
-    guide
-        How the rule of connectivity is minded.
-    """
+    """Rewards of one situation, as the lattice search asks for them."""
 
     def __init__(self, situation: Situation, field: NodeField, guide: Guide) -> None:
         self._situation = situation
@@ -171,17 +161,7 @@ def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.
 
 
 def best_ends(found: LatticeValues, count: int, apart: int) -> list[tuple[int, int]]:
-    """The nodes (iy, ix) of the highest values after the last step, best first.
-
-    Parameters
-    ----------
-    found
-        What the search found.
-    count
-        How many, fewer if there are no more.
-    apart
-        Nodes along either axis that each is more than away from every better one.
-    """
+    """The nodes (iy, ix) of the highest values after the last step, best first."""
     left = found.values[-1].copy()
     top, beside = (part.start - REACH for part in found.windows[-1])
     ends: list[tuple[int, int]] = []
@@ -260,30 +240,17 @@ EQUAL_M = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A way that a polish may start from.
+    """A way that a polish may start from."""
 
-    Attributes
-    ----------
-    path_m
-        ``(N, 2)``.
-    worth
-        What it is worth by all terms.
-    missing_db
-        By how much it misses the rule of connectivity, as
-        :func:`planopt.planning.worth.path_worth.rule_missing` counts.
-    drive
-        How a robot drives it that cannot turn or stop at will; None for any other.
-    clear
-        Whether the robot can drive it as it is, clear of obstacles.
-    charge
-        What the way to a goal is charged by in a polish; None where none is.
-    """
-
-    path_m: NDArray[np.float64]
-    worth: float
+    path_m: NDArray[np.float64]  # (N, 2)
+    worth: float  # What it is worth by all terms
+    # By how much it misses the rule of connectivity, as
+    # :func:`planopt.planning.worth.path_worth.rule_missing` counts
     missing_db: float
+    # How a robot drives it that cannot turn or stop at will; None for any other
     drive: Drive | None = None
-    clear: bool = True
+    clear: bool = True  # Whether the robot can drive it as it is, clear of obstacles
+    # What the way to a goal is charged by in a polish; None where none is
     charge: GoalCharge | None = None
 
 
@@ -300,17 +267,7 @@ def without_waiting(
 
 
 class StartSearch:
-    """Finds starts for one robot of a problem; keeps its map of the channel.
-
-    Parameters
-    ----------
-    problem
-        With one robot and a sum of terms.
-    ground
-        Its geometry.
-    thorough
-        Find starts of several parts of the reachable places, not only the best.
-    """
+    """Finds starts for one robot of a problem; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
         self._ends, self._starts = (THOROUGH_ENDS, THOROUGH_STARTS) if thorough else (1, STARTS)
@@ -330,20 +287,10 @@ class StartSearch:
     def find_starts(
         self,
         situation: Situation,
-        shifted_m: NDArray[np.float64] | None,
+        shifted_m: NDArray[np.float64] | None,  # (N, 2) the last plan, one step later, or None
         budget: Budget = UNLIMITED,
     ) -> list[Start]:
-        """The best starts, best first: those that keep the bound before those that do not.
-
-        Parameters
-        ----------
-        situation
-            What is known.
-        shifted_m
-            ``(N, 2)`` the last plan, one step later, or None.
-        budget
-            Until when the search goes on.
-        """
+        """The best starts, best first: those that keep the bound before those that do not."""
         problem = self._problem
         reach = problem.step_length_m * problem.planner.horizon
         self._field.refresh(situation, reach)

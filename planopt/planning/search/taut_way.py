@@ -19,24 +19,7 @@ STRAIGHT_SHARE = 1e-9
 
 
 class WaysFrom:
-    """Ways from one place to all nodes of a lattice that can be come to.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    ground
-        Its geometry.
-    position_m
-        ``(2,)`` where the ways begin.
-    limit_m
-        Nodes farther than this count as those that no way leads to.
-
-    Attributes
-    ----------
-    length_m
-        ``(n,)`` to each node; infinite where there is no way.
-    """
+    """Ways from one place to all nodes of a lattice that can be come to."""
 
     def __init__(
         self,

@@ -33,27 +33,16 @@ ROUTES_TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class TimedCosts:
-    """Cost of driving over a lattice to a goal.
+    """Cost of driving over a lattice to a goal."""
 
-    Attributes
-    ----------
-    road_map, ways, goal_node
-        The lattice, its cost-to-go without the others, and where it leads.
-    step_s, step_m, effort_s2_m2
-        Duration and longest way of a step, and the weight of effort.
-    rate_s_m
-        Cost of a metre of the cost-to-go.
-    surcharge_s_m
-        ``(n + 1,)`` added for a metre at each node, and last where the robot is.
-    """
-
-    road_map: RoadMap
+    road_map: RoadMap  # The lattice, its cost-to-go without the others, and where it leads
     ways: Ways
     goal_node: int
-    step_s: float
+    step_s: float  # Duration and longest way of a step, and the weight of effort
     step_m: float
     effort_s2_m2: float
-    rate_s_m: float
+    rate_s_m: float  # Cost of a metre of the cost-to-go
+    # (n + 1,) added for a metre at each node, and last where the robot is
     surcharge_s_m: NDArray[np.float64]
 
 
@@ -68,23 +57,8 @@ def route_nodes(ways: Ways, node: int) -> NDArray[np.intp]:
 def timed_places(
     places_m: NDArray[np.float64], route_m: NDArray[np.float64], step_m: float, steps: int
 ) -> NDArray[np.float64]:
-    """Return places at full speed along a route after the steps of a path, then at its end.
-
-    Parameters
-    ----------
-    places_m
-        ``(k + 1, 2)`` the robot's own place, and the place after each of the first k steps.
-    route_m
-        ``(r, 2)`` the route on from there.
-    step_m
-        Longest way of a step.
-    steps
-        T, at least k.
-
-    Returns
-    -------
-    (T + 1, 2) array
-    """
+    """Return places at full speed along a route after the steps of a path, then at its end."""
+    # Shapes: places_m (k + 1, 2); route_m (r, 2).
     route = np.vstack([places_m[-1:], route_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(route, axis=0), axis=1).cumsum()])
     stops = step_m * np.arange(1, steps + 2 - len(places_m))
@@ -94,17 +68,8 @@ def timed_places(
 
 
 def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) -> bool:
-    """Return whether a timed path keeps from all discs; from a place too near it may lead away.
-
-    Parameters
-    ----------
-    discs
-        What moves, over T steps.
-    places_m
-        ``(T - first + 1, 2)`` places after steps `first` to T.
-    first
-        Step of `discs` that the path begins with.
-    """
+    """Return whether a timed path keeps from all discs; from a place too near it may lead away."""
+    # Shapes: places_m (T - first + 1, 2).
     if not len(discs):
         return True
     centres, least = discs.centres_m[:, first:], discs.apart_m[:, first:]
@@ -118,55 +83,25 @@ def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) 
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """A path beside others.
+    """A path beside others."""
 
-    Attributes
-    ----------
-    nodes
-        ``(k,)`` after each step.
-    route
-        ``(r,)`` nodes on to the goal, driven at full speed after these steps; none where the path
-        does not arrive.
-    cost_s
-        Of all, in seconds.
-    arrives
-        Whether it leads to the goal; else to a place that is in nobody's way.
-    """
-
-    nodes: NDArray[np.intp]
+    nodes: NDArray[np.intp]  # (k,) after each step
+    # (r,) nodes on to the goal, driven at full speed after these steps; none where the path does
+    # not arrive
     route: NDArray[np.intp]
-    cost_s: float
-    arrives: bool = True
+    cost_s: float  # Of all, in seconds
+    arrives: bool = True  # Whether it leads to the goal; else to a place that is in nobody's way
 
 
 def search_timed(
     costs: TimedCosts,
-    position_m: NDArray[np.float64],
+    position_m: NDArray[np.float64],  # (2,) where it is
     first_nodes: NDArray[np.intp],
     first_length_m: NDArray[np.float64],
     discs: MovingDiscs,
     least_stages: int,
 ) -> TimedPath | None:
-    """Find a cheap path that keeps from all discs until the goal, and while standing there.
-
-    Parameters
-    ----------
-    costs
-        Of the robot.
-    position_m
-        ``(2,)`` where it is.
-    first_nodes, first_length_m
-        Nodes that its first step may end at, and how long it is to each.
-    discs
-        What moves, over all steps that count; after them all stand.
-    least_stages
-        The path has at least so many nodes.
-
-    Returns
-    -------
-    TimedPath or None
-        If none leads to the goal, one to a place where the robot may stand; None without that.
-    """
+    """Find a cheap path that keeps from all discs until the goal, and while standing there."""
     kept = steps_apart(
         discs,
         0,
@@ -194,25 +129,11 @@ def search_room(
     road_map: RoadMap,
     first_nodes: NDArray[np.intp],
     first_length_m: NDArray[np.float64],
-    others_m: NDArray[np.float64],
+    others_m: NDArray[np.float64],  # (k, 2) places that the others drive through, at any time
     least_m: float,
     least_stages: int,
 ) -> TimedPath | None:
-    """Find the shortest path to a place that lies off the paths of others; None if there is none.
-
-    Parameters
-    ----------
-    road_map
-        The lattice.
-    first_nodes, first_length_m
-        Nodes that the robot's first step may end at, and how long it is to each.
-    others_m
-        ``(k, 2)`` places that the others drive through, at any time.
-    least_m
-        How far from them the place must be.
-    least_stages
-        The path has at least so many nodes; it waits at the last one.
-    """
+    """Find the shortest path to a place off the other robots' paths; None if there is none."""
     if not len(first_nodes):
         return None
     here = int(first_nodes[np.argmin(first_length_m)])

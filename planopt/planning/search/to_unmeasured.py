@@ -23,15 +23,7 @@ STEPS_MORE = 2
 
 
 def way_to_unmeasured(situation: Situation, ground: Ground) -> NDArray[np.float64] | None:
-    """The first N steps of the way there, (N, 2), standing where it ends; None if none is left.
-
-    Parameters
-    ----------
-    situation
-        What is known.
-    ground
-        The robot's geometry.
-    """
+    """The first N steps of the way there, (N, 2), standing where it ends; None if none is left."""
     problem, here = situation.problem, situation.position_m
     lattice, nodes = ground.road_map.lattice, ground.road_map.nodes_m
     left = left_to_learn(problem, ground.index, lattice, here, situation.anticipated)

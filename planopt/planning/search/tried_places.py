@@ -51,15 +51,7 @@ TRIED = 4
 
 
 class TriedPlaces:
-    """Finds places to try for one robot.
-
-    Parameters
-    ----------
-    problem
-        With one robot, and a term that tries places.
-    ground
-        Its geometry.
-    """
+    """Finds places to try for one robot."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem, self._ground = problem, ground
@@ -75,15 +67,7 @@ class TriedPlaces:
         self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
 
     def find_ways(self, situation: Situation, field: NodeField) -> list[NDArray[np.float64]]:
-        """Return the best paths (N, 2), best first.
-
-        Parameters
-        ----------
-        situation
-            What is known.
-        field
-            Predictions at the nodes, refreshed for the situation.
-        """
+        """Return the best paths (N, 2), best first."""
         places = self._places(situation)
         seen = free_ends(self._problem, self._ground, situation.position_m, places)
         seen[0] = True

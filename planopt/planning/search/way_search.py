@@ -57,7 +57,7 @@ Value = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 def search_ways(
-    start_m: NDArray[np.float64],
+    start_m: NDArray[np.float64],  # (2,) where all begin
     ways_m: NDArray[np.float64],
     longest_m: float,
     drive: Drive,
@@ -65,23 +65,7 @@ def search_ways(
     generator: np.random.Generator,
     budget: Budget = UNLIMITED,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Improve on `ways_m` (c, N, 2); the best ways, told apart, and their worths, best first.
-
-    Parameters
-    ----------
-    start_m
-        ``(2,)`` where all begin.
-    ways_m
-        Ways to begin with.
-    longest_m
-        Longest step.
-    drive, value
-        See their types.
-    generator
-        Draws the bends.
-    budget
-        Until when rounds begin.
-    """
+    """Improve on `ways_m` (c, N, 2); the best ways, told apart, and their worths, best first."""
     horizon = int(ways_m.shape[1])
     apart = APART_STEPS * longest_m
     worths = value(ways_m)
@@ -203,7 +187,7 @@ class _Climbers:
 
 
 def climb_ways(
-    start_m: NDArray[np.float64],
+    start_m: NDArray[np.float64],  # (2,) where all begin
     ways_m: NDArray[np.float64],
     longest_m: float,
     drive: Drive,
@@ -216,22 +200,6 @@ def climb_ways(
     """Climb from `ways_m` (c, N, 2); the ways at the end and their worths, best first.
 
     No way ends below where it began.
-
-    Parameters
-    ----------
-    start_m
-        ``(2,)`` where all begin.
-    ways_m
-        Ways to begin with.
-    longest_m
-        Longest step.
-    drive, slope
-        See their types.
-    rounds, followed
-        After so many steps each, so many ways are followed on; ways that have come nearer than
-        `apart_m` to a better one are not.
-    budget
-        Until when steps begin.
     """
     at = _begun(start_m, ways_m, longest_m, slope)
     for count, kept in zip(rounds, followed, strict=True):

@@ -48,33 +48,15 @@ NO_LIMIT_M = -1e9
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The timed path of one robot to its goal.
+    """The timed path of one robot to its goal."""
 
-    Attributes
-    ----------
-    outlook
-        With the path's first steps.
-    places_m
-        ``(T + 1, 2)`` where it would be after each step.
-    arrives
-        Whether it leads to the goal; else to where the robot is in nobody's way.
-    """
-
-    outlook: Outlook
-    places_m: NDArray[np.float64]
-    arrives: bool = True
+    outlook: Outlook  # With the path's first steps
+    places_m: NDArray[np.float64]  # (T + 1, 2) where it would be after each step
+    arrives: bool = True  # Whether it leads to the goal; else to where the robot is in nobody's way
 
 
 class Couriers:
-    """Plans for the robots of one problem; keeps the order in which they find their courses.
-
-    Parameters
-    ----------
-    problem
-        With all robots, each with its goal.
-    scenes
-        Geometry of each robot.
-    """
+    """Plans for the robots of one problem; keeps the order in which they find their courses."""
 
     def __init__(self, problem: Problem, scenes: Sequence[Scene]) -> None:
         count = len(problem.robots)
@@ -88,13 +70,7 @@ class Couriers:
         self._arrived: list[int] = []
 
     def plan(self, at: TeamMoment) -> list[Plan]:
-        """Plan a step of every robot.
-
-        Raises
-        ------
-        NoPlanError
-            A robot provably has no path to its goal.
-        """
+        """Plan a step of every robot."""
         outlooks = [
             planner.outlook(belief, state, history)
             for planner, belief, state, history in zip(

@@ -37,17 +37,8 @@ def has_separation(problem: Problem) -> bool:
 def reserved_path(
     position_m: NDArray[np.float64], last_path_m: NDArray[np.float64] | None, horizon: int
 ) -> NDArray[np.float64]:
-    """Reserved by a robot that stops at will for its next N = `horizon` steps; ``(N + 1, 2)``.
-
-    Parameters
-    ----------
-    position_m
-        ``(2,)`` where it is.
-    last_path_m
-        ``(N + 1, 2)`` the plan released one step ago; None before the first.
-    horizon
-        N.
-    """
+    """Reserved by a robot that stops at will for its next N = `horizon` steps; ``(N + 1, 2)``."""
+    # Shapes: position_m (2,); last_path_m (N + 1, 2).
     if last_path_m is None:
         return np.tile(position_m, (horizon + 1, 1))
     return np.vstack([last_path_m[1:], last_path_m[-1:]])
@@ -56,19 +47,8 @@ def reserved_path(
 def reserved_motion(
     problem: Problem, number: int, state: NDArray[np.float64], last: Plan | None
 ) -> TimedMotion:
-    """Return what robot number `number` has reserved for the steps ahead.
-
-    Parameters
-    ----------
-    problem
-        With all robots.
-    number
-        Which robot.
-    state
-        ``(s,)`` its own, its place first.
-    last
-        The plan released one step ago; None before the first.
-    """
+    """Return what robot number `number` has reserved for the steps ahead."""
+    # Shapes: state (s,).
     step_s, steps = problem.planner.step_s, steps_ahead(problem)
     if last is None:
         dynamics = problem.robots[number].dynamics
@@ -82,17 +62,7 @@ def planned_motion(problem: Problem, plan: Plan) -> TimedMotion:
 
 
 def beside(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> MovingDiscs:
-    """Return the discs to keep from: moving obstacles, and robots where that is asked.
-
-    Parameters
-    ----------
-    problem
-        With all robots.
-    driven
-        Steps of the run before this one.
-    others
-        Plan or reservation of other robots, by number.
-    """
+    """Return the discs to keep from: moving obstacles, and robots where that is asked."""
     obstacles = obstacles_ahead(problem, driven)
     if not others or problem.constraints.separation_m == 0.0:
         return obstacles
@@ -164,13 +134,7 @@ def driven_motion(track_m: NDArray[np.float64], drive: Drive | None, step_s: flo
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
-    """The worst of robots' certificates, step by step; reasons say whose they are.
-
-    Parameters
-    ----------
-    certificates
-        By the robot's name.
-    """
+    """The worst of robots' certificates, step by step; reasons say whose they are."""
     all_of_them = tuple(certificates.values())
     if len(all_of_them) == 1:
         return all_of_them[0]

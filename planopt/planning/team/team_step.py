@@ -62,30 +62,14 @@ STEERINGS: Mapping[Steers, Callable[[Problem, Ground, Any], Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """One robot: its own problem, ground and planner, and what finds where to steer to.
+    """One robot: its own problem, ground and planner, and what finds where to steer to."""
 
-    Attributes
-    ----------
-    problem
-        With this robot alone.
-    start
-        ``(s,)`` its state at the start; of a single integrator its place.
-    ground
-        Its geometry.
-    planner
-        The one that the problem names.
-    steer
-        From what is known to the way to steer along; None where no term steers.
-    region
-        Where the map is wanted.
-    """
-
-    problem: Problem
-    start: NDArray[np.float64]
-    ground: Ground
-    planner: Planner
-    steer: Steer | None
-    region: Region
+    problem: Problem  # With this robot alone
+    start: NDArray[np.float64]  # (s,) its state at the start; of a single integrator its place
+    ground: Ground  # Its geometry
+    planner: Planner  # The one that the problem names
+    steer: Steer | None  # From what is known to the way to steer along; None where no term steers
+    region: Region  # Where the map is wanted
 
     def plan(
         self,
@@ -94,31 +78,11 @@ class Member:
         watched: Aim,
         warm: Plan | None,
         moving: MovingDiscs = NOTHING_MOVES,
-        reserved_m: NDArray[np.float64] | None = None,
+        reserved_m: NDArray[np.float64] | None = None,  # (N + 1, 2)
         history: History = BEGINNING,
         pending: Pending = NOTHING_PENDING,
     ) -> tuple[Plan, Aim]:
-        """Plan from `state` (s,) on what this robot believes.
-
-        Parameters
-        ----------
-        belief
-            Of the channel.
-        state
-            Of the robot, its place first.
-        watched
-            What is known of the target.
-        warm
-            The plan that led here, or None.
-        moving
-            What it must keep from.
-        reserved_m
-            ``(N + 1, 2)`` what the others keep clear of for it; None where nothing moves.
-        history
-            What has happened on the run before.
-        pending
-            Where the others measure; counted where a term does.
-        """
+        """Plan from `state` (s,) on what this robot believes."""
         position_m = state[:2]
         circumstances = circumstances_of(self.problem, belief.posteriors, history, moving)
         situation = Situation(
@@ -188,11 +152,6 @@ def build_team(
     """Every robot of `problem`, in its order; planners that draw use the streams of `seeds`.
 
     With `foreseen_m`, a path (T, 2) for each, they follow these.
-
-    Raises
-    ------
-    InputError
-        The problem names a planner that does not plan its terms.
     """
     region = workspace_region(problem)
     team: list[Member] = []
@@ -230,23 +189,17 @@ def _steer(problem: Problem, ground: Ground) -> Steer | None:
 
 @dataclass(frozen=True, eq=False)
 class TeamMoment:
-    """The states, beliefs and last plans of all robots.
+    """The states, beliefs and last plans of all robots."""
 
-    Attributes
-    ----------
-    beliefs, states, watched, histories, warm
-        Of each robot: what it believes of the channel, its state (s,), what it knows of the target,
-        what has happened on the run before, and the plan that led here or None.
-    driven_m
-        ``(k, 2)`` of each robot: where it has been after each step of the run so far; none at all
-        before the first step.
-    """
-
+    # Of each robot: what it believes of the channel, its state (s,), what it knows of the target,
+    # what has happened on the run before, and the plan that led here or None
     beliefs: Sequence[Belief]
     states: Sequence[NDArray[np.float64]]
     watched: Sequence[Aim]
     histories: Sequence[History]
     warm: Sequence[Plan | None]
+    # (k, 2) of each robot: where it has been after each step of the run so far; none at all before
+    # the first step
     driven_m: Sequence[NDArray[np.float64]] = ()
 
     @property
@@ -258,17 +211,7 @@ class TeamMoment:
 def plan_together(
     problem: Problem, team: Sequence[Member], moment: TeamMoment
 ) -> tuple[list[Plan], list[Aim]]:
-    """A plan for every robot, and what it was made for.
-
-    Parameters
-    ----------
-    problem
-        With all robots.
-    team
-        All of them.
-    moment
-        Where they are, and what they know.
-    """
+    """A plan for every robot, and what it was made for."""
     order = list(range(len(team)))
     plans, aims = _in_order(problem, team, moment, order, keep_reserved=True)
     stuck = [number for number in order if plans[number].verdict is not Verdict.VERIFIED]

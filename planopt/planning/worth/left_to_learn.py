@@ -58,15 +58,6 @@ def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]
 
     On the coarse grid a plan is worth most where it passes through the grid's own places, and far
     less between them.
-
-    Parameters
-    ----------
-    problem
-        Horizon, longest step and workspace.
-    whole
-        Its :func:`workspace_region`.
-    position_m
-        Where the robot is.
     """
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     reach = problem.step_length_m * (problem.planner.horizon + ROOM_STEPS)
@@ -121,24 +112,13 @@ def left_to_learn(
     problem: Problem,
     index: ObstacleIndex,
     lattice: Lattice,
-    here_m: NDArray[np.float64],
+    here_m: NDArray[np.float64],  # (2,) where it is
     posteriors: Sequence[ChannelPosterior],
 ) -> NDArray[np.float64]:
     """Places that can be come to and bring a measurement that is worth something; (k, 2).
 
     Nodes of the lattice, and places between them if none of these is left. If all terms have a
     threshold, only places above it count, of those that stand for the workspace.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    index, lattice
-        Its obstacles, and the lattice of its search.
-    here_m
-        ``(2,)`` where it is.
-    posteriors
-        What is believed of each station's channel.
     """
     nodes = node_positions(lattice)[reachable_nodes(problem, index, lattice, here_m)]
     rule = MeasuringRule.of(posteriors, problem.channel.measure_spacing_m)

@@ -37,13 +37,7 @@ class PathWorth:
         return float(sum(self.by_term(path_m))) - slack_cost(self.situation, path_m)
 
     def by_term(self, path_m: NDArray[np.float64]) -> tuple[float, ...]:
-        """Return the contribution of each term of the objective, its weight included.
-
-        Raises
-        ------
-        InputError
-            A term has no finite value.
-        """
+        """Return the contribution of each term of the objective, its weight included."""
         return tuple(self._contributed(number, path_m) for number in range(len(self._terms)))
 
     def of_each(self, paths_m: Sequence[NDArray[np.float64]]) -> list[float]:
@@ -84,24 +78,8 @@ class PathWorth:
 def tried_worth(
     at: Situation, number: int, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return what a term that tries places contributes to paths, its weight included; ``(c,)``.
-
-    Parameters
-    ----------
-    at
-        What is known.
-    number
-        Of the term.
-    ways_m
-        ``(c, N, 2)`` the paths.
-    chance
-        ``(c, N)`` chances of connection along them.
-
-    Raises
-    ------
-    InputError
-        The term has no finite value for each path.
-    """
+    """Return what a term that tries places contributes to paths, its weight included; ``(c,)``."""
+    # Shapes: ways_m (c, N, 2); chance (c, N).
     term, method = at.problem.terms[number], "tried_values"
     words = "one finite number for each path"
     with _named(at, number):

@@ -21,28 +21,17 @@ its two ends alone were charged, standing before the hole would look cheaper tha
 
 @dataclass(frozen=True)
 class ReachCost:
-    """The cost of paths of one step of planning.
+    """The cost of paths of one step of planning."""
 
-    Attributes
-    ----------
-    problem
-        A problem that is to reach a goal.
-    position_m
-        ``(2,)`` where the robot is.
-    power
-        Predicted power at places (n, 2), which tells where a path is below the bound.
-    ahead
-        From where a path ends (2,) to the rest of the way as one point of it; None where nothing
-        is charged for it.
-    priced
-        Whether being out of contact is charged; not to a robot that has wandered and is to drive
-        the shortest path.
-    """
-
-    problem: Problem
-    position_m: NDArray[np.float64]
+    problem: Problem  # A problem that is to reach a goal
+    position_m: NDArray[np.float64]  # (2,) where the robot is
+    # Predicted power at places (n, 2), which tells where a path is below the bound
     power: Callable[[NDArray[np.float64]], Prediction]
+    # From where a path ends (2,) to the rest of the way as one point of it; None where nothing is
+    # charged for it
     ahead: Callable[[NDArray[np.float64]], Pivot] | None = None
+    # Whether being out of contact is charged; not to a robot that has wandered and is to drive the
+    # shortest path
     priced: bool = True
 
     @property
@@ -58,17 +47,7 @@ class ReachCost:
         )
 
     def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
-        """Cost of a path (N, 2) in seconds, price of outage and cost-to-go included.
-
-        Parameters
-        ----------
-        path_m
-            The places.
-        drive
-            How the robot drives along them; None for the single integrator. What lies ahead of any
-            other is counted from where it would come to stand, with the price of outage on the way
-            there and with the time it turns before.
-        """
+        """Cost of a path (N, 2) in seconds, price of outage and cost-to-go included."""
         problem = self.problem
         resting = None if drive is None else resting_places_m(drive)
         places = np.vstack([self.position_m, path_m])

@@ -32,18 +32,10 @@ AIMED_SHARE = 0.98
 
 @dataclass(frozen=True, eq=False)
 class Allocation:
-    """Risks that were allowed to the steps, and what came out.
+    """Risks that were allowed to the steps, and what came out."""
 
-    Attributes
-    ----------
-    risk
-        ``(N,)``.
-    found
-        The risk that all steps together had.
-    """
-
-    risk: NDArray[np.float64]
-    found: float
+    risk: NDArray[np.float64]  # (N,)
+    found: float  # The risk that all steps together had
 
 
 def next_allocation(
@@ -53,16 +45,8 @@ def next_allocation(
 
     Between the last allocation that kept the bound and the last that did not, once there are both:
     by the secant, or half-way where that does not change sides.
-
-    Parameters
-    ----------
-    tried
-        What was tried, at least one, the last last.
-    used
-        ``(N,)`` what the steps risk on the path that came out last.
-    asked
-        The risk that all of them together may have.
     """
+    # Shapes: used (N,).
     within = [one for one in tried if one.found <= asked]
     beyond = [one for one in tried if one.found > asked]
     if not (within and beyond):
@@ -78,17 +62,8 @@ def next_allocation(
 def allocated_again(
     risk: NDArray[np.float64], used: NDArray[np.float64], asked: float, found: float
 ) -> NDArray[np.float64]:
-    """Risks with the budget corrected and shared out by what was used; ``(N,)``.
-
-    Parameters
-    ----------
-    risk
-        ``(N,)`` what the steps were allowed.
-    used
-        ``(N,)`` what they risk on the path that came out.
-    asked, found
-        The risk that all of them together may have, and had.
-    """
+    """Risks with the budget corrected and shared out by what was used; ``(N,)``."""
+    # Shapes: risk (N,); used (N,).
     factor = float(np.clip(asked / max(found, 1e-12), 1.0 / LARGEST_STEP, LARGEST_STEP))
     budget = factor * float(risk.sum())
     wanting = used >= USED_SHARE * risk

@@ -50,11 +50,6 @@ class StagePredictor:
     With phi the covariances with the m measurements, g = (1, gamma) path loss's regressors, A =
     trend and f = (phi, g), the mean is ``w' f`` and the variance ``xi^2 + omega^2 - phi' P phi +
     b' M b``, b = g - A' phi, is ``xi^2 + omega^2 - f' Q f``: one linear form and one quadratic.
-
-    Parameters
-    ----------
-    model
-        Neighbour sets of the n stages. Not to be changed afterwards.
     """
 
     def __init__(self, model: NeighbourModel) -> None:
@@ -111,17 +106,7 @@ StagePower = tuple[Derivatives, Derivatives]
 
 
 class ServingStages:
-    """Predicts the serving power of every stage, again and again.
-
-    Parameters
-    ----------
-    serving
-        The stations.
-    path_m
-        ``(N, 2)`` the path that the measurements of each stage are nearest to.
-    neighbours
-        How many of them.
-    """
+    """Predicts the serving power of every stage, again and again."""
 
     def __init__(self, serving: Serving, path_m: NDArray[np.float64], neighbours: int) -> None:
         self._thresholds_dbm = serving.thresholds_dbm
@@ -149,8 +134,8 @@ class ServingStages:
 
 def serving_derivatives(
     powers: Sequence[StagePower],
-    thresholds_dbm: Sequence[float],
-    scale_db: NDArray[np.float64],
+    thresholds_dbm: Sequence[float],  # (m,)
+    scale_db: NDArray[np.float64],  # (N,) c
     laws: Laws | None = None,
 ) -> StagePower:
     """Mean and deviation of the serving power of m stations, its deviation held at `scale_db`.
@@ -158,17 +143,6 @@ def serving_derivatives(
     With z_i = (mu_i - t_i) / s_i: dz_i = (dmu_i - z_i ds_i) / s_i,
     d2z_i = (d2mu_i - z_i d2s_i - dz_i ds_i' - ds_i dz_i') / s_i, and of their any-score z:
     dz = sum_i w_i dz_i, d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i dz_j'.
-
-    Parameters
-    ----------
-    powers
-        Mean and deviation of each station's power at N places.
-    thresholds_dbm
-        ``(m,)``.
-    scale_db
-        ``(N,)`` c.
-    laws
-        Each station's law of connection; None where all powers are normal.
     """
     scores = [
         scores_of(mean, deviation, threshold, law)

@@ -45,17 +45,11 @@ say nothing of the places that a plan can come to."""
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """Places of the other robots, as one robot is told them.
+    """Places of the other robots, as one robot is told them."""
 
-    Attributes
-    ----------
-    planned_m
-        ``(N, 2)`` each: the places after each step of the plans that count.
-    driven_m
-        ``(k, 2)`` where the others have been after the steps of the run so far.
-    """
-
+    # (N, 2) each: the places after each step of the plans that count
     planned_m: tuple[NDArray[np.float64], ...] = ()
+    # (k, 2) where the others have been after the steps of the run so far
     driven_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
 
@@ -65,22 +59,10 @@ NOTHING_PENDING = Pending()
 def anticipated(
     posteriors: Sequence[ChannelPosterior],
     pending: Pending,
-    position_m: NDArray[np.float64],
+    position_m: NDArray[np.float64],  # (2,) where the robot is
     spacing_m: float,
 ) -> tuple[ChannelPosterior, ...]:
-    """Return the belief of each station's channel once the others' measurements are known.
-
-    Parameters
-    ----------
-    posteriors
-        The robot's own belief of each station.
-    pending
-        Places of the others.
-    position_m
-        ``(2,)`` where the robot is.
-    spacing_m
-        Nearer to each other, and to measurements, no place is measured.
-    """
+    """Return the belief of each station's channel once the others' measurements are known."""
     away = np.linalg.norm(pending.driven_m - position_m, axis=1)
     near = np.sort(np.argsort(away, kind="stable")[:MOST_DRIVEN])
     places = np.vstack([pending.driven_m[near], *pending.planned_m])
@@ -153,28 +135,17 @@ def target_model(problem: Problem) -> TargetModel:
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """External inputs of one plan's objective: expected target and steering path, if any.
+    """External inputs of one plan's objective: expected target and steering path, if any."""
 
-    Attributes
-    ----------
-    target_m
-        ``(N, 2)`` where the target was expected at the end of each step; None without target.
-    steering_turns_m
-        ``(m, 2)`` the way that the two-layer form steered along: where the robot was, where the
-        way turns, and its end; None if it did not steer.
-    information
-        ``(4, 4)`` J_{t|t} of the station's filter then; None without target.
-    pending
-        Where the other robots measure, as the plan counts it.
-    held
-        What the robot holds of the target and the station does not know, where packets have
-        estimates.
-    """
-
+    # (N, 2) where the target was expected at the end of each step; None without target
     target_m: NDArray[np.float64] | None = None
+    # (m, 2) the way that the two-layer form steered along: where the robot was, where the way
+    # turns, and its end; None if it did not steer
     steering_turns_m: NDArray[np.float64] | None = None
+    # (4, 4) J_{t|t} of the station's filter then; None without target
     information: NDArray[np.float64] | None = None
-    pending: Pending = NOTHING_PENDING
+    pending: Pending = NOTHING_PENDING  # Where the other robots measure, as the plan counts it
+    # What the robot holds of the target and the station does not know, where packets have estimates
     held: Held | None = None
 
 
@@ -189,43 +160,24 @@ else:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """Everything that the worth of a path depends on.
+    """Everything that the worth of a path depends on."""
 
-    Attributes
-    ----------
-    problem
-        With the one robot that is planned for.
-    posterior
-        What is believed of the channel; of several stations, the first one's.
-    position_m
-        ``(2,)`` where the robot is.
-    target_m
-        ``(N, 2)`` where the target is expected at the end of each step; None without target.
-    region
-        Where the map is wanted, for the terms that look at the workspace.
-    steering
-        The way that the two-layer form steers along, or that leads to a try for connection; None
-        if there is no such place, or nothing steers.
-    information
-        ``(4, 4)`` J_{t|t}, what the station's filter knows; None without target.
-    circumstances
-        What else is known at the step.
-    pending
-        Where the other robots measure.
-    own_held
-        What the robot holds of the target, where packets have estimates.
-    """
-
-    problem: Problem
+    problem: Problem  # With the one robot that is planned for
+    # What is believed of the channel; of several stations, the first one's
     posterior: ChannelPosterior
-    position_m: NDArray[np.float64]
+    position_m: NDArray[np.float64]  # (2,) where the robot is
+    # (N, 2) where the target is expected at the end of each step; None without target
     target_m: NDArray[np.float64] | None
-    region: Region
+    region: Region  # Where the map is wanted, for the terms that look at the workspace
+    # The way that the two-layer form steers along, or that leads to a try for connection; None if
+    # there is no such place, or nothing steers
     steering: SteeringWay | None = None
+    # (4, 4) J_{t|t}, what the station's filter knows; None without target
     information: NDArray[np.float64] | None = None
+    # What else is known at the step
     circumstances: Circumstances = field(default_factory=Circumstances)
-    pending: Pending = NOTHING_PENDING
-    own_held: Held | None = None
+    pending: Pending = NOTHING_PENDING  # Where the other robots measure
+    own_held: Held | None = None  # What the robot holds of the target, where packets have estimates
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )

@@ -49,17 +49,7 @@ NEIGHBOURS = 48
 
 
 class Steering:
-    """Finds where to steer to; keeps its map of the channel.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    ground
-        Its geometry.
-    term
-        Threshold and decay of J_CH.
-    """
+    """Finds where to steer to; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, term: MappingTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -81,13 +71,7 @@ class Steering:
         self._beside_m = np.where(clear, away, np.inf)
 
     def find_way(self, situation: Situation) -> SteeringWay | None:
-        """The way to steer along; None if no place that can be come to is above the threshold.
-
-        Parameters
-        ----------
-        situation
-            The belief of the channel, and where the robot is.
-        """
+        """The way to steer along; None if no place that can be come to is above the threshold."""
         (own,), (posterior,) = situation.stations, situation.anticipated
         if posterior is own:
             self._map.refresh(own)
@@ -132,17 +116,7 @@ sufficed."""
 
 
 class ConnectionSteering:
-    """Finds where to steer to for a connection; keeps its map of the channel.
-
-    Parameters
-    ----------
-    problem
-        With one robot.
-    ground
-        Its geometry.
-    term
-        The term that searches for connection.
-    """
+    """Finds where to steer to for a connection; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, term: UntilConnectedTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -150,13 +124,7 @@ class ConnectionSteering:
         self._radius_m = FIRST_RADIUS_STEPS * problem.step_length_m
 
     def find_way(self, situation: Situation) -> SteeringWay | None:
-        """Return the way to the place of the shortest search; None if no place can be tried.
-
-        Parameters
-        ----------
-        situation
-            What is known; how it is steered is not looked at.
-        """
+        """Return the way to the place of the shortest search; None if no place can be tried."""
         road_map, here = self._ground.road_map, situation.position_m
         widest = situation.workspace_diagonal_m
         rule = situation.tries
@@ -197,15 +165,7 @@ TAUT_SHARE = 1.02
 
 
 class GoalSteering:
-    """Finds the cheapest way to the goal; keeps its map of the channel.
-
-    Parameters
-    ----------
-    problem
-        With one robot, and its goal.
-    ground
-        Its geometry.
-    """
+    """Finds the cheapest way to the goal; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, _term: Term) -> None:
         self._problem, self._ground = problem, ground
@@ -218,13 +178,7 @@ class GoalSteering:
         self._goal_node = int(nodes[lengths.argmin()]) if len(nodes) else None
 
     def find_way(self, situation: Situation) -> SteeringWay | None:
-        """Return the cheapest way on what is believed now; None if obstacles cut the goal off.
-
-        Parameters
-        ----------
-        situation
-            What is known; how it is steered is not looked at.
-        """
+        """Return the cheapest way on what is believed now; None if obstacles cut the goal off."""
         road_map, here = self._ground.road_map, situation.position_m
         nodes, lengths = first_moves(self._ground, self._problem, here)
         if self._goal_node is None or not len(nodes):

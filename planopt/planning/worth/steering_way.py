@@ -27,28 +27,17 @@ else:
 
 @dataclass(frozen=True, eq=False)
 class SteeringWay:
-    """A way from where a robot stands to the place that it is steered to.
+    """A way from where a robot stands to the place that it is steered to."""
 
-    Attributes
-    ----------
-    turns_m
-        ``(m, 2)``, m at least 2: where the robot stands, where the way turns, and its end.
-    index
-        The obstacles.
-    clearance_m
-        How near to them the robot may come.
-    lattice_m
-        ``(ny, nx)`` length of the shortest way to the end from each node of the lattice; None
-        where no lattice is at hand.
-    in_order
-        Whether places go at most to the end of the leg that they are nearest to: the way turns
-        round coverage holes as well, across which its later turns may be in sight.
-    """
-
+    # (m, 2), m at least 2: where the robot stands, where the way turns, and its end
     turns_m: NDArray[np.float64]
-    index: ObstacleIndex
-    clearance_m: float
+    index: ObstacleIndex  # The obstacles
+    clearance_m: float  # How near to them the robot may come
+    # (ny, nx) length of the shortest way to the end from each node of the lattice; None where no
+    # lattice is at hand
     lattice_m: NDArray[np.float64] | None = None
+    # Whether places go at most to the end of the leg that they are nearest to: the way turns round
+    # coverage holes as well, across which its later turns may be in sight
     in_order: bool = False
 
     @property
@@ -127,16 +116,6 @@ def steering_way(
     turns_m: NDArray[np.float64],
     lattice_m: NDArray[np.float64] | None = None,
 ) -> SteeringWay:
-    """Return the way through `turns_m` (m, 2) that the terms of a problem steer along.
-
-    Parameters
-    ----------
-    problem
-        Its terms and its clearance.
-    index
-        Its obstacles.
-    turns_m, lattice_m
-        As of :class:`SteeringWay`.
-    """
+    """Return the way through `turns_m` (m, 2) that the terms of a problem steer along."""
     in_order = any(term.steers == "goal" for term in problem.terms)
     return SteeringWay(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)

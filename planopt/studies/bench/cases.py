@@ -27,27 +27,13 @@ COSTS_TO_GO = ("connected", "geodesic")
 
 @dataclass(frozen=True, order=True)
 class Question:
-    """A question to planners, whose answers are compared with each other.
+    """A question to planners, whose answers are compared with each other."""
 
-    Attributes
-    ----------
-    problem
-        Name in the library, or path of a problem file.
-    kind
-        ``plan`` or ``run``.
-    cost_to_go
-        Empty where there is no goal.
-    horizon
-        Steps ahead.
-    seed
-        Of everything drawn.
-    """
-
-    problem: str
-    kind: str
-    cost_to_go: str
-    horizon: int
-    seed: int
+    problem: str  # Name in the library, or path of a problem file
+    kind: str  # plan or run
+    cost_to_go: str  # Empty where there is no goal
+    horizon: int  # Steps ahead
+    seed: int  # Of everything drawn
 
     def __str__(self) -> str:
         """Return the question in words."""
@@ -75,26 +61,7 @@ def library_cases(
     seeds: Iterable[int] = range(3),
     run_seeds: Iterable[int] = range(1),
 ) -> list[Case]:
-    """Return every combination that the problems allow, problem by problem and seed by seed.
-
-    Parameters
-    ----------
-    problems
-        Names or files; the whole library if None.
-    planners
-        Names; all that are registered if None. A problem leaves out those that cannot plan for it.
-    horizons
-        Steps ahead; the problem's own and `HORIZONS` if None.
-    seeds
-        Seeds of single plans.
-    run_seeds
-        Seeds of closed loops, driven with the planner `RUN_PLANNER` and the problem's own settings.
-
-    Raises
-    ------
-    InputError
-        A problem, planner or horizon does not exist, or no case is left.
-    """
+    """Return every combination that the problems allow, problem by problem and seed by seed."""
     known = planner_names()
     for name in planners or ():
         if name not in known:
@@ -140,13 +107,7 @@ def library_names() -> list[str]:
 
 
 def problem_of(case: Case) -> Problem:
-    """Load the problem of a case, with its settings.
-
-    Raises
-    ------
-    InputError
-        The problem does not exist or does not allow the settings.
-    """
+    """Load the problem of a case, with its settings."""
     question = case.question
     asked = with_overrides(
         load(question.problem),

@@ -39,26 +39,16 @@ STUDY = Study(kind=Row, prepare=start_of, work=answer, key=key_of)
 
 @dataclass(frozen=True)
 class Manifest:
-    """The versions, machine and settings that made the rows of a folder.
+    """The versions, machine and settings that made the rows of a folder."""
 
-    Attributes
-    ----------
-    program
-        Versions of planopt and of the libraries that decide a result, and a digest of the source.
-    python, cpu, cores
-        The interpreter and the machine.
-    tolerances
-        The planner's and verifier's tolerances, and the share by which objectives are told apart.
-    problems
-        Digest of every problem with the files that it names, by name.
-    """
-
+    # Versions of planopt and of the libraries that decide a result, and a digest of the source
     program: dict[str, str]
-    python: str
+    python: str  # The interpreter and the machine
     cpu: str
     cores: int
+    # The planner's and verifier's tolerances, and the share by which objectives are told apart
     tolerances: dict[str, float]
-    problems: dict[str, str]
+    problems: dict[str, str]  # Digest of every problem with the files that it names, by name
 
     @property
     def made_by(self) -> str:
@@ -111,26 +101,7 @@ def run_into(
     workers: int = 1,
     on_row: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Answer cases into a folder; those that it has already are taken from it.
-
-    Parameters
-    ----------
-    folder
-        A new one, or one that this program made of the same problems.
-    cases
-        What is asked.
-    workers
-        Processes.
-    on_row
-        Called for every row, for progress display.
-
-    Raises
-    ------
-    InputError
-        The folder was made by another program or of other problems, or is damaged.
-    OutputError
-        It cannot be written.
-    """
+    """Answer cases into a folder; those that it has already are taken from it."""
     now = manifest_of(list(dict.fromkeys(case.question.problem for case in cases)))
     if (folder / MANIFEST).exists():
         before = read_manifest(folder)
@@ -143,13 +114,7 @@ def run_into(
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read what made a folder.
-
-    Raises
-    ------
-    InputError
-        It is no folder of the suite, or damaged.
-    """
+    """Read what made a folder."""
     file = folder / MANIFEST
     try:
         return decoded(Manifest, json.loads(read_text(file)))

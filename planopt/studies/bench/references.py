@@ -45,35 +45,22 @@ _ABOUT = (
 
 @dataclass(frozen=True)
 class Reference:
-    """The best that a planner is known to reach in a case.
+    """The best that a planner is known to reach in a case."""
 
-    Attributes
-    ----------
-    problem, kind, cost_to_go, horizon, seed, planner
-        The case.
-    sense, objective, verdict, outcome
-        As of :class:`planopt.studies.bench.row.Row`.
-    rungs
-        Which fallbacks released how many steps.
-    cpu_s
-        Processor time that it took on the machine that made it; for choosing the fast share.
-    made_by
-        The program that made it.
-    """
-
-    problem: str
+    problem: str  # The case
     kind: str
     cost_to_go: str
     horizon: int
     seed: int
     planner: str
-    sense: str
+    sense: str  # As of :class:`planopt.studies.bench.row.Row`
     objective: float | None
     verdict: str
     outcome: str
-    rungs: dict[str, int]
+    rungs: dict[str, int]  # Which fallbacks released how many steps
+    # Processor time that it took on the machine that made it; for choosing the fast share
     cpu_s: float
-    made_by: str
+    made_by: str  # The program that made it
 
     @property
     def case(self) -> Case:
@@ -91,13 +78,7 @@ def references_file() -> Path:
 
 
 def read_references(file: Path | None = None) -> dict[Case, Reference]:
-    """Read references; the library's if no file is given.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or has a case twice.
-    """
+    """Read references; the library's if no file is given."""
     path = references_file() if file is None else file
     try:
         listed = json.loads(read_text(path))["references"]
@@ -117,13 +98,7 @@ def read_references(file: Path | None = None) -> dict[Case, Reference]:
 
 
 def write_references(references: References, file: Path) -> None:
-    """Write references sorted by case, one a line, whole or not at all.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
+    """Write references sorted by case, one a line, whole or not at all."""
     lines = [
         json.dumps(encoded(references[case]), allow_nan=False, ensure_ascii=False)
         for case in sorted(references)
@@ -154,15 +129,6 @@ def frozen(
     """Return references with those of rows, and in words each that is not as it was.
 
     A row that the check rejects, or that ended with an error, is no reference.
-
-    Parameters
-    ----------
-    known
-        What there is.
-    rows
-        New results.
-    made_by
-        The program that made them.
     """
     references = dict(known)
     changes: list[str] = []
@@ -273,17 +239,7 @@ def fast_cases(references: References) -> tuple[list[Case], list[str]]:
 def judged(
     rows: Sequence[Row], references: References, on_unknown: Callable[[Row], str]
 ) -> tuple[list[str], list[str]]:
-    """Return all regressions of rows, and all improvements, in words.
-
-    Parameters
-    ----------
-    rows
-        Results.
-    references
-        What they are held to.
-    on_unknown
-        What is said of a row without a reference; nothing if that is empty.
-    """
+    """Return all regressions of rows, and all improvements, in words."""
     worse: list[str] = []
     better: list[str] = []
     for row in rows:

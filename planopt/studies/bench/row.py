@@ -44,59 +44,33 @@ RUN_OBJECTIVES = {
 
 @dataclass(frozen=True)
 class Row:
-    """One answered case. Of several robots: sums, or the worst.
+    """One answered case. Of several robots: sums, or the worst."""
 
-    Attributes
-    ----------
-    problem, kind, cost_to_go, horizon, seed, planner
-        The case.
-    sense
-        ``max`` or ``min``: whether more or less of the objective is better.
-    objective
-        Of a plan its objective, of a run a metric (`RUN_OBJECTIVES`); None without a value.
-    verdict, termination, rungs
-        As the planner says; of a run the worst verdict, and how often each fallback released a
-        step.
-    outcome
-        ``planned``, ``no_plan`` or ``error``; of a run how it ended.
-    accepted
-        Whether ``planopt check`` agrees, from the files alone; None where there is nothing to
-        judge.
-    reasons
-        Objections of the check, or the error.
-    iterations, solve_s, wall_s
-        Of the solver, its time, and the time of planning.
-    cpu_s
-        Processor time of the case, without drawing the channel, fitting it and building the scene.
-    steps
-        Plans that were made, one a step and robot.
-    path_digest
-        Of all places, to the millimetre: the same digest is the same path.
-    kkt_residual, min_clearance_m, min_connectivity
-        Of the certificate; of a run None.
-    """
-
-    problem: str
+    problem: str  # The case
     kind: str
     cost_to_go: str
     horizon: int
     seed: int
     planner: str
-    sense: str
+    sense: str  # max or min: whether more or less of the objective is better
+    # Of a plan its objective, of a run a metric (`RUN_OBJECTIVES`); None without a value
     objective: float | None
+    # As the planner says; of a run the worst verdict, and how often each fallback released a step
     verdict: str
     termination: str
     rungs: dict[str, int]
-    outcome: str
+    outcome: str  # planned, no_plan or error; of a run how it ended
+    # Whether planopt check agrees, from the files alone; None where there is nothing to judge
     accepted: bool | None
-    reasons: tuple[str, ...]
-    iterations: int
+    reasons: tuple[str, ...]  # Objections of the check, or the error
+    iterations: int  # Of the solver, its time, and the time of planning
     solve_s: float
     wall_s: float
+    # Processor time of the case, without drawing the channel, fitting it and building the scene
     cpu_s: float
-    steps: int
-    path_digest: str
-    kkt_residual: float | None = None
+    steps: int  # Plans that were made, one a step and robot
+    path_digest: str  # Of all places, to the millimetre: the same digest is the same path
+    kkt_residual: float | None = None  # Of the certificate; of a run None
     min_clearance_m: float | None = None
     min_connectivity: float | None = None
 

@@ -25,45 +25,25 @@ CONVERGED = (Termination.CONVERGED.value, Termination.ACCEPTABLE.value)
 
 @dataclass(frozen=True)
 class Score:
-    """The scores of one planner.
+    """The scores of one planner."""
 
-    Attributes
-    ----------
-    planner
-        Its name.
-    cases
-        How many it was asked.
-    success_rate
-        Share that it solved (:func:`is_solved`).
-    correct_rate
-        Share of the cases with a claim whose claim holds (:func:`claims`, :func:`is_wrong`); None
-        without any claim.
-    verified_rate
-        Share with the verdict ``verified``.
-    rejected, errors
-        How many verified answers the check rejects, and how many cases ended with an error.
-    fallback_share
-        Share of the released plans that came from another fallback than ``plan``.
-    median_excess, largest_excess
-        By what share objectives are worse than the best known; None where there is none.
-    iterations
-        Mean of solver iterations a plan.
-    mean_s, median_s
-        Shifted geometric mean and median of the processor time a plan, in seconds; unsolved cases
-        count `LIMIT_S` in the first and are left out of the second.
-    """
-
-    planner: str
-    cases: int
-    success_rate: float
+    planner: str  # Its name
+    cases: int  # How many it was asked
+    success_rate: float  # Share that it solved (:func:`is_solved`)
+    # Share of the cases with a claim whose claim holds (:func:`claims`, :func:`is_wrong`); None
+    # without any claim
     correct_rate: float | None
-    verified_rate: float
+    verified_rate: float  # Share with the verdict verified
+    # How many verified answers the check rejects, and how many cases ended with an error
     rejected: int
     errors: int
-    fallback_share: float
+    fallback_share: float  # Share of the released plans that came from another fallback than plan
+    # By what share objectives are worse than the best known; None where there is none
     median_excess: float | None
     largest_excess: float | None
-    iterations: float
+    iterations: float  # Mean of solver iterations a plan
+    # Shifted geometric mean and median of the processor time a plan, in seconds; unsolved cases
+    # count `LIMIT_S` in the first and are left out of the second
     mean_s: float
     median_s: float | None
 
@@ -157,20 +137,11 @@ def shifted_geometric_mean(times_s: NDArray[np.float64], shift_s: float) -> floa
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A performance profile (Dolan and More, 2002).
+    """A performance profile (Dolan and More, 2002)."""
 
-    Attributes
-    ----------
-    planners
-        Names.
-    ratios
-        ``(k,)`` sorted ratios to the best time of a question, from 1 on.
-    shares
-        ``(planners, k)`` share of the questions that a planner solves within each ratio.
-    """
-
-    planners: tuple[str, ...]
-    ratios: NDArray[np.float64]
+    planners: tuple[str, ...]  # Names
+    ratios: NDArray[np.float64]  # (k,) sorted ratios to the best time of a question, from 1 on
+    # (planners, k) share of the questions that a planner solves within each ratio
     shares: NDArray[np.float64]
 
 
@@ -191,16 +162,9 @@ def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile
 
 
 def performance_profile(
-    times_s: NDArray[np.float64],
+    times_s: NDArray[np.float64],  # (q, s)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ratios (k,) and the share of questions that each solver solves within them (s, k).
-
-    Parameters
-    ----------
-    times_s
-        ``(q, s)`` time of each solver for each question: infinite where it fails, NaN where it was
-        not asked.
-    """
+    """Return ratios (k,) and the share of questions that each solver solves within them (s, k)."""
     finite = np.where(np.isfinite(times_s), times_s, np.inf)
     fastest = finite.min(axis=1, keepdims=True) if finite.size else finite[:, :1]
     some = np.isfinite(fastest)

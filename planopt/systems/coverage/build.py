@@ -56,31 +56,18 @@ Made = TypeVar("Made")
 
 @dataclass(frozen=True, eq=False)
 class CoverageProblem:
-    """A network to simulate.
+    """A network to simulate."""
 
-    Attributes
-    ----------
-    given
-        Its tables.
-    ground, density, obstacles
-        What is covered, its weights, and what stands in it.
-    events, demands, sensing
-        What appears, how many agents it asks for, and how they measure it.
-    joins_s, leaves_s
-        ``(n,)`` when agents take part.
-    station_map
-        Learnt links to stations; None where they follow the law.
-    """
-
-    given: CoverageFile
-    ground: Ground
+    given: CoverageFile  # Its tables
+    ground: Ground  # What is covered, its weights, and what stands in it
     density: Density
     obstacles: tuple[Obstacle, ...]
-    events: tuple[Event, ...]
+    events: tuple[Event, ...]  # What appears, how many agents it asks for, and how they measure it
     demands: tuple[Demand, ...]
     sensing: Sensing | None
-    joins_s: NDArray[np.float64]
+    joins_s: NDArray[np.float64]  # (n,) when agents take part
     leaves_s: NDArray[np.float64]
+    # Learnt links to stations; None where they follow the law
     station_map: StationMap | None = None
 
     @property
@@ -98,13 +85,7 @@ class CoverageProblem:
         return best_distance_m(self.sensing.sensor)
 
     def scene(self, generator: np.random.Generator) -> Scene:
-        """Return the scene of one run: starts may be drawn.
-
-        Raises
-        ------
-        InputError
-            An agent starts where none may be.
-        """
+        """Return the scene of one run: starts may be drawn."""
         given, control, limits = self.given, self.given.control, self.limits
         start, body_m = given.agents.start, limits.body_radius_m
         starts = start.places(self.ground, generator, body_m)
@@ -188,13 +169,7 @@ class CoverageProblem:
         return None if table is None else table.limits(self.station_map)
 
     def mover(self, planner: PlannerTable) -> Mover:
-        """Return how agents move.
-
-        Raises
-        ------
-        InputError
-            The laws are asked to keep a limit that they do not know.
-        """
+        """Return how agents move."""
         control, limits = self.given.control, self.limits
         gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
         if planner.name == "receding":
@@ -212,14 +187,7 @@ class CoverageProblem:
 
 
 def build(given: CoverageFile, folder: Path) -> CoverageProblem:
-    """Return the problem in validated tables.
-
-    Raises
-    ------
-    InputError
-        The region crosses itself or obstacles cut it in two, the density is negative or zero
-        everywhere, an agent or an event is outside, or there are fewer agents than events need.
-    """
+    """Return the problem in validated tables."""
     obstacles = tuple(
         obstacle
         for index, table in enumerate(given.world.obstacles)

@@ -85,13 +85,7 @@ def faults(driven: Driven) -> list[str]:
 
 
 def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[str]:
-    """Return what is wrong with a saved run; nothing if it holds.
-
-    Raises
-    ------
-    InputError
-        A table is missing, truncated or not what it should be.
-    """
+    """Return what is wrong with a saved run; nothing if it holds."""
     content: CoverageProblem = problem.content
     if "objective" in data:
         return _deployment(file, data, content)

@@ -134,13 +134,7 @@ class RadioTable(Table):
     )
 
     def station_map(self, ground: Ground, folder: Path) -> StationMap | None:
-        """Return the map that is learnt from the surveys; None without any.
-
-        Raises
-        ------
-        InputError
-            There is not one survey for each station, a log is wrong, or a channel cannot be fitted.
-        """
+        """Return the map that is learnt from the surveys; None without any."""
         if not self.survey:
             return None
         if len(self.survey) != len(self.stations_m):
@@ -166,13 +160,7 @@ class RadioTable(Table):
         return station_map(posteriors, self.threshold_dbm, bounds)
 
     def limits(self, mapped: StationMap | None) -> RadioLimits:
-        """Return the links that agents keep.
-
-        Parameters
-        ----------
-        mapped
-            The learnt links to stations; None for those of the law.
-        """
+        """Return the links that agents keep."""
         spread = np.diag([self.k_pl_std_db**2, self.n_pl_std**2])
         law = LinkLaw(np.array([self.k_pl_db, self.n_pl]), self.deviation_db, spread)
         stations = np.array(self.stations_m)

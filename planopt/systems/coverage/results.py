@@ -42,19 +42,11 @@ ON_TARGET_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """A network that was simulated, with how.
+    """A network that was simulated, with how."""
 
-    Attributes
-    ----------
-    problem, run
-        What was asked for, and what happened.
-    planner, horizon, seed
-        By whom.
-    """
-
-    problem: CoverageProblem
+    problem: CoverageProblem  # What was asked for, and what happened
     run: NetworkRun
-    planner: str
+    planner: str  # By whom
     horizon: int
     seed: int
 

@@ -48,13 +48,7 @@ GRAZE_SHARE = 1e-3
 
 
 def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[str]:
-    """Return what is wrong with a saved pursuit; nothing if it holds.
-
-    Raises
-    ------
-    InputError
-        A table is missing, truncated or not what it should be.
-    """
+    """Return what is wrong with a saved pursuit; nothing if it holds."""
     if data.get("outcome") == "no_plan":
         return [f"there is no run to judge: {data.get('reason')}"]
     content: PursuitProblem = problem.content

@@ -16,19 +16,11 @@ from planopt.systems.pursuit.tables import PlannerName, PlannerTable, PursuitPro
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """A pursuit that was driven, with how.
+    """A pursuit that was driven, with how."""
 
-    Attributes
-    ----------
-    problem, pursuit
-        What was asked for, and what happened.
-    planner, horizon, seed
-        By whom.
-    """
-
-    problem: PursuitProblem
+    problem: PursuitProblem  # What was asked for, and what happened
     pursuit: Pursuit
-    planner: str
+    planner: str  # By whom
     horizon: int
     seed: int
 
@@ -53,13 +45,7 @@ def drive(
 
 
 def planners(content: PursuitProblem, request: Request) -> list[PlannerTable]:
-    """Return the planner settings asked for; what drives to reports has one horizon.
-
-    Raises
-    ------
-    InputError
-        A name or a horizon is not allowed.
-    """
+    """Return the planner settings asked for; what drives to reports has one horizon."""
     return asked_planners(
         content.given.planner, request, get_args(PlannerName), with_horizon=("receding",)
     )

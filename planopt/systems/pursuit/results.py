@@ -34,22 +34,12 @@ RATIO_ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The stages of one pursuer after one evader against a theorem.
+    """The stages of one pursuer after one evader against a theorem."""
 
-    Attributes
-    ----------
-    pursuer, evader
-        Their numbers.
-    guarantee
-        What the theorem says.
-    bounds_m
-        ``(k,)`` W at the start of each stage.
-    """
-
-    pursuer: int
+    pursuer: int  # Their numbers
     evader: int
-    guarantee: Guarantee
-    bounds_m: NDArray[np.float64]
+    guarantee: Guarantee  # What the theorem says
+    bounds_m: NDArray[np.float64]  # (k,) W at the start of each stage
 
     @property
     def largest_share(self) -> float:

@@ -266,29 +266,15 @@ class PursuitFile(Table):
 
 @dataclass(frozen=True, eq=False)
 class PursuitProblem:
-    """A pursuit to simulate.
+    """A pursuit to simulate."""
 
-    Attributes
-    ----------
-    given
-        Its tables.
-    service, arena, obstacles
-        The motes, free space, and what is in it.
-    """
-
-    given: PursuitFile
-    service: SnapshotService
+    given: PursuitFile  # Its tables
+    service: SnapshotService  # The motes, free space, and what is in it
     arena: Arena
     obstacles: tuple[Obstacle, ...]
 
     def scene(self, planner: PlannerTable, generator: np.random.Generator) -> Scene:
-        """Return the scene of one run: starts and lost rounds are drawn.
-
-        Raises
-        ------
-        InputError
-            There is no free place for a start.
-        """
+        """Return the scene of one run: starts and lost rounds are drawn."""
         given, rules = self.given, self.given.pursuit
         starts = [
             self._start_m(f"{key}[{index}].start_m", each, generator)
@@ -355,14 +341,7 @@ LEAST_SPEED_M_S = 1e-9
 
 
 def build(given: PursuitFile, folder: Path) -> PursuitProblem:
-    """Return the problem in validated tables.
-
-    Raises
-    ------
-    InputError
-        Somebody starts outside free space, the pursuers are no faster than the evaders, or the
-        grid does not cover the world.
-    """
+    """Return the problem in validated tables."""
     network = given.network
     service = SnapshotService(
         network.levels,

@@ -34,25 +34,13 @@ REQUIREMENTS = ("first_distance_m", "capture_radius_m", "deadline_s")
 
 @dataclass(frozen=True)
 class Method:
-    """A way to design a network.
+    """A way to design a network."""
 
-    Attributes
-    ----------
-    words
-        For people.
-    solver
-        Gives the solver for a theorem.
-    needs, takes
-        Requirements that must be, and others that may be given.
-    of_energy
-        Whether it minimises energy per capture, else power.
-    """
-
-    words: str
-    solver: Callable[[Theorem], Callable[[DesignTask], Design]]
-    needs: tuple[str, ...] = ()
+    words: str  # For people
+    solver: Callable[[Theorem], Callable[[DesignTask], Design]]  # Gives the solver for a theorem
+    needs: tuple[str, ...] = ()  # Requirements that must be, and others that may be given
     takes: tuple[str, ...] = ()
-    of_energy: bool = False
+    of_energy: bool = False  # Whether it minimises energy per capture, else power
 
 
 METHODS: dict[MethodName, Method] = {
@@ -195,20 +183,12 @@ class DesignFile(Table):
 
 @dataclass(frozen=True)
 class DesignProblem:
-    """A network to design.
+    """A network to design."""
 
-    Attributes
-    ----------
-    task, method, theorem
-        What is asked for, how, and what the guarantee rests on.
-    figures
-        Whether pictures are drawn.
-    """
-
-    task: DesignTask
+    task: DesignTask  # What is asked for, how, and what the guarantee rests on
     method: Method
     theorem: Theorem
-    figures: bool
+    figures: bool  # Whether pictures are drawn
 
     @property
     def solver(self) -> Callable[[DesignTask], Design]:
@@ -221,13 +201,7 @@ class DesignProblem:
 
 
 def build(given: DesignFile, folder: Path) -> DesignProblem:
-    """Return the problem in validated tables.
-
-    Raises
-    ------
-    InputError
-        The pursuer is no faster than the evader, or a requirement is missing or not the method's.
-    """
+    """Return the problem in validated tables."""
     pursuit, method = given.pursuit, METHODS[given.design.method]
     name = given.design.method
     for key in REQUIREMENTS:

@@ -14,21 +14,12 @@ from planopt.problems.problem import Problem
 def outage_result(
     problem: Problem,
     history: History,
-    positions_m: NDArray[np.float64],
-    margin_db: NDArray[np.float64],
+    positions_m: NDArray[np.float64],  # (N + 1, 2) the path, the robot's own place first
+    margin_db: NDArray[np.float64],  # (N,) of the bound after each step
 ) -> RuleResult:
     """Longest way or time of steps below p_min in a row.
 
     An outage that the robot is in counts with what it has lasted, if the first step prolongs it.
-
-    Parameters
-    ----------
-    problem, history
-        What is asked, and what has happened.
-    positions_m
-        ``(N + 1, 2)`` the path, the robot's own place first.
-    margin_db
-        ``(N,)`` of the bound after each step.
     """
     rule, step_s = problem.constraints.rule, problem.planner.step_s
     missed = margin_missed(margin_db)

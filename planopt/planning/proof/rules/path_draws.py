@@ -56,15 +56,6 @@ def joint_result(
     """Return a lower bound of the probability that all steps are connected (equation 5.2).
 
     The integral less its error, or the greatest of Boole's, Hunter's and Slepian's bounds.
-
-    Parameters
-    ----------
-    problem
-        What is asked.
-    prediction
-        Of the places after each step, today's deviation.
-    slack_db
-        The threshold is taken so much lower.
     """
     threshold = problem.stations[0].threshold_dbm - slack_db
     p_min = problem.constraints.p_min
@@ -126,20 +117,13 @@ def calibrated_path(
 def joint_by_slack(
     problem: Problem,
     posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],
+    path_m: NDArray[np.float64],  # (N, 2) places after each step
     broad: Broad | None,
 ) -> Callable[[float], RuleResult]:
     """A lower bound of the probability that all steps are connected, by how much slack there is.
 
     Of one station by :func:`joint_result`; of several the lower
     end of the interval over the drawn channels.
-
-    Parameters
-    ----------
-    problem, posterior, broad
-        What is asked, and what is believed of the first station and of all, if there are several.
-    path_m
-        ``(N, 2)`` places after each step.
     """
     if not isinstance(broad, Serving) or len(broad.posteriors) == 1:
         prediction = calibrated_path(posterior, path_m, problem.stations[0].threshold_dbm)

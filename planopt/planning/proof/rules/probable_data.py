@@ -41,17 +41,8 @@ def drawn_powers_dbm(prediction: JointPrediction, station: int = 0) -> NDArray[n
 def probable_data_result(
     problem: Problem, history: History, powers_dbm: NDArray[np.float64], slack_db: float = 0.0
 ) -> RuleResult:
-    """A lower bound of the probability that a plan delivers its share by the deadline.
-
-    Parameters
-    ----------
-    problem, history
-        What is asked, and what has happened.
-    powers_dbm
-        ``(DRAWS, N)`` from :func:`drawn_powers_dbm`.
-    slack_db
-        The threshold is taken so much lower.
-    """
+    """A lower bound of the probability that a plan delivers its share by the deadline."""
+    # Shapes: powers_dbm (DRAWS, N).
     each, asked_mbit = data_asked_mbit(problem, history, powers_dbm.shape[1])
     achieved = 1.0
     if asked_mbit > 0.0:

@@ -29,15 +29,8 @@ from planopt.problems.problem import Problem
 def average_result(
     problem: Problem, history: History, probability: NDArray[np.float64]
 ) -> RuleResult:
-    """Share of the steps of the run so far and the plan that are connected, in expectation.
-
-    Parameters
-    ----------
-    problem, history
-        What is asked, and what has happened.
-    probability
-        ``(N,)`` of connection after each planned step, by what is known today (equation 3.1).
-    """
+    """Share of the steps of the run so far and the plan that are connected, in expectation."""
+    # Shapes: probability (N,).
     connected = history.connected_steps + float(probability.sum())
     steps = history.steps + len(probability)
     return RuleResult(
@@ -61,28 +54,15 @@ BySlack = Callable[[float], RuleResult]
 
 @dataclass(frozen=True, eq=False)
 class PathCase:
-    """A path that is judged by a rule over all its steps.
+    """A path that is judged by a rule over all its steps."""
 
-    Attributes
-    ----------
-    problem, history
-        What is asked, and what has happened.
-    posterior
-        What is believed of the channel: rules on steps together need more than `power`.
-    positions_m
-        ``(N + 1, 2)`` the path, the robot's own place first.
-    power
-        Prediction at the N places after each step.
-    broad
-        The stations, where there are several.
-    """
-
-    problem: Problem
+    problem: Problem  # What is asked, and what has happened
     history: History
+    # What is believed of the channel: rules on steps together need more than `power`
     posterior: ChannelPosterior
-    positions_m: NDArray[np.float64]
-    power: Prediction
-    broad: Broad | None = None
+    positions_m: NDArray[np.float64]  # (N + 1, 2) the path, the robot's own place first
+    power: Prediction  # Prediction at the N places after each step
+    broad: Broad | None = None  # The stations, where there are several
 
     def probability(self, slack_db: float) -> NDArray[np.float64]:
         """Return the probability of connection after each step, (N,), with so much slack."""

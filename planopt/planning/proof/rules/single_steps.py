@@ -47,29 +47,18 @@ they end, the grid is as it is."""
 
 @dataclass(frozen=True)
 class StepsFinding:
-    """The findings on the bound on single steps; fields as in the certificate.
+    """The findings on the bound on single steps; fields as in the certificate."""
 
-    Attributes
-    ----------
-    relaxed_steps, relaxation_db, best_margin_db, path_cost_m, best_cost_m
-        As in :class:`planopt.planning.certificate.Certificate`.
-    step_cost_m, step_excess_m, reasons
-        As in :class:`planopt.planning.certificate.Certificate`.
-    result
-        None for the plain rule: at each step where possible.
-    is_compared
-        Whether what it costs to miss the bound could be compared with anything.
-    """
-
-    relaxed_steps: tuple[int, ...] = ()
+    relaxed_steps: tuple[int, ...] = ()  # As in :class:`planopt.planning.certificate.Certificate`
     relaxation_db: tuple[float, ...] = ()
     best_margin_db: tuple[float, ...] = ()
     path_cost_m: float | None = None
     best_cost_m: float | None = None
-    step_cost_m: float | None = None
+    step_cost_m: float | None = None  # As in :class:`planopt.planning.certificate.Certificate`
     step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
-    result: RuleResult | None = None
+    result: RuleResult | None = None  # None for the plain rule: at each step where possible
+    # Whether what it costs to miss the bound could be compared with anything
     is_compared: bool = True
 
 
@@ -78,25 +67,11 @@ def judge_single_steps(
     under: Circumstances,
     index: ObstacleIndex,
     posterior: ChannelPosterior,
-    state: NDArray[np.float64],
+    state: NDArray[np.float64],  # (s,) the robot's state, its place first
     positions_m: NDArray[np.float64],
     power: Prediction,
 ) -> StepsFinding:
-    """Judge the bound at the steps of a path (N + 1, 2) that it is asked of.
-
-    Parameters
-    ----------
-    problem, under
-        What is asked, and what is known besides.
-    index
-        Of its obstacles.
-    posterior
-        What is believed of the channel.
-    state
-        ``(s,)`` the robot's state, its place first.
-    positions_m, power
-        The path and the prediction along it, its first place included.
-    """
+    """Judge the bound at the steps of a path (N + 1, 2) that it is asked of."""
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     # Without a bound every margin is infinite.

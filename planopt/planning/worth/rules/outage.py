@@ -146,17 +146,8 @@ def held_steps(situation: Situation, path_m: NDArray[np.float64]) -> NDArray[np.
 def fewest_held(
     sizes: NDArray[np.float64], keeps: NDArray[np.bool_], limit: float, before: float
 ) -> NDArray[np.bool_]:
-    """Return which steps to hold so that no run of others is above `limit`; ``(n,)``.
-
-    Parameters
-    ----------
-    sizes
-        ``(n,)`` of the steps.
-    keeps
-        ``(n,)`` steps that can be held for nothing.
-    limit, before
-        The longest run, and what a run from the first step on has had already.
-    """
+    """Return which steps to hold so that no run of others is above `limit`; ``(n,)``."""
+    # Shapes: sizes (n,); keeps (n,).
     held = np.zeros(len(sizes), dtype=bool)
     run, last = before, -1
     for step, size in enumerate(sizes.tolist()):

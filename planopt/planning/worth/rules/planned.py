@@ -35,27 +35,14 @@ UNASKED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RuleRows:
-    """The rows of the rule for a path of N steps.
+    """The rows of the rule for a path of N steps."""
 
-    Attributes
-    ----------
-    threshold_dbm
-        Power from which on a place is connected.
-    level
-        ``(N,)`` probability asked of each step.
-    asked
-        ``(N,)`` whether it is.
-    weight
-        ``(N,)`` of the sum of the probabilities; None where no sum is bounded.
-    total
-        What the sum must reach.
-    """
-
-    threshold_dbm: float
-    level: NDArray[np.float64]
-    asked: NDArray[np.bool_]
+    threshold_dbm: float  # Power from which on a place is connected
+    level: NDArray[np.float64]  # (N,) probability asked of each step
+    asked: NDArray[np.bool_]  # (N,) whether it is
+    # (N,) of the sum of the probabilities; None where no sum is bounded
     weight: NDArray[np.float64] | None = None
-    total: float = 0.0
+    total: float = 0.0  # What the sum must reach
 
     @property
     def quantile(self) -> NDArray[np.float64]:
@@ -83,21 +70,12 @@ def held_rows(problem: Problem, asked: NDArray[np.bool_]) -> RuleRows:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """The steps, level and credits that a search minds.
+    """The steps, level and credits that a search minds."""
 
-    Attributes
-    ----------
-    level
-        Probability that the steps asked for must keep.
-    asked
-        ``(N,)`` which these are.
-    credit
-        ``(N,)`` what a connection is worth at each step, in units of the largest reward of a step;
-        its chance counts.
-    """
-
-    level: float
-    asked: NDArray[np.bool_]
+    level: float  # Probability that the steps asked for must keep
+    asked: NDArray[np.bool_]  # (N,) which these are
+    # (N,) what a connection is worth at each step, in units of the largest reward of a step; its
+    # chance counts
     credit: NDArray[np.float64]
 
 
@@ -110,40 +88,23 @@ IsKept = Callable[[NDArray[np.float64]], bool]
 
 @dataclass(frozen=True)
 class BestWithin:
-    """The best that there is within reach by each of N steps from the start of a run.
+    """The best that there is within reach by each of N steps from the start of a run."""
 
-    Attributes
-    ----------
-    problem
-        With thresholds as much lower as slack and the search's grid allow.
-    margins_db, chances
-        Give ``(N,)`` margins of p_min, and probabilities of connection.
-    """
-
-    problem: Problem
+    problem: Problem  # With thresholds as much lower as slack and the search's grid allow
+    # Give (N,) margins of p_min, and probabilities of connection
     margins_db: Callable[[], NDArray[np.float64]]
     chances: Callable[[], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
 class PlannedRule(ABC):
-    """The half of a rule by which plans are sought.
+    """The half of a rule by which plans are sought."""
 
-    Attributes
-    ----------
-    proven
-        The other half.
-    bounds_sum
-        Whether a sum over the steps is bounded, not single steps.
-    allocates
-        Whether a risk is allocated to the steps, and again after a polish.
-    more_steps
-        Whether more steps than the horizon's may make it easier to keep.
-    """
-
-    proven: ProvenRule
-    bounds_sum: ClassVar[bool] = False
+    proven: ProvenRule  # The other half
+    bounds_sum: ClassVar[bool] = False  # Whether a sum over the steps is bounded, not single steps
+    # Whether a risk is allocated to the steps, and again after a polish
     allocates: ClassVar[bool] = False
+    # Whether more steps than the horizon's may make it easier to keep
     more_steps: ClassVar[bool] = True
 
     @abstractmethod
@@ -160,17 +121,8 @@ class PlannedRule(ABC):
     def missing(
         self, at: Situation, legs_m: NDArray[np.float64], power: Prediction
     ) -> NDArray[np.float64]:
-        """Return a measure of what each way lacks, 0 where it keeps the rule; ``(c,)``.
-
-        Parameters
-        ----------
-        at
-            What is known.
-        legs_m
-            ``(c, N)`` lengths of the ways' steps.
-        power
-            Prediction at all places, those of a way together; ``(c N,)``.
-        """
+        """Return a measure of what each way lacks, 0 where it keeps the rule; ``(c,)``."""
+        # Shapes: legs_m (c, N).
 
     def missing_slope(self, at: Situation, batch: WayBatch) -> Pull:
         """Return the derivatives of :meth:`missing` where that adds up dB.

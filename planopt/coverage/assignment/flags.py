@@ -1,13 +1,11 @@
 """Flag propagation: each agent decides by itself whether it is among the P nearest to an event.
 
 The P agents nearest to an event form a connected part of the Voronoi neighbour graph, so that lists
-of the nearest agents, passed on to neighbours, reach all whom they concern. Two forms: every agent
-keeps a list and all send at once, or one token visits the agents in order of distance.
+of the nearest agents, passed between neighbours, reach every agent concerned.
 """
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,9 +31,7 @@ class Flags:
     """The outcome of flag propagation."""
 
     flagged: NDArray[np.bool_]  # (n,) whether the agent responds to the event
-    # Rounds of the list form until nothing changed, or as many as were asked for; steps of the
-    # token form
-    rounds: int
+    rounds: int  # Rounds until nothing changed, or the required number
     messages: int  # Transmissions over single links
     entries: int  # Pairs (distance, agent) in them
     history: NDArray[np.bool_]  # (rounds + 1, n) flags before the first round and after each
@@ -149,46 +145,6 @@ def propagate_flags(
     return Flags(history[-1], len(history) - 1, messages, entries, np.array(history))
 
 
-def pass_token(network: Network, distances_m: NDArray[np.float64], wanted: int) -> Flags:
-    """Find the agents nearest to an event with one token that flags them in order of distance.
-
-    The agent nearest to the event starts. The token carries the distances of the neighbours of all
-    flagged agents; the nearest of them is next, and the token travels to it over flagged agents.
-    """
-    n = network.count
-    if distances_m.shape != (n,) or not 0 <= wanted <= n:
-        raise InputError(f"{wanted} of {n} agents", key="wanted")
-    neighbours: list[list[int]] = [[] for _ in range(n)]
-    links: list[tuple[int, int]] = network.links.tolist()
-    for a, b in links:
-        neighbours[a].append(b)
-        neighbours[b].append(a)
-    flagged = np.zeros(n, dtype=np.bool_)
-    history = [flagged.copy()]
-    messages = entries = 0
-    nearest = int(np.lexsort((np.arange(n), distances_m))[0])
-    offers = [(float(distances_m[nearest]), nearest)]
-    known = {nearest}
-    holder = nearest
-    while len(history) <= wanted:
-        if not offers:
-            raise InputError("the nearest agents are not connected", key="links")
-        _, agent = heapq.heappop(offers)
-        flagged[agent] = True
-        travelled = _hops_within(neighbours, flagged, holder, agent)
-        messages += travelled
-        entries += travelled * (len(offers) + 1)
-        holder = agent
-        for other in neighbours[agent]:
-            if other not in known:
-                known.add(other)
-                heapq.heappush(offers, (float(distances_m[other]), other))
-                messages += 1
-                entries += 1
-        history.append(flagged.copy())
-    return Flags(flagged, wanted, messages, entries, np.array(history))
-
-
 def _kept(lists: FlagLists, kept: NDArray[np.bool_]) -> FlagLists:
     """Some of the entries."""
     return FlagLists(
@@ -203,15 +159,3 @@ def _changed(before: FlagLists, after: FlagLists, count: int) -> NDArray[np.bool
     changed = np.zeros(count, dtype=np.bool_)
     changed[np.setxor1d(old, new) // count] = True
     return changed
-
-
-def _hops_within(
-    neighbours: list[list[int]], allowed: NDArray[np.bool_], start: int, end: int
-) -> int:
-    """Least number of links from one agent to another over allowed agents."""
-    reached, edge, steps = {start}, [start], 0
-    while end not in reached:
-        edge = [b for a in edge for b in neighbours[a] if allowed[b] and b not in reached]
-        reached.update(edge)
-        steps += 1
-    return steps

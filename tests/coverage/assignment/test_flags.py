@@ -10,7 +10,6 @@ from scattered import scattered
 from planopt.coverage.assignment.flags import (
     flag_round,
     flags_of,
-    pass_token,
     propagate_flags,
     start_lists,
 )
@@ -35,23 +34,18 @@ def nearest(distances: NDArray[np.float64], wanted: int) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_both_forms_find_the_nearest(hexagon: ConvexRegion, seed: int) -> None:
-    """Lists and token give the P nearest; lists within the diameter, and with none missed."""
+def test_lists_find_the_nearest(hexagon: ConvexRegion, seed: int) -> None:
+    """Lists give the P nearest within the diameter, and never miss one."""
     generator = np.random.default_rng(1000 + seed)
     count = int(generator.integers(2, 60))
     network, distances = scene(hexagon, seed, count)
     wanted = int(generator.integers(0, count + 1))
     right = nearest(distances, wanted)
-    lists, token = (
-        propagate_flags(network, distances, wanted),
-        pass_token(network, distances, wanted),
-    )
+    lists = propagate_flags(network, distances, wanted)
     assert (lists.flagged == right).all()
     assert lists.rounds <= diameter(network)
     assert lists.history[:, right].all()
     assert (lists.history[-1] == right).all()
-    assert (token.flagged == right).all()
-    assert token.history.sum(axis=1).tolist() == list(range(wanted + 1))
 
 
 def test_every_agent_has_a_nearer_neighbour(square: ConvexRegion) -> None:
@@ -72,9 +66,6 @@ def test_messages_by_hand() -> None:
     assert found.rounds == 2
     assert found.messages == found.entries == 4 + 3 + 1
     assert found.history.tolist() == [[True] * 3, [True, False, False], [True, False, False]]
-    token = pass_token(chain, np.array([1.0, 2.0, 3.0]), 2)
-    # Agent 1 answers, the token goes there, agent 2 answers.
-    assert token.messages == 3
 
 
 def test_repeated_and_lost_messages(square: ConvexRegion) -> None:
@@ -141,8 +132,6 @@ def test_bad_input() -> None:
         lambda: propagate_flags(chain, distances, 1, loss=0.5),
         lambda: propagate_flags(chain, distances, 1, loss=1.0, rounds=3),
         lambda: propagate_flags(chain, distances, 1, loss=0.5, rounds=3),
-        lambda: pass_token(chain, distances, 4),
-        lambda: pass_token(Network(3, np.array([[0, 1]])), distances, 3),
         lambda: Network(0, np.zeros((0, 2), dtype=np.intp)),
         lambda: Network(2, np.array([[0, 2]])),
         lambda: Network(2, np.array([[1, 1]])),

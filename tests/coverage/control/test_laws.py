@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 import shapely
@@ -19,7 +17,6 @@ from planopt.coverage.ground import (
     geodesic_ground,
     neighbour_network,
 )
-from planopt.coverage.line_and_space import space_coverage
 from planopt.coverage.network import is_connected
 from planopt.coverage.region import ConvexRegion
 from planopt.coverage.voronoi import voronoi_cells
@@ -113,17 +110,6 @@ def test_speed_is_clipped_without_turning() -> None:
     agents, targets = np.zeros((2, 2)), np.array([[30.0, 40.0], [0.3, 0.4]])
     moved = law_moves(agents, targets, np.array([True, False]), Gains(), 1.0, 2.0)
     assert moved == pytest.approx(np.array([[1.2, 1.6], [0.3, 0.4]]))
-
-
-def test_law_in_space() -> None:
-    """Lloyd steps in a box find the two halves' centres."""
-    box = np.array(list(itertools.product((0.0, 4.0), (0.0, 2.0), (0.0, 2.0))))
-    agents = np.array([[0.5, 0.9, 1.2], [1.5, 1.3, 0.8]])
-    nobody = np.zeros(2, dtype=np.bool_)
-    for _ in range(200):
-        found = space_coverage(box, agents)
-        agents = law_moves(agents, found.centroids_m, nobody, Gains(), 1.0)
-    assert agents == pytest.approx(np.array([[1.0, 1.0, 1.0], [3.0, 1.0, 1.0]]), abs=1e-6)
 
 
 def test_agents_drive_round_walls_to_their_event(walled: GeodesicGround) -> None:

@@ -18,12 +18,6 @@ from planopt.coverage.counting.consensus import (
     rounds_until_exact,
     second_modulus,
 )
-from planopt.coverage.counting.push_sum import (
-    PushSum,
-    count_by_push_sum,
-    push_sum_round,
-    start_push_sum,
-)
 from planopt.coverage.counting.tally import (
     count_by_minima,
     count_interval,
@@ -246,37 +240,10 @@ def test_running_count_follows_the_network() -> None:
     assert np.abs(values - 15.0).max() < 0.5
 
 
-def test_push_sum_survives_losses() -> None:
-    """Losses in one direction that nobody notices: push-sum is exact, plain averaging is not."""
-    for seed in (8, 13, 23):
-        network = random_network(seed)
-        n = network.count
-        found = count_by_push_sum(network, 0, 6000, loss=0.4, generator=np.random.default_rng(seed))
-        assert (found.rounded == n).all()
-        plain = count_by_push_sum(network, 0, 6000)
-        assert plain.estimates == pytest.approx(n, rel=1e-6)
-
-
-def test_push_sum_loses_nothing() -> None:
-    """What agents hold and what is on its way always sum to what there was."""
-    network = random_network(18)
-    state, generator = start_push_sum(network, 1), np.random.default_rng(7)
-
-    def total(state: PushSum) -> list[float]:
-        sender, _ = network.directed
-        waiting = (state.given[sender] - state.taken).sum(axis=0)
-        return (state.held.sum(axis=0) + waiting).tolist()
-
-    for _ in range(50):
-        state = push_sum_round(state, network, loss=0.5, generator=generator)
-        assert total(state) == pytest.approx([1.0, network.count])
-
-
 def test_unheard_agents() -> None:
     """Before a value has reached an agent its count is infinite."""
     path = network_of(nx.path_graph(4))
     assert count_by_averaging(path, 0, 1).estimates.tolist()[2:] == [math.inf, math.inf]
-    assert count_by_push_sum(path, 0, 1).estimates.tolist()[2:] == [math.inf, math.inf]
 
 
 def test_bad_numbers() -> None:
@@ -300,10 +267,6 @@ def test_bad_numbers() -> None:
         lambda: running_round(values, ring, 9, 0.5),
         lambda: running_limit(parted, 0, 0.5),
         lambda: largest_innovation(parted, 0),
-        lambda: start_push_sum(ring, -1),
-        lambda: push_sum_round(start_push_sum(ring, 0), ring, loss=0.5),
-        lambda: push_sum_round(start_push_sum(ring, 0), ring, loss=-0.5, generator=generator),
-        lambda: count_by_push_sum(ring, 0, -1),
     ]
     for number, attempt in enumerate(attempts):
         with pytest.raises(InputError):
@@ -316,6 +279,5 @@ def test_one_agent() -> None:
     alone = Network(1, np.zeros((0, 2), dtype=np.intp))
     assert elect_leader(alone).leader == 0
     assert count_by_averaging(alone, 0, rounds_until_exact(1, second_modulus(alone))).rounded == [1]
-    assert count_by_push_sum(alone, 0, 2).rounded == [1]
     assert running_limit(alone, 0, 0.5) == pytest.approx([1.0])
     assert largest_innovation(alone, 0) == 1.0

@@ -24,7 +24,8 @@ from planopt.planning.loop.target_watch import expected_target, watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scenes
-from planopt.planning.stepping import Stepper, planning
+from planopt.planning.stepping import Stepper
+from planopt.planning.team.plan_step import planning
 from planopt.problems.check_tables import check_obstacle
 from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.problem import Problem

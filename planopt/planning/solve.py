@@ -16,7 +16,8 @@ from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solution import Solution
-from planopt.planning.stepping import Stepper, planning
+from planopt.planning.stepping import Stepper
+from planopt.planning.team.plan_step import planning
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 

@@ -7,7 +7,7 @@ Whatever drives robots, the simulation or a loop of a user's own, alternates two
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -15,23 +15,40 @@ from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements, join
-from planopt.planning.given import TeamSeeds
-from planopt.planning.history import history_of
+from planopt.planning.history import History, history_of
 from planopt.planning.loop.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan, Rung
-from planopt.planning.scene import Scene, build_scenes
-from planopt.planning.team.couriers import Couriers
 from planopt.planning.team.reservations import has_separation
-from planopt.planning.team.team_step import TeamMoment, build_team, plan_together
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
 from planopt.world.workspace import Obstacle
 
+
+@dataclass(frozen=True, eq=False)
+class TeamMoment:
+    """The states, beliefs and last plans of all robots."""
+
+    # Of each robot: what it believes of the channel, its state (s,), what it knows of the target,
+    # what has happened on the run before, and the plan that led here or None
+    beliefs: Sequence[Belief]
+    states: Sequence[NDArray[np.float64]]
+    watched: Sequence[Aim]
+    histories: Sequence[History]
+    warm: Sequence[Plan | None]
+    # (k, 2) of each robot: where it has been after each step of the run so far; none at all before
+    # the first step
+    driven_m: Sequence[NDArray[np.float64]] = ()
+
+    @property
+    def driven(self) -> int:
+        """Steps of the run before this one."""
+        return self.histories[0].steps
+
+
 PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
 """From where all robots are, and what they know, to a plan for each and the inputs of it."""
-
 
 Planning = Callable[[Problem, Sequence[NDArray[np.float64]]], PlanStep]
 """From the problem with the obstacles known now, and the states of all robots, to what plans."""
@@ -168,37 +185,3 @@ class Stepper:
         if float(np.linalg.norm((state - plan.next_state) * unit)) <= STANDSTILL_M:
             return True
         return robot.dynamics is None and not has_separation(self.problem)
-
-
-def planning(
-    problem: Problem,
-    scenes: Sequence[Scene] | None,
-    seeds: TeamSeeds,
-    foreseen_m: Sequence[NDArray[np.float64]] | None = None,
-) -> Planning:
-    """Return what makes of a problem with obstacles what plans a step; as :func:`plan_step`.
-
-    The scenes are those of the obstacles at the start; where others stand they are built.
-    """
-
-    def made(now: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
-        at_start = now.workspace.obstacles == problem.workspace.obstacles
-        places = [state[:2] for state in states]
-        known = scenes if at_start else build_scenes(now, places)
-        return plan_step(now, known, seeds, foreseen_m)
-
-    return made
-
-
-def plan_step(
-    problem: Problem,
-    scenes: Sequence[Scene] | None,
-    seeds: TeamSeeds,
-    foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2)
-) -> PlanStep:
-    """Return what plans a step: to goals in a scene of each robot, or a team for its terms."""
-    if scenes is not None:
-        couriers = Couriers(problem, scenes)
-        return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])
-    team = build_team(problem, seeds, foreseen_m)
-    return lambda at: plan_together(problem, team, at)

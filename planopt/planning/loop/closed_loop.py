@@ -1,4 +1,4 @@
-"""The closed loop: plan, move, measure, update the belief, plan again, until the task has ended.
+"""Simulate a problem's robots in the true channel.
 
 Robots plan one after the other, each on its own belief, and keep apart as
 :mod:`planopt.planning.team.team_step` says. The seed fixes everything that happens: the ground
@@ -11,9 +11,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from planopt.channel.fields.truth import measure
 from planopt.channel.one_thread import one_blas_thread
-from planopt.errors import InputError, NoPlanError
+from planopt.errors import InputError
 from planopt.parts import calling
 from planopt.planning.given import (
     GivenMeasurements,
@@ -21,22 +20,16 @@ from planopt.planning.given import (
     with_drawn_starts,
     with_measurements,
 )
-from planopt.planning.holes import BlockedError, BlockedWay
-from planopt.planning.loop.clairvoyant import run_costs
-from planopt.planning.loop.ending import Progress, run_ending
-from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log
-from planopt.planning.loop.robot_run import robot_run, true_serving_dbm
+from planopt.planning.loop.drive import TrueWorld, drive
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run import Run
 from planopt.planning.scene import Scene, build_scenes
-from planopt.planning.stepping import Stepper, planning
-from planopt.planning.worth.left_to_learn import workspace_region
+from planopt.planning.team.plan_step import planning
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
-from planopt.targets.sensor import sense
 
 
 @one_blas_thread()
@@ -96,7 +89,6 @@ def simulate(
             key="channel.truth",
             remedy="add [channel.truth], or ChannelSetup(truth=...); solve and Planner need none",
         )
-    reaches = problem.task == "reach"
     if scenes is None:
         scenes = build_scenes(problem)
     seeds = team_seeds(problem, seed)
@@ -107,69 +99,16 @@ def simulate(
         make = kind.maker()
         with calling(make, "", key="planner.name"):
             foreseen = make(problem, truths[0], true_m)
-    robots = Stepper(
+    world = TrueWorld(problem, truths, lambda: [scene.road_map for scene in scenes or ()])
+    plans = planning(problem, scenes if problem.task == "reach" else None, seeds, foreseen)
+    return drive(
         problem,
+        seed,
         prepared.belief,
-        planning(problem, scenes if reaches else None, seeds, foreseen),
+        world,
+        plans,
         target,
+        seeds.target,
+        on_start=on_start,
+        on_step=on_step,
     )
-    # The error over the whole workspace is dear, and tells little of a way to a goal.
-    known_at = None if reaches else workspace_region(problem).grid_m
-    rows = [] if known_at is None else [channel_row(robots.beliefs[0].posteriors, truths, known_at)]
-    ended, blocked = _ending(robots), tuple[BlockedWay, ...]()
-    while ended is None:
-        try:
-            step_plans = robots.plan()
-        except NoPlanError as error:
-            ended = Outcome.NO_PLAN, str(error)
-            blocked = error.blocked if isinstance(error, BlockedError) else ()
-            break
-        step, watch = len(robots.connected) + 1, robots.watches[-1]
-        if step == 1 and on_start is not None:
-            on_start(step_plans)
-        states = [plan.next_state for plan in step_plans]
-        here = np.array([state[:2] for state in states])
-        robots.observe(
-            states,
-            [[measure(truth, place[None]) for truth in truths] for place in here],
-            true_serving_dbm(problem, truths, here) >= problem.stations[0].true_threshold_dbm,
-            None if watch is None else sense(watch.sensor, here, watch.true_m[step], seeds.target),
-        )
-        if known_at is not None:
-            rows.append(channel_row(robots.beliefs[0].posteriors, truths, known_at))
-        if on_step is not None:
-            on_step(step)
-        ended = _ending(robots)
-    tracks = [np.array(driven)[:, :2] for driven in robots.states]
-    return Run(
-        problem=problem,
-        seed=seed,
-        truths=truths,
-        runs=tuple(
-            robot_run(own, track, true_serving_dbm(problem, truths, track), made, measured, ended)
-            for own, track, made, measured in zip(
-                robots.owns, tracks, robots.plans, robots.learnt, strict=True
-            )
-        ),
-        plans=tuple(tuple(made) for made in robots.plans),
-        aims=tuple(tuple(known) for known in robots.aims),
-        beliefs=tuple(robots.beliefs),
-        first_measurements=len(prepared.belief.posterior.measurements),
-        target=target_log(robots.watches, robots.connected),
-        channel=channel_log(rows) if rows else None,
-        costs=run_costs(
-            problem, [scene.road_map for scene in scenes or ()], prepared.truths, tracks, ended[0]
-        ),
-        blocked=blocked,
-    )
-
-
-def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
-    """Return how a run ends where its robots are now; None if it goes on."""
-    progress = [
-        Progress(own, driven, measured, made, belief.posteriors)
-        for own, driven, measured, made, belief in zip(
-            robots.owns, robots.states, robots.learnt, robots.plans, robots.beliefs, strict=True
-        )
-    ]
-    return run_ending(robots.problem, robots.connected, progress)

@@ -26,6 +26,7 @@ from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.reach_planner import Outlook, ReachPlanner
 from planopt.planning.scene import Scene
 from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_places
+from planopt.planning.stepping import TeamMoment
 from planopt.planning.team.reservations import (
     beside,
     beside_each_other,
@@ -33,7 +34,7 @@ from planopt.planning.team.reservations import (
     planned_motion,
     reserved_motion,
 )
-from planopt.planning.team.team_step import TeamMoment, keep_apart
+from planopt.planning.team.team_step import keep_apart
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.moving_obstacle import MovingDiscs, joined_discs

@@ -28,6 +28,7 @@ from planopt.planning.planners import Planner, asked_plan, planner_for
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.predictions import SEARCH_EXACT_LIMIT
 from planopt.planning.scene import Ground, build_ground
+from planopt.planning.stepping import TeamMoment
 from planopt.planning.team.reservations import (
     beside,
     beside_each_other,
@@ -185,27 +186,6 @@ def _steer(problem: Problem, ground: Ground) -> Steer | None:
         if term.steers is not None:
             return STEERINGS[term.steers](problem, ground, term).find_way
     return None
-
-
-@dataclass(frozen=True, eq=False)
-class TeamMoment:
-    """The states, beliefs and last plans of all robots."""
-
-    # Of each robot: what it believes of the channel, its state (s,), what it knows of the target,
-    # what has happened on the run before, and the plan that led here or None
-    beliefs: Sequence[Belief]
-    states: Sequence[NDArray[np.float64]]
-    watched: Sequence[Aim]
-    histories: Sequence[History]
-    warm: Sequence[Plan | None]
-    # (k, 2) of each robot: where it has been after each step of the run so far; none at all before
-    # the first step
-    driven_m: Sequence[NDArray[np.float64]] = ()
-
-    @property
-    def driven(self) -> int:
-        """Steps of the run before this one."""
-        return self.histories[0].steps
 
 
 def plan_together(

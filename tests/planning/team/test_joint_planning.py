@@ -15,8 +15,8 @@ from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
+from planopt.planning.stepping import TeamMoment
 from planopt.planning.team import team_step
-from planopt.planning.team.team_step import TeamMoment
 
 MAPPING = {"kind": "mapping", "form": "information"}
 

@@ -1,0 +1,174 @@
+"""The loop of a run: plan, move, measure, update the belief, until the task has ended.
+
+A simulation and the replay of a saved run are this loop: they differ in where plans come from and
+in the world that robots drive in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.fields.truth import Truth, measure
+from planopt.channel.measurements import Measurements
+from planopt.channel.posterior import ChannelPosterior
+from planopt.errors import NoPlanError
+from planopt.planning.holes import BlockedError, BlockedWay
+from planopt.planning.loop.clairvoyant import run_costs
+from planopt.planning.loop.ending import Progress, run_ending
+from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log
+from planopt.planning.loop.robot_run import robot_run, true_serving_dbm
+from planopt.planning.loop.target_watch import TargetWatch
+from planopt.planning.plan import Plan
+from planopt.planning.run import Run
+from planopt.planning.stepping import Planning, Stepper
+from planopt.planning.worth.left_to_learn import workspace_region
+from planopt.problems.problem import Problem
+from planopt.targets.sensor import sense
+from planopt.world.road_map import RoadMap
+
+
+class World(Protocol):
+    """The radio channel that robots drive in."""
+
+    @property
+    def truths(self) -> tuple[Truth, ...]:
+        """Ground truth of each station; empty where it is unknown."""
+        ...
+
+    def serving_dbm(
+        self, number: int, step: int, places_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the true serving power (n,) at places (n, 2) of robot `number` from a step on."""
+        ...
+
+    def measured(self, step: int, places_m: NDArray[np.float64]) -> list[list[Measurements]]:
+        """Return each robot's measurements of each station after a step."""
+        ...
+
+    def channel_row(
+        self,
+        step: int,
+        posteriors: Sequence[ChannelPosterior],
+        places_m: NDArray[np.float64],  # (n, 2) where errors are evaluated
+    ) -> tuple[float, ...]:
+        """Return the row of the channel log after a step."""
+        ...
+
+    def costs(self, tracks_m: Sequence[NDArray[np.float64]], outcome: Outcome) -> dict[str, float]:
+        """Return the true costs of tracks to goals, by metric; empty for other tasks."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class TrueWorld:
+    """A world whose ground truth is known."""
+
+    problem: Problem
+    truths: tuple[Truth, ...]
+    road_maps: Callable[[], Sequence[RoadMap]]  # Of each robot with a goal
+
+    def serving_dbm(
+        self, number: int, step: int, places_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the true serving power at places."""
+        return true_serving_dbm(self.problem, self.truths, places_m)
+
+    def measured(self, step: int, places_m: NDArray[np.float64]) -> list[list[Measurements]]:
+        """Return the true powers at the robots' places."""
+        return [[measure(truth, place[None]) for truth in self.truths] for place in places_m]
+
+    def channel_row(
+        self, step: int, posteriors: Sequence[ChannelPosterior], places_m: NDArray[np.float64]
+    ) -> tuple[float, ...]:
+        """Return the errors of a posterior."""
+        return channel_row(posteriors, self.truths, places_m)
+
+    def costs(self, tracks_m: Sequence[NDArray[np.float64]], outcome: Outcome) -> dict[str, float]:
+        """Return the realised and the clairvoyant costs."""
+        return run_costs(self.problem, self.road_maps(), self.truths, tracks_m, outcome)
+
+
+def drive(
+    problem: Problem,
+    seed: int,
+    belief: Belief,
+    world: World,
+    planning: Planning,
+    target: TargetWatch | None,
+    generator: np.random.Generator,  # Of the noise of target sensors
+    *,
+    on_start: Callable[[Sequence[Plan]], None] | None = None,
+    on_step: Callable[[int], None] | None = None,
+) -> Run:
+    """Drive all robots until :func:`planopt.planning.loop.ending.run_ending` ends the run."""
+    robots = Stepper(problem, belief, planning, target)
+    # Errors over the whole workspace take long, and say little of a path to a goal.
+    known_at = None if problem.task == "reach" else workspace_region(problem).grid_m
+    rows: list[tuple[float, ...]] = []
+    if known_at is not None:
+        rows.append(world.channel_row(0, robots.beliefs[0].posteriors, known_at))
+    threshold_dbm = problem.stations[0].true_threshold_dbm
+    ended, blocked = _ending(robots), tuple[BlockedWay, ...]()
+    while ended is None:
+        try:
+            step_plans = robots.plan()
+        except NoPlanError as error:
+            ended = Outcome.NO_PLAN, str(error)
+            blocked = error.blocked if isinstance(error, BlockedError) else ()
+            break
+        step, watch = len(robots.connected) + 1, robots.watches[-1]
+        if step == 1 and on_start is not None:
+            on_start(step_plans)
+        states = [plan.next_state for plan in step_plans]
+        here = np.array([state[:2] for state in states])
+        serving = [
+            world.serving_dbm(number, step, place[None])[0] for number, place in enumerate(here)
+        ]
+        robots.observe(
+            states,
+            world.measured(step, here),
+            np.array(serving) >= threshold_dbm,
+            None if watch is None else sense(watch.sensor, here, watch.true_m[step], generator),
+        )
+        if known_at is not None:
+            rows.append(world.channel_row(step, robots.beliefs[0].posteriors, known_at))
+        if on_step is not None:
+            on_step(step)
+        ended = _ending(robots)
+    tracks = [np.array(driven)[:, :2] for driven in robots.states]
+    return Run(
+        problem=problem,
+        seed=seed,
+        truths=world.truths,
+        runs=tuple(
+            robot_run(own, track, world.serving_dbm(number, 0, track), made, measured, ended)
+            for number, (own, track, made, measured) in enumerate(
+                zip(robots.owns, tracks, robots.plans, robots.learnt, strict=True)
+            )
+        ),
+        plans=tuple(tuple(made) for made in robots.plans),
+        aims=tuple(tuple(known) for known in robots.aims),
+        beliefs=tuple(robots.beliefs),
+        first_measurements=len(belief.posterior.measurements),
+        target=target_log(robots.watches, robots.connected),
+        channel=channel_log(rows) if rows else None,
+        costs=world.costs(tracks, ended[0]),
+        blocked=blocked,
+    )
+
+
+def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
+    """Return how a run ends where its robots are now; None if it goes on."""
+    progress = [
+        Progress(own, driven, measured, made, belief.posteriors)
+        for own, driven, measured, made, belief in zip(
+            robots.owns, robots.states, robots.learnt, robots.plans, robots.beliefs, strict=True
+        )
+    ]
+    return run_ending(robots.problem, robots.connected, progress)

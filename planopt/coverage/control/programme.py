@@ -1,20 +1,17 @@
-# pyright: basic
 """The optimal control problems of all agents as convex programmes.
 
-Agents do not share variables, so that all of them are solved in one batch. Clarabel takes those
-that the batch leaves, as one block-diagonal second-order cone programme. Each agent's programme is
-in units of its own distances, about its own place; velocities are in units of length per step.
+Agents share no variables. Each agent's programme is in units of its own distances, relative to its
+own position; velocities are in units of length per step.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.control.interior_point import Programmes, solve_programmes
+from planopt.coverage.control.cone_programmes import Programmes, solve_programmes
 from planopt.coverage.control.safe_sets import SafeSets
 
 WITHIN = 1e-6
@@ -136,12 +133,9 @@ def solve_programme(
         -less,
         most,
     )
-    found, solved = solve_programmes(programmes)
-    if not solved.all():
-        rest = solve_by_clarabel(programmes.of(~solved))
-        if rest is None:
-            return None
-        found[~solved] = rest
+    found = solve_programmes(programmes)
+    if found is None:
+        return None
     places = (place @ found + shift) * unit[:, None, None]
     paths = np.concatenate((starts_m[:, None], starts_m[:, None] + places), axis=1)
     if inertia is None:
@@ -200,57 +194,3 @@ def _filled(
     table, limits = np.zeros((count, most, 2)), np.full((count, most), filler)
     table[at], limits[at] = vectors[order], values[order]
     return table, limits
-
-
-def solve_by_clarabel(given: Programmes) -> Floats | None:
-    """Return the optima ``(n, V, 2)`` of programmes by Clarabel, or None if it gives up."""
-    import clarabel
-    from scipy.sparse import coo_array, csc_array
-
-    count, size = given.linear.shape[:2]
-    rows, sides = list[Floats](), list[Floats]()
-    # Rows (n, r, V, 2) of all agents, one cone after the other.
-    planes = np.einsum("ikx,ijv->ikjvx", given.normals, given.place_map)
-    rows.append(planes.reshape(count, -1, size, 2))
-    heights = (given.normals[:, :, None] * given.place_offset[:, None]).sum(axis=3)
-    sides.append((given.rooms[..., None] - heights).reshape(count, -1))
-    discs = given.place_offset[:, None] - given.centres[:, :, None]
-    steps = discs.shape[2]
-    way_map = np.broadcast_to(given.way_map, (count, *given.way_map.shape))
-    for matrix, offset, radius in (
-        (
-            np.tile(given.place_map, (1, discs.shape[1], 1)),
-            discs.reshape(count, -1, 2),
-            np.repeat(given.radii, steps, axis=1),
-        ),
-        (way_map, given.way_offset, given.longest),
-    ):
-        ball = np.zeros((count, matrix.shape[1], 3, size, 2))
-        ball[:, :, 1, :, 0] = ball[:, :, 2, :, 1] = -matrix
-        rows.append(ball.reshape(count, -1, size, 2))
-        sides.append(np.concatenate((radius[..., None], offset), axis=2).reshape(count, -1))
-    cones: list[Any] = []
-    for _ in range(count):
-        cones.append(clarabel.NonnegativeConeT(sides[0].shape[1]))  # pyright: ignore[reportAttributeAccessIssue]
-        cones.extend([clarabel.SecondOrderConeT(3)] * (sum(s.shape[1] for s in sides[1:]) // 3))  # pyright: ignore[reportAttributeAccessIssue]
-
-    def diagonal(blocks: Floats) -> Any:
-        """A sparse matrix of blocks (n, r, c) on its diagonal."""
-        agent, row, column = np.nonzero(blocks)
-        high, wide = blocks.shape[1:]
-        at = agent * high + row, agent * wide + column
-        return csc_array(coo_array((blocks[agent, row, column], at), (count * high, count * wide)))
-
-    hessian = np.einsum("ivw,xy->ivxwy", given.hessian, np.eye(2)).reshape(count, 2 * size, -1)
-    matrix = np.concatenate(rows, axis=1).reshape(count, -1, 2 * size)
-    settings = clarabel.DefaultSettings()  # pyright: ignore[reportAttributeAccessIssue]
-    settings.verbose = False
-    settings.max_threads = 1
-    solver = clarabel.DefaultSolver(  # pyright: ignore[reportAttributeAccessIssue]
-        diagonal(np.triu(hessian)), given.linear.ravel(), diagonal(matrix),
-        np.concatenate(sides, axis=1).ravel(), cones, settings,
-    )  # fmt: skip
-    solution: Any = solver.solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
-        return None
-    return np.asarray(solution.x, dtype=np.float64).reshape(count, size, 2)

@@ -11,8 +11,7 @@ import pytest
 from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from planopt.channel.maps.posterior_map import CachedMap, predict_grid
-from planopt.channel.maps.tile_map import TileMap, predict_single
+from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station, regressors
@@ -117,7 +116,7 @@ def test_exact_map(benchmark: BenchmarkFixture, table: Table, count: int) -> Non
     """Every measurement, theta estimated, against scikit-learn's with theta known."""
     taken, ratio = timed(
         benchmark,
-        lambda: predict_grid(posterior(count), lattice()[0], lattice()[0]),
+        lambda: posterior(count).predict(lattice()[1]),
         ROUNDS,
         scikit_learn(count),
     )
@@ -127,22 +126,6 @@ def test_exact_map(benchmark: BenchmarkFixture, table: Table, count: int) -> Non
         f"map, exact, {count}: {ratio:.2f} of scikit-learn's time; it does its n^2 operations a "
         f"place at {count**2 * GRID**2 / min(taken) / peak:.0%} of the speed of a matrix product, "
         f"{peak / 1e9:.0f} GFLOP/s"
-    )
-
-
-@pytest.mark.parametrize("count", [102, 1000])
-def test_single_precision_map(benchmark: BenchmarkFixture, table: Table, count: int) -> None:
-    """The same in single precision."""
-
-    def work() -> Prediction:
-        return predict_single(posterior(count), lattice()[1])
-
-    taken, ratio = timed(benchmark, work, ROUNDS, scikit_learn(count))
-    table.add("map, single precision", count, taken)
-    _, mean, _, deviation = errors(work(), exact(count))
-    table.note(
-        f"map, single precision, {count}: {ratio:.2f} of scikit-learn's time; mean at most "
-        f"{mean:.0e} dB off, deviation {deviation:.0e} of itself"
     )
 
 
@@ -175,10 +158,9 @@ def new_tiles() -> TileMap:
 
 
 @pytest.mark.parametrize("count", [102, 500, 1000])
-@pytest.mark.parametrize("kind", ["exact", "neighbours"])
-def test_one_more(benchmark: BenchmarkFixture, table: Table, kind: str, count: int) -> None:
+def test_one_more(benchmark: BenchmarkFixture, table: Table, count: int) -> None:
     """Take in one measurement and refresh the whole map."""
-    kept = CachedMap(lattice()[1]) if kind == "exact" else new_tiles()
+    kept = new_tiles()
     rng = np.random.default_rng(1)
     # The first extension takes a copy of the shared factor.
     now = [extend(posterior(count), another(rng))]
@@ -188,7 +170,7 @@ def test_one_more(benchmark: BenchmarkFixture, table: Table, kind: str, count: i
         now[0] = extend(now[0], another(rng))
         kept.refresh(now[0])
 
-    table.add(f"one more, {kind}", count, timed(benchmark, learn, STEPS)[0])
+    table.add("one more, neighbours", count, timed(benchmark, learn, STEPS)[0])
 
 
 def another(rng: np.random.Generator) -> Measurements:

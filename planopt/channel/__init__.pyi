@@ -31,7 +31,6 @@ from planopt.channel.joint import predict_readings as predict_readings
 from planopt.channel.joint import sample_power as sample_power
 from planopt.channel.logs.log_file import read_log as read_log
 from planopt.channel.logs.log_format import LogFormat as LogFormat
-from planopt.channel.maps.posterior_map import CachedMap as CachedMap
 from planopt.channel.maps.posterior_map import PosteriorMap as PosteriorMap
 from planopt.channel.maps.posterior_map import posterior_map as posterior_map
 from planopt.channel.measurements import Measurements as Measurements

@@ -118,13 +118,6 @@ def _halved_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     return inverted
 
 
-def solve_lower_single(
-    lower: NDArray[np.float32], right: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """L^-1 `right` in single precision, for `right` (n, m)."""
-    return solve_triangular(lower, right, lower=True, check_finite=False)
-
-
 def solve_upper(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """L'^-1 `right`, for `right` (n,) or (n, m)."""
     return solve_triangular(lower, right, lower=True, trans=1, check_finite=False)

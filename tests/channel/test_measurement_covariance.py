@@ -18,8 +18,7 @@ from planopt.channel.derivatives import posterior_derivatives
 from planopt.channel.fields.field import conditional_field, conditional_values_db
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
-from planopt.channel.maps.posterior_map import CachedMap
-from planopt.channel.maps.tile_map import TileMap, predict_single
+from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -135,7 +134,7 @@ def test_age_ends_in_path_loss_alone():
 
 @pytest.mark.parametrize("parameters", [DRIFTING, STEADY])
 def test_all_predictors_agree(parameters):
-    """Many places at once, joint, local with all, near by with all, and in single precision."""
+    """Many places at once, joint, and local with all measurements."""
     posterior = at_time(condition(parameters, varied(70, 9, censored=0.1)), 650.0)
     expected = predict(posterior, PLACES)
     many = predict(posterior, np.tile(PLACES, (30, 1)))
@@ -150,9 +149,6 @@ def test_all_predictors_agree(parameters):
     ):
         np.testing.assert_allclose(mean, expected.mean_db, atol=1e-7)
         np.testing.assert_allclose(deviation, expected.deviation_db, atol=1e-7)
-    single = predict_single(posterior, PLACES)
-    np.testing.assert_allclose(single.mean_db, expected.mean_db, atol=3e-3)
-    np.testing.assert_allclose(single.deviation_db, expected.deviation_db, atol=3e-3)
 
 
 def test_offsets_come_from_all_measurements():
@@ -168,29 +164,6 @@ def test_offsets_come_from_all_measurements():
     for found in (local, nearby):
         assert np.abs(found.mean_db - exact.mean_db).max() < 0.3
         assert np.abs(found.deviation_db - exact.deviation_db).max() < 0.1
-
-
-@pytest.mark.parametrize("parameters", [DRIFTING, STEADY])
-def test_the_cached_map_ages(parameters):
-    """Measurement by measurement, time passing, running back, and past what fades away."""
-    data = varied(60, 11)
-    posterior = condition(parameters, data.take(slice(30)))
-    cached = CachedMap(PLACES)
-
-    def agree(posterior):
-        found, expected = cached.refresh(posterior), predict(posterior, PLACES)
-        np.testing.assert_allclose(found.mean_db, expected.mean_db, atol=1e-8)
-        np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=1e-8)
-
-    agree(posterior)
-    agree(at_time(posterior, posterior.now_s + 40.0))
-    for row in range(30, 60):
-        posterior = extend(posterior, data.take(slice(row, row + 1)))
-        agree(posterior)
-    agree(at_time(posterior, 100.0))
-    agree(at_time(posterior, 200.0))
-    agree(posterior)
-    agree(at_time(posterior, posterior.now_s + 1e4))
 
 
 @pytest.mark.parametrize("receivers", [1, 3])

@@ -6,7 +6,6 @@ from local_kriging import predict_locally
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
-from planopt.channel.maps.posterior_map import CachedMap
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.nearest.neighbours import neighbour_model
@@ -162,13 +161,11 @@ def test_lattice_and_neighbours_need_no_factor():
 
 
 def test_what_needs_a_factor_says_so():
-    """Joint predictions, exact cached maps and theta by least squares."""
+    """Joint predictions and theta by least squares."""
     data = measured(20)
     posterior = condition(PARAMETERS, data, exact_limit=19)
     with pytest.raises(InputError, match="20 are more than the 19"):
         joint_prediction(posterior, PLACES)
-    with pytest.raises(InputError, match="factor"):
-        CachedMap(PLACES).refresh(posterior)
     with pytest.raises(InputError, match="factor"):
         condition(PARAMETERS, data, theta="least_squares", exact_limit=19)
 

@@ -1,14 +1,4 @@
-"""The posterior on a grid, computed once, and at fixed places, updated with each measurement.
-
-Kriging on a grid is sooner than place by place, because rows and columns share their coordinate
-differences.
-
-At fixed places a new measurement adds one more row of L^-1 Phi. The rows so far are kept, so that a
-row costs one product with them, and no factor and no earlier row is touched. The price is memory,
-``8 kappa n`` bytes; :class:`planopt.channel.maps.tile_map.TileMap` needs less and is faster, but
-uses the nearest measurements only. If the channel forgets, the rows are those of the time when they
-were begun: all measurements age by the same factor, so that a later time is a multiple of it.
-"""
+"""The posterior on a grid: mean, standard deviation and probability of connection."""
 
 from __future__ import annotations
 
@@ -18,73 +8,16 @@ from importlib import import_module
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planopt.channel.factor import spacious, whiten
-from planopt.channel.kriging import MANY_PLACES, predict
-from planopt.channel.maps.many_places import PLACES_AT_ONCE, RowWhitener
-from planopt.channel.measurement_covariance import (
-    covariance_db2,
-    covariance_over_db2,
-    fading,
-    place_origins,
-)
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.nearby import predict_nearby
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import regressors
-from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import KrigingTerms, Prediction, combine, connection_probability
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.parts import part_of
 from planopt.short_repr import short_repr
 from planopt.world.raster import Raster, cell_centres_m
-
-
-def predict_grid(
-    posterior: ChannelPosterior, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
-) -> Prediction:
-    """Mean and deviation at all places of a grid; what `predict` gives, sooner."""
-    # Shapes: x_m, y_m (nx,); returns (ny, nx).
-    shape = (len(y_m), len(x_m))
-    places = np.stack(np.meshgrid(x_m, y_m), axis=-1).reshape(-1, 2)
-    known = len(posterior.measurements)
-    if len(places) < MANY_PLACES or not known or not posterior.has_factor:
-        found = predict(posterior, places)
-        return Prediction(found.mean_db.reshape(shape), found.deviation_db.reshape(shape))
-    parameters, measured = posterior.parameters, posterior.origins
-    # All are of the same time and have no position error; which one it is does not matter.
-    anywhere = place_origins(places[:1], posterior.now_s, parameters)
-    columns = np.column_stack([posterior.whitened_values, posterior.whitened_regressors])
-    whitener = RowWhitener(posterior.factor, columns)
-    square_x = (np.asarray(x_m)[:, None] - measured.positions_m[:, 0]) ** 2
-    square_y = (np.asarray(y_m)[:, None] - measured.positions_m[:, 1]) ** 2
-    if measured.blur_m2 is not None:
-        square_y += measured.blur_m2
-    projected, explained = np.empty((3, *shape)), np.empty(shape)
-    across = min(shape[1], PLACES_AT_ONCE)
-    along = max(1, PLACES_AT_ONCE // across)
-    spare = np.empty((along, across, known))
-    for left in range(0, shape[1], across):
-        for low in range(0, shape[0], along):
-            part = np.s_[low : low + along, left : left + across]
-            size = explained[part].shape
-            square = np.add(
-                square_y[part[0], None], square_x[None, part[1]], out=spare[: size[0], : size[1]]
-            )
-            # A last block that is narrower is copied, the others are not.
-            distance = np.sqrt(square, out=square).reshape(-1, known)
-            rows = covariance_over_db2(distance, anywhere, measured, parameters)
-            found, said = whitener.reduce(rows)
-            projected[:, *part], explained[part] = found.reshape(3, *size), said.reshape(size)
-    trend = regressors(places, parameters.station).reshape(*shape, 2)
-    trend -= np.moveaxis(projected[1:], 0, -1)
-    # Rounding alone can make the latent variance negative, at a place that is known exactly.
-    latent = np.maximum(parameters.shadow_std_db**2 - explained, 0.0)
-    terms = KrigingTerms(projected[0], trend, latent + parameters.multipath_std_db**2)
-    return combine(terms, posterior.theta, posterior.theta_covariance)
-
 
 Bounds = tuple[float, float, float, float]
 
@@ -214,10 +147,10 @@ def posterior_map(
     count = len(posterior.measurements)
     few = count <= NEIGHBOURS or count**2 * x.size * y.size <= EXACT_OPERATIONS
     exact = posterior.has_factor and few
+    cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     if exact:
-        prediction = predict_grid(posterior, x, y)
+        prediction = posterior.predict(cells)
     else:
-        cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         prediction = predict_nearby(posterior, cells, NEIGHBOURS)
     mean = prediction.mean_db.reshape(y.size, x.size)
     deviation = prediction.deviation_db.reshape(y.size, x.size)
@@ -256,108 +189,3 @@ def measured_bounds_m(measurements: Measurements) -> Bounds:
     widening = np.maximum(least - (high - low), 0.0) / 2.0
     (x_min, y_min), (x_max, y_max) = low - widening, high + widening
     return float(x_min), float(y_min), float(x_max), float(y_max)
-
-
-COLUMNS = 4096
-"""Places worked on at once."""
-
-LEAST_FADING = 1e-3
-"""Rows are computed anew, for the present, once they have faded to this share."""
-
-
-class CachedMap:
-    """Predictions at fixed places that follow a growing posterior exactly.
-
-    Parameters
-    ----------
-    positions_m
-        ``(n, 2)`` where to predict.
-
-    Raises
-    ------
-    InputError
-        Positions are not ``(n, 2)`` and finite.
-    """
-
-    def __init__(self, positions_m: NDArray[np.float64]) -> None:
-        self._places_m = require_places(positions_m)
-        # All its measurements are counted.
-        self._last: ChannelPosterior | None = None
-        self._rows: NDArray[np.float64] = np.zeros((0, len(self._places_m)))
-        self._path_loss: NDArray[np.float64] = np.zeros((2, 0))
-        self._begun_s = 0.0
-        # What the rows, of the time when they were begun, say of y, of Gamma and of the variance.
-        self._data: NDArray[np.float64] = np.zeros(0)
-        self._projected: NDArray[np.float64] = np.zeros((2, 0))
-        self._explained: NDArray[np.float64] = np.zeros(0)
-
-    def refresh(self, posterior: ChannelPosterior) -> Prediction:
-        """Predict from `posterior`, as :func:`planopt.channel.kriging.predict` does.
-
-        Parameters
-        ----------
-        posterior
-            Usually the last one extended, which costs O(kappa n) for each new measurement;
-            anything else is computed from nothing, O(kappa^2 n).
-        """
-        parameters = posterior.parameters
-        before = 0 if self._last is None else len(self._last.measurements)
-        faded = fading(
-            posterior.measurements.time_s[:before], self._begun_s, posterior.now_s, parameters
-        )
-        if (
-            self._last is None
-            or faded is None
-            or faded < LEAST_FADING
-            or not posterior.continues(self._last)
-        ):
-            before, faded = 0, 1.0
-            self._start(posterior)
-        self._append(posterior, before, faded)
-        self._last = posterior
-        variance = float(parameters.shadow_std_db) ** 2 - faded**2 * self._explained
-        terms = KrigingTerms(
-            faded * self._data,
-            (self._path_loss - faded * self._projected).T,
-            # Rounding alone can make the latent variance negative, at a place known exactly.
-            np.maximum(variance, 0.0) + parameters.multipath_std_db**2,
-        )
-        return combine(terms, posterior.theta, posterior.theta_covariance)
-
-    def _start(self, posterior: ChannelPosterior) -> None:
-        """Begin without measurements."""
-        count = len(self._places_m)
-        self._begun_s = posterior.now_s
-        station = posterior.parameters.station
-        self._path_loss = np.ascontiguousarray(regressors(self._places_m, station).T)
-        self._data = np.zeros(count)
-        self._projected = np.zeros((2, count))
-        self._explained = np.zeros(count)
-
-    def _append(self, posterior: ChannelPosterior, before: int, faded: float) -> None:
-        """Add the rows of L^-1 Phi from `before` on, and what they tell.
-
-        `faded` is what kept rows have to be multiplied by to be of the present.
-        """
-        count = len(posterior.measurements)
-        if len(self._rows) < count:
-            grown = np.empty((spacious(count), len(self._places_m)))
-            grown[:before] = self._rows[:before]
-            self._rows = grown
-        lower = posterior.factor
-        across, within = lower[before:, :before], lower[before:, before:]
-        values = posterior.whitened_values[before:]
-        columns = posterior.whitened_regressors[before:].T
-        origins = posterior.origins.at(slice(before, None))
-        for start in range(0, len(self._places_m) if count > before else 0, COLUMNS):
-            part = slice(start, start + COLUMNS)
-            places = place_origins(self._places_m[part], posterior.now_s, posterior.parameters)
-            new = covariance_db2(origins, places, posterior.parameters)
-            if faded != 1.0:
-                new /= faded
-            new -= across @ self._rows[:before, part]
-            new = whiten(within, new)
-            self._rows[before:count, part] = new
-            self._data[part] += values @ new
-            self._projected[:, part] += columns @ new
-            self._explained[part] += np.einsum("ij,ij->j", new, new)

@@ -34,6 +34,9 @@ MOST_BESIDE = 8
 """So many earlier measurements are looked at near one place, the nearest. Where more are so near
 these close it."""
 
+LONGEST_PATH = 512
+"""Longer lists of places are logs; they are compared block by block."""
+
 FEW_KNOWN = 64
 """Up to so many measurements are not looked through for those nearby."""
 
@@ -94,7 +97,11 @@ class MeasuringRule:
 
     def takes(self, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which places bring a measurement when they are visited in turn."""
-        # Shapes: ways_m (N, 2); returns (N,).
+        # Shapes: ways_m (..., N, 2); returns (..., N).
+        if not ways_m.size:
+            return np.zeros(ways_m.shape[:-1], dtype=np.bool_)
+        if ways_m.ndim == 2 and len(ways_m) > LONGEST_PATH:
+            return self._takes_of_log(ways_m)
         ways = ways_m.reshape(-1, *ways_m.shape[-2:])
         taken = self.is_open(ways.reshape(-1, 2)).reshape(ways.shape[:2])
         close = _squared_between_m2(ways) < self.spacing_m**2
@@ -102,6 +109,16 @@ class MeasuringRule:
             for k in range(1, ways.shape[1]):
                 taken[:, k] &= ~(close[:, k, :k] & taken[:, :k]).any(axis=1)
         return taken.reshape(ways_m.shape[:-1])
+
+    def _takes_of_log(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return :meth:`takes` of a long list of places (n, 2), in memory linear in n."""
+        rows = np.flatnonzero(self.is_open(places_m))
+        taken = rows[:0]
+        for start in range(0, len(rows), LONGEST_PATH):
+            block = rows[start : start + LONGEST_PATH]
+            earlier = MeasuringRule(self.spacing_m, (places_m[taken],))
+            taken = np.concatenate([taken, block[earlier.takes(places_m[block])]])
+        return np.isin(np.arange(len(places_m)), taken)
 
     def gates(self, ways_m: NDArray[np.float64]) -> Gates | None:
         """Smooth amplitudes of ways (c, N, 2); None where all are one and stay so nearby."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -38,7 +39,8 @@ class Planner:
     """Plans the next steps of robots that a loop of one's own drives.
 
     Belief, track and last plan are kept between calls. Each call of :meth:`step` stands for one
-    step of ``problem.planner.step_s`` seconds.
+    step of ``problem.planner.step_s`` seconds. Several planners may run in several threads;
+    a planner that is called while it plans in another thread raises an InputError.
 
     Parameters
     ----------
@@ -103,6 +105,7 @@ class Planner:
         self._index = index_obstacles(lasting)
         self._robots = Stepper(problem, belief, planning(problem, scenes, seeds), watch)
         self._is_placed = False
+        self._busy = threading.Lock()
 
     def __repr__(self) -> str:
         """Return the problem, and how much has happened."""
@@ -153,8 +156,9 @@ class Planner:
         Raises
         ------
         InputError
-            There are several robots (:meth:`step_all`), the state is no place where the robot can
-            be, or measurements cannot be used. Nothing has been taken in then.
+            There are several robots (:meth:`step_all`), the robot cannot be in this state,
+            measurements cannot be used, or another thread is within a step of this planner. The
+            planner is unchanged.
         NoPlanError
             There is provably no plan from here.
         """
@@ -171,7 +175,6 @@ class Planner:
         )
         return plan
 
-    @one_blas_thread()
     def step_all(
         self,
         states: Sequence[ArrayLike],
@@ -181,7 +184,27 @@ class Planner:
         target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None = None,
         obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> tuple[Plan, ...]:
-        """Plan from where all robots are now; as :meth:`step`, with an entry for each robot."""
+        """Plan from the states of all robots; as :meth:`step`, with an entry for each robot."""
+        if not self._busy.acquire(blocking=False):
+            raise InputError(
+                "a planner was called while it plans in another thread",
+                remedy="use one Planner for each thread, or wait for the first call to return",
+            )
+        try:
+            return self._step_all(states, measurements, connected, target_m, obstacles)
+        finally:
+            self._busy.release()
+
+    @one_blas_thread()
+    def _step_all(
+        self,
+        states: Sequence[ArrayLike],
+        measurements: Sequence[GivenMeasurements | None] | None,
+        connected: Sequence[bool] | NDArray[np.bool_] | None,
+        target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None,
+        obstacles: Obstacle | Sequence[Obstacle],
+    ) -> tuple[Plan, ...]:
+        """Check all arguments, record what happened, and plan."""
         count = len(self.problem.robots)
         for key, given in (
             ("states", states),

@@ -131,8 +131,8 @@ class Stepper:
         self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
     ) -> None:
         """Begin at `states`, after measurements there; arguments as of :meth:`observe`."""
+        self.beliefs = self._learnt(measured)
         self.states = [[state] for state in states]
-        self._learn(measured)
 
     def observe(
         self,
@@ -141,32 +141,30 @@ class Stepper:
         connected: Sequence[bool] | NDArray[np.bool_],
         target_m: NDArray[np.float64] | None = None,  # (robots, 2)
     ) -> None:
-        """Take in what came of a step."""
-        for number, state in enumerate(states):
-            self.states[number].append(state)
-            if not self._goes_on(number, state):
-                self._warm[number] = None
-        before = list(self.beliefs)
-        self._learn(measured)
-        for number, belief in enumerate(self.beliefs):
-            self.learnt[number].append(belief is not before[number])
-        self.connected = np.vstack([self.connected, np.asarray(connected, dtype=np.bool_)])
+        """Record the outcome of a step; an error leaves the robots as they were."""
+        beliefs = self._learnt(measured)
+        links = np.vstack([self.connected, np.asarray(connected, dtype=np.bool_)])
         watch = self.watches[-1]
         if watch is not None:
             here = np.array([state[:2] for state in states])
             seen = np.full_like(here, np.nan) if target_m is None else target_m
-            watch = counted(watch, seen, here, self.connected[-1])
+            watch = counted(watch, seen, here, links[-1])
+        for number, (state, belief) in enumerate(zip(states, beliefs, strict=True)):
+            if not self._goes_on(number, state):
+                self._warm[number] = None
+            self.states[number].append(state)
+            self.learnt[number].append(belief is not self.beliefs[number])
+        self.beliefs, self.connected = beliefs, links
         self.watches.append(watch)
 
-    def _learn(self, measured: Sequence[Sequence[Measurements]]) -> None:
+    def _learnt(self, measured: Sequence[Sequence[Measurements]]) -> list[Belief]:
+        """Return the beliefs of all robots after measurements of each, by station."""
         if self.problem.channel.share_measurements:
-            # All know the same: it is learnt once.
+            # One update serves all robots.
             told = [each for each in measured if each]
             everyone = [reduce(join, station) for station in zip(*told, strict=True)]
-            belief = learn_measured(self.problem, self.beliefs[0], everyone)
-            self.beliefs = [belief for _ in self.beliefs]
-            return
-        self.beliefs = [
+            return [learn_measured(self.problem, self.beliefs[0], everyone)] * len(self.beliefs)
+        return [
             learn_measured(self.problem, belief, taken)
             for belief, taken in zip(self.beliefs, measured, strict=True)
         ]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
+from threading import Thread
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import planopt
 from planopt import Measurements, Planner, Verdict, load, simulate
@@ -183,6 +186,85 @@ def test_a_power_at_the_floor_is_no_connection(log: Measurements) -> None:
         heard = Measurements([first.next_position_m], [threshold], censored=[censored])
         planner.step(first.next_position_m, heard)
         assert planner._robots.connected[-1, 0] == (not censored)
+
+
+NOTHING = {"x_m": [], "y_m": [], "power_dbm": []}
+
+
+@pytest.mark.parametrize(
+    ("name", "heard"),
+    [
+        ("open_field", NOTHING),
+        ("open_field", Measurements(np.zeros((0, 2)), np.zeros(0))),
+        ("open_field", [NOTHING]),
+        ("two_station_courier", [NOTHING, NOTHING]),
+        ("two_station_courier", [NOTHING, {"x_m": [30.0], "y_m": [30.0], "power_dbm": [-70.0]}]),
+    ],
+)
+def test_empty_tables_of_measurements(name: str, heard) -> None:
+    """Hearing nothing is the normal case of a real loop, from the first step on."""
+    planner = Planner(shortened(name, 10), horizon=2)
+    here = planner.problem.robots[0].start_m
+    for _ in range(3):
+        here = planner.step(here, heard).next_position_m
+    counts = [len(each.measurements) for each in planner.beliefs[0].posteriors]
+    assert planner.step(here).verdict is Verdict.VERIFIED
+    assert counts == [len(each.measurements) for each in planner.beliefs[0].posteriors]
+
+
+def test_refused_measurements_leave_the_planner_as_it_was(log: Measurements) -> None:
+    """The same call without them plans as if the refused call had not been made."""
+    problem = shortened("open_field", 10)
+    planner, other = (Planner(problem, measurements=log, horizon=2) for _ in range(2))
+    here = [each.step(problem.robots[0].start_m).next_position_m for each in (planner, other)][0]
+    for wrong in (
+        {"x_m": [1.0], "y_m": [1.0], "power_dbm": [1e5]},
+        {"x_m": [1.0], "y_m": [], "power_dbm": [-50.0]},
+        {"x_m": [np.nan], "y_m": [1.0], "power_dbm": [-50.0]},
+        "log.csv",
+    ):
+        with pytest.raises(InputError):
+            planner.step(here, wrong)
+    plan, expected = planner.step(here), other.step(here)
+    assert np.array_equal(plan.positions_m, expected.positions_m)
+
+
+def test_two_threads_cannot_share_a_planner() -> None:
+    """The second call is refused while the first one plans; both threads end."""
+    planner = Planner(shortened("open_field", 50), horizon=5)
+    here, refused = planner.problem.robots[0].start_m, []
+
+    def steps() -> None:
+        for _ in range(5):
+            try:
+                planner.step(here)
+            except InputError as error:
+                refused.append(str(error))
+
+    threads = [Thread(target=steps) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert refused
+    assert "another thread" in refused[0]
+    assert planner.step(here).verdict is Verdict.VERIFIED
+
+
+def test_a_long_log_in_one_step(log: Measurements) -> None:
+    """Memory is linear in the number of measurements, whether or not the spacing keeps them."""
+    generator = np.random.default_rng(0)
+    heard = Measurements(generator.uniform(0, (120, 60), (50_000, 2)), np.full(50_000, -55.0))
+    problem = shortened("open_field", 10)
+    planner = Planner(problem, measurements=log, horizon=2)
+    tracemalloc.start()
+    planner.step(problem.robots[0].start_m, heard)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1e9
+    known = planner.beliefs[0].posterior.measurements.positions_m
+    nearest_m = cKDTree(known).query(known[len(log) :], 2)[0][:, 1]
+    assert nearest_m.min() >= 0.999 * problem.channel.measure_spacing_m
 
 
 def test_inside_an_obstacle() -> None:

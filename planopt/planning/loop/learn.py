@@ -83,8 +83,8 @@ def learn_stations(problem: Problem, given: Given) -> Belief:
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Take measurements into a belief, but for those nearer than the spacing to earlier ones."""
-    if not measured:
+    """Add measurements of each station to a belief, except those nearer than the spacing."""
+    if not any(len(each) for each in measured):
         return belief
     rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)
     taken = [each.take(rule.takes(each.positions_m)) for each in measured]

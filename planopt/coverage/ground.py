@@ -187,7 +187,7 @@ class GeodesicGround:
 
     def borders(self, agents_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the sides of grid squares between nodes of different agents."""
-        owner = geodesic_cells(self.region, agents_m).owner
+        owner = geodesic_cells(self.region, self.region.nearest(agents_m)).owner
         low = np.asarray(self.free.bounds[:2])
         at = np.floor((self.nodes_m - low) / self.spacing_m).astype(np.intp)
         image = np.full(at.max(axis=0) + 1, -1)

@@ -14,6 +14,7 @@ from planopt.coverage.cost import coverage
 from planopt.coverage.density import CallableDensity
 from planopt.coverage.geodesic import GeodesicRegion, geodesic_region
 from planopt.coverage.geodesic_cells import geodesic_cells, geodesic_distances_m, geodesic_targets
+from planopt.coverage.ground import geodesic_ground
 from planopt.coverage.region import ConvexRegion
 from planopt.coverage.voronoi import voronoi_cells
 from planopt.errors import InputError
@@ -177,3 +178,12 @@ def test_bad_regions() -> None:
         with pytest.raises(InputError) as caught:
             geodesic_cells(region, np.array([[5.0, 5.0], bad]))
         assert caught.value.key == "agents[1]"
+
+
+def test_borders_of_agents_that_rounding_puts_into_an_obstacle() -> None:
+    """A run that settles beside an obstacle can be drawn: agents count at the nearest free place."""
+    ground = geodesic_ground(shapely.Polygon(OUTLINE), OBSTACLES, 4.0)
+    corner = np.array([[92.0, 75.0], [10.0, 10.0]])
+    inside = corner + [[-1e-3, 1e-3], [0.0, 0.0]]
+    assert not ground.allows(inside).all()
+    assert np.array_equal(ground.borders(inside), ground.borders(ground.nearest(inside)))

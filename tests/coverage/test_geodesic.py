@@ -181,7 +181,7 @@ def test_bad_regions() -> None:
 
 
 def test_borders_of_agents_that_rounding_puts_into_an_obstacle() -> None:
-    """A run that settles beside an obstacle can be drawn: agents count at the nearest free place."""
+    """A run that ends beside an obstacle can be drawn: agents count at the nearest free place."""
     ground = geodesic_ground(shapely.Polygon(OUTLINE), OBSTACLES, 4.0)
     corner = np.array([[92.0, 75.0], [10.0, 10.0]])
     inside = corner + [[-1e-3, 1e-3], [0.0, 0.0]]

@@ -9,7 +9,7 @@ what the paper leaves open: the side of the room, 20 m, and the station's place,
 """
 
 # %%
-# First exactly, as the expectation over channels (equation 1.17): the true parameters of ``fig1``,
+# First exactly, as the expectation over channels (equation 1.16): the true parameters of ``fig1``,
 # and its number of measurements, 0.1 % of a grid of 320 x 320.
 import tempfile
 from dataclasses import replace

@@ -20,7 +20,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.connection.connection_law import ConnectionOutcomes, add_outcomes
 from planopt.channel.estimation.identifiability import MIN_REGRESSOR_SPREAD_DB
 from planopt.channel.estimation.least_squares import receiver_columns
 from planopt.channel.factor import FactorBuffer, append_rows, spacious, with_room
@@ -213,10 +212,6 @@ class ChannelPosterior:
         Where there is none: factors of measurements near the places last asked for, shared with
         the posteriors that extend this one. One that extends nothing has none, so that what is
         predicted from it does not depend on what was asked before.
-    outcomes
-        What predictions of connection came true, for a calibrated law of connection
-        (:func:`planopt.channel.connection.connection_law.calibrate_posterior`); None where the
-        normal law stands. Mean and deviation are the same with either.
     """
 
     parameters: ChannelParameters
@@ -234,7 +229,6 @@ class ChannelPosterior:
     buffer: FactorBuffer | None = field(default=None, repr=False)
     information: NeighbourInformation | None = field(default=None, repr=False)
     near: NearFactors | None = field(default=None, repr=False)
-    outcomes: ConnectionOutcomes | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 
@@ -378,11 +372,6 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
     its own prediction, truncated to where it is known to lie, and stays that site. `posterior`
     remains valid.
     """
-    if posterior.outcomes is not None:
-        latent = predict_noiseless(posterior, more)
-        deviation = np.hypot(latent.deviation_db, posterior.parameters.multipath_std_db)
-        ahead = Prediction(latent.mean_db, deviation)
-        posterior = replace(posterior, outcomes=add_outcomes(posterior.outcomes, ahead, more))
     alone = needs_site(more, posterior.parameters.multipath_std_db**2)
     start = 0
     while start < len(more):

@@ -1,4 +1,4 @@
-"""Delta^2(q): the mean squared error of the posterior with wrong parameters (equation 1.17).
+"""Delta^2(q): the mean squared error of the posterior with wrong parameters (equation 1.16).
 
 The posterior's own deviation says what is left to know if the parameters are right. This is the
 mean squared error when they are not, so that one can ask which of them is worth learning (the path
@@ -35,7 +35,7 @@ def mean_squared_error_db2(
     measured_m: ArrayLike,
     positions_m: ArrayLike,
 ) -> NDArray[np.float64]:
-    """Return Delta^2(q), exactly, for any error in any parameter (equation 1.17).
+    """Return Delta^2(q), exactly, for any error in any parameter (equation 1.16).
 
     With w = U_est^-1 phi_est the weights of equation 1.6 and delta theta = theta - theta_est,
 

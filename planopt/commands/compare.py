@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from planopt.commands.options import PLANNERS, CalibrationOption, JsonOption, OutOption
+from planopt.commands.options import PLANNERS, JsonOption, OutOption
 from planopt.commands.output import NO_PLAN, drawing, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
 
@@ -57,7 +57,6 @@ def compare(
             "robots[*].speed_max_m_s=1,2; may be given several times.",
         ),
     ] = None,
-    calibration: CalibrationOption = None,
     seeds: Annotated[
         str | None,
         typer.Option(
@@ -86,8 +85,6 @@ def compare(
     Without settings a problem's own comparison is run, which its table compare describes.
     """
     from planopt.problems.comparison_settings import DEFAULT_SEEDS
-    from planopt.problems.overrides import with_overrides
-    from planopt.problems.problem import Problem
     from planopt.problems.systems import load_any
     from planopt.report.comparison_table import comparison_text
     from planopt.studies.compare import compare as compared
@@ -107,15 +104,6 @@ def compare(
     if parquet:
         require_pyarrow()
     asked = [load_any(problem) for problem in problems]
-    if calibration is not None:
-        for number, problem in enumerate(asked):
-            if not isinstance(problem, Problem):
-                raise InputError(
-                    f"is not for the task {problem.task}",
-                    key="--calibration",
-                    remedy="leave it out",
-                )
-            asked[number] = with_overrides(problem, calibration=calibration)
     given: dict[str, Any] = {
         "horizons": None if horizons is None else listed(horizons, "--horizons", int),
         "planners": None if planners is None else listed(planners, "--planners", str),

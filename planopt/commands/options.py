@@ -26,14 +26,6 @@ CostToGoOption = Annotated[
     str | None,
     typer.Option("--cost-to-go", metavar="NAME", help="Cost-to-go: geodesic or connected."),
 ]
-CalibrationOption = Annotated[
-    str | None,
-    typer.Option(
-        "--calibration",
-        metavar="NAME",
-        help="Calibration of connection probabilities: none or platt.",
-    ),
-]
 SeedOption = Annotated[
     int, typer.Option("--seed", min=0, help="Random seed of fading and measured places.")
 ]

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from planopt.commands.options import (
     AnimationOption,
-    CalibrationOption,
     CostToGoOption,
     HorizonOption,
     JsonOption,
@@ -69,7 +68,7 @@ def answer_command(
 class Asked:
     """The options that were given on the command line."""
 
-    problem: Problem  # With horizon, planner, cost to go and calibration as asked for
+    problem: Problem  # With the overrides of the command line
     seed: int  # The options of these names
     out: Path | None
     json: bool
@@ -89,12 +88,11 @@ def planning_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
         horizon: HorizonOption = None,
         planner: PlannerOption = None,
         cost_to_go: CostToGoOption = None,
-        calibration: CalibrationOption = None,
         seed: SeedOption = 0,
         out: OutOption = None,
         json: JsonOption = False,
     ) -> int:
-        overrides = Overrides(horizon, planner, cost_to_go, calibration)
+        overrides = Overrides(horizon, planner, cost_to_go)
         return _answered(answer, problem, overrides, seed, out, json=json)
 
     return _named(command, answer)
@@ -108,13 +106,12 @@ def driving_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
         horizon: HorizonOption = None,
         planner: PlannerOption = None,
         cost_to_go: CostToGoOption = None,
-        calibration: CalibrationOption = None,
         seed: SeedOption = 0,
         out: OutOption = None,
         animation: AnimationOption = False,
         json: JsonOption = False,
     ) -> int:
-        overrides = Overrides(horizon, planner, cost_to_go, calibration)
+        overrides = Overrides(horizon, planner, cost_to_go)
         return _answered(answer, problem, overrides, seed, out, json=json, animation=animation)
 
     return _named(command, answer)
@@ -127,7 +124,6 @@ class Overrides:
     horizon: int | None
     planner: str | None
     cost_to_go: str | None
-    calibration: str | None
 
 
 def _answered(
@@ -167,7 +163,6 @@ def _answered(
             file=PLAN_FILE if answer.__name__ == "solve" else RUN_FILE,
             not_for_it={
                 "--cost-to-go": overrides.cost_to_go,
-                "--calibration": overrides.calibration,
                 "--animation": "run.gif" if animation and not found.system.animates else None,
             },
         )
@@ -176,7 +171,6 @@ def _answered(
         horizon=overrides.horizon,
         planner=overrides.planner,
         cost_to_go=overrides.cost_to_go,
-        calibration=overrides.calibration,
     )
     return answer(Asked(asked, seed, out, json, animation))
 

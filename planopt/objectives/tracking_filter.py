@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.connection_law import SampledDistribution
+from planopt.channel.connection.sampled_distribution import SampledDistribution
 from planopt.channel.joint import sample_power
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError

@@ -116,7 +116,6 @@ def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
         given=table.fit.given,
         measure_spacing_m=table.measurements.spacing_m,
         share_measurements=table.measurements.shared,
-        calibration=table.calibration,
     )
 
 

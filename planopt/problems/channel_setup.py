@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,9 +18,6 @@ from planopt.parts import part_of
 from planopt.plain_values import make_plain
 from planopt.problems.tables import Decibels
 from planopt.short_repr import short_repr
-
-CalibrationName = Literal["none", "platt"]
-"""How predicted probabilities of connection are calibrated."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,8 +251,6 @@ class ChannelSetup:
         fading at one place keeps its value, so measuring it twice teaches nothing.
     share_measurements
         Whether every robot has the measurements of all after each step.
-    calibration
-        How predicted probabilities of connection are calibrated on what was measured.
     """
 
     truth: ChannelTruth | None = None
@@ -266,7 +261,6 @@ class ChannelSetup:
     given: GivenParameters | None = None
     measure_spacing_m: float = 2.0
     share_measurements: bool = False
-    calibration: CalibrationName = "none"
 
     def __post_init__(self) -> None:
         make_plain(self)

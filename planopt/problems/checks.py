@@ -1,8 +1,7 @@
 """Check a problem beyond the ranges of single keys; each error carries the key to change.
 
 These checks need geometry, or two tables at once: robots start apart from each other and from
-moving obstacles and can stop so; a calibrated law of connection goes only with rules that are
-computed from single probabilities; the tables of a channel fit each other; starts and goals are
+moving obstacles and can stop so; the tables of a channel fit each other; starts and goals are
 clear of obstacles; the ground truth and the lattice fit into memory; each of several stations has a
 channel of its own, and what is asked can be computed of them.
 """
@@ -118,33 +117,6 @@ def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
             key=f"robots[{fast}].start_velocity_m_s",
             remedy="lessen it, start elsewhere, or lessen constraints.separation_m",
         )
-
-
-KEY = "channel.calibration"
-NORMAL = "leave the key out"
-
-
-def check_calibration(problem: Problem) -> None:
-    """Raise what keeps a calibrated problem from being planned with."""
-    if problem.channel.calibration == "none":
-        return
-    if problem.constraints.rule.parameter_uncertainty == "all":
-        raise InputError(
-            f'is "{problem.channel.calibration}", which takes the parameters as estimated, and '
-            'constraints.parameter_uncertainty is "all"',
-            file=problem.file,
-            key=KEY,
-            remedy=f"{NORMAL}, or ask for path_loss: outcomes show what the estimate misses",
-        )
-    for number, term in enumerate(problem.terms):
-        words = term.calibration_fault
-        if words is not None:
-            raise InputError(
-                f'is "{problem.channel.calibration}", and {words}',
-                file=problem.file,
-                key=KEY,
-                remedy=f"{NORMAL}, or change objective.terms[{number}]",
-            )
 
 
 MAX_TRUTH_CELLS = 4_000_000
@@ -307,7 +279,6 @@ def check(problem: Problem) -> None:
     check_apart(problem)
     check_channel(problem)
     check_stations(problem)
-    check_calibration(problem)
     check_rule(problem)
     check_size(problem)
     for number, term in enumerate(problem.terms):

@@ -6,13 +6,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
 from planopt.parts import part_of
-from planopt.problems.channel_setup import CalibrationName
 from planopt.problems.check_motion import check_dynamics
 from planopt.problems.check_tables import check_tables
 from planopt.problems.checks import check
@@ -39,7 +38,6 @@ def with_overrides(
     horizon: int | None = None,
     planner: str | None = None,
     cost_to_go: str | None = None,
-    calibration: str | None = None,
 ) -> Problem:
     """`problem` with the given settings in place of its own, checked; None keeps them.
 
@@ -52,12 +50,11 @@ def with_overrides(
             ("horizon", horizon),
             ("planner", planner),
             ("cost to go", cost_to_go),
-            ("calibration", calibration),
         )
         if value is not None
     }
     try:
-        return _overridden(_calibrated(problem, calibration), horizon, planner, cost_to_go)
+        return _overridden(problem, horizon, planner, cost_to_go)
     except InputError as error:
         if not given:
             raise
@@ -78,19 +75,6 @@ def require_motion(problem: Problem) -> None:
         Problem,
         "load or make a Problem; one of load_system has methods solve and simulate of its own",
     )
-
-
-def _calibrated(problem: Problem, calibration: str | None) -> Problem:
-    """The problem with probabilities of connection calibrated as named; None keeps its own."""
-    if calibration is None:
-        return problem
-    names = get_args(CalibrationName)
-    if calibration not in names:
-        raise InputError(
-            f'is "{calibration}"', key="channel.calibration", remedy=f"use {' or '.join(names)}"
-        )
-    chosen = cast("CalibrationName", calibration)
-    return replace(problem, channel=replace(problem.channel, calibration=chosen))
 
 
 def _overridden(

@@ -238,7 +238,6 @@ class Problem:
             len(self.stations),
             bool(self.targets),
             any(robot.dynamics is not None for robot in self.robots),
-            self.channel.calibration != "none",
             not self.constraints.asks_connection and self._has_one_term,
             any(target.packets == "estimates" for target in self.targets),
         )

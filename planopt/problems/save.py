@@ -43,7 +43,6 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
     channel: dict[str, Any] = {
         "measurements": _measurements(problem.channel),
         "fit": {"method": problem.channel.fit_method},
-        "calibration": problem.channel.calibration,
     }
     truth, given = problem.channel.truth, problem.channel.given
     if given is not None:

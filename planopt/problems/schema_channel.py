@@ -11,7 +11,6 @@ from planopt.channel.estimation.channel_fit import FitMethod, current_name
 from planopt.channel.multipath.multipath_models import Multipath, MultipathKind, multipath_of
 from planopt.errors import InputError
 from planopt.problems.channel_setup import (
-    CalibrationName,
     ChannelSetup,
     GivenParameters,
     LoggedMeasurements,
@@ -228,8 +227,3 @@ class ChannelTable(Table):
     )
     measurements: MeasurementsTable
     fit: FitTable = Field(default_factory=FitTable)
-    calibration: CalibrationName = Field(
-        default=ChannelSetup.calibration,
-        description="How predicted probabilities of connection are calibrated: none (the normal "
-        "law stands), or platt (Platt scaling on what was measured, on the way too).",
-    )

@@ -13,7 +13,6 @@ from planopt.channel.connection.serving_power import (
 )
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.planning.proof.predictions import connection_law
 from planopt.problems.problem import Problem
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
 from planopt.world.raster import Raster
@@ -85,9 +84,8 @@ def believed_rasters(
         for mean, deviation in zip(means, deviations, strict=True)
     ]
     above, _ = above_thresholds_db(powers, thresholds)
-    laws = [connection_law(posterior) for posterior in belief.posteriors]
     chance = np.full(drawn.shape, np.nan)
-    chance[drawn] = any_probability(powers, thresholds, laws=laws)
+    chance[drawn] = any_probability(powers, thresholds)
     deviation = np.full(drawn.shape, np.nan)
     deviation[drawn] = deviations[:, drawn][above.argmax(axis=0), np.arange(above.shape[1])]
     x, y = each[0][0].x_m, each[0][0].y_m

@@ -1,4 +1,4 @@
-"""The sensitivity of a map to parameters: mean Delta^2 by the error in each (equation 1.17)."""
+"""The sensitivity of a map to parameters: mean Delta^2 by the error in each (equation 1.16)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Delta^2 against simulation, the posterior's own variance, and equation 1.17 written out."""
+"""Delta^2 against simulation, the posterior's own variance, and equation 1.16 written out."""
 
 from dataclasses import replace
 

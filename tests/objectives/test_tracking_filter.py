@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, NOTHING, PATH, drawn
 
-from planopt.channel.connection.connection_law import SampledDistribution
+from planopt.channel.connection.sampled_distribution import SampledDistribution
 from planopt.channel.kriging import predict
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition

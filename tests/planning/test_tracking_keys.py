@@ -92,13 +92,12 @@ def test_packets_that_have_estimates_are_planned_by_drawing(horizon, form):
     assert replace(problem, targets=(target,)).terms[0].form == form
 
 
-def test_the_form_of_other_laws_and_criteria():
-    """Where the law of connection is fitted nothing is drawn; a determinant needs drawing."""
+def test_the_form_of_other_criteria():
+    """Criteria other than the trace need drawing."""
     term = TrackingTerm(0.008, 0.08, 1.0)
     driven = TermSetting(40, 1, True, has_dynamics=True, is_free=True)
     assert term.planned(driven).form == "sampled"
     assert term.planned(replace(driven, horizon=LONGEST_ADDITIVE)).form == "additive"
-    assert term.planned(replace(driven, is_calibrated=True)).form == "additive"
     bound = TermSetting(40, 1, True)
     assert term.planned(bound).form == "sampled"
     assert term.planned(replace(bound, is_free=True)).form == "recourse"

@@ -108,16 +108,3 @@ def test_an_error_of_the_problem_itself_is_not_blamed_on_an_override() -> None:
     with pytest.raises(InputError) as caught:
         with_overrides(broken, horizon=7)
     assert "given in place" not in str(caught.value)
-
-
-def test_calibration_is_overridden_and_held_to_the_rest():
-    """Set, named where it is none, and refused where it does not fit."""
-    problem = load("open_field")
-    assert with_overrides(problem, calibration="platt").channel.calibration == "platt"
-    with pytest.raises(InputError, match="use none or platt") as caught:
-        with_overrides(problem, calibration="magic")
-    assert caught.value.key == "channel.calibration"
-    rule = replace(problem.constraints.rule, parameter_uncertainty="all")
-    uncertain = replace(problem, constraints=replace(problem.constraints, rule=rule))
-    with pytest.raises(InputError, match="calibration platt was given") as caught:
-        with_overrides(uncertain, calibration="platt")

@@ -316,7 +316,7 @@ def test_compare(written, tmp_path, capsys):
         assert times[planner, horizon, 8] == again["capture_time_s"]
     logs = [np.log(times["receding", 5, seed] / times["drive", 1, seed]) for seed in (7, 8, 9)]
     assert rows[2]["paired_ratio"] == pytest.approx(np.exp(np.mean(logs)))
-    for words in (("--planners", "nlp"), ("--costs-to-go", "geodesic"), ("--calibration", "platt")):
+    for words in (("--planners", "nlp"), ("--costs-to-go", "geodesic")):
         assert run(capsys, "compare", file, "--horizons", "1", *words)[0] == 2
     with pytest.raises(InputError, match="horizon"):
         load_system(file).simulate(planner="receding", horizon=0)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.connection.connection_law import SampledDistribution
+from planopt.channel.connection.sampled_distribution import SampledDistribution
 from planopt.channel.joint import sample_power
 from planopt.channel.places import leg_lengths_m, require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior

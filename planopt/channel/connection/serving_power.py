@@ -35,11 +35,6 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
     ndtri_exp,
 )
 
-from planopt.channel.connection.connection_law import (
-    LEAST_DEVIATION_DB,
-    LOG_ROOT_2PI,
-    ConnectionLaw,
-)
 from planopt.channel.connection.joint_connectivity import prefix_probabilities
 from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.kriging import predict
@@ -47,6 +42,11 @@ from planopt.channel.places import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.errors import InputError
+
+LEAST_DEVIATION_DB = math.sqrt(MIN_NOISE_VARIANCE_DB2)
+"""Lower bound of deviations in scores, so that a known power at the threshold gives 1/2."""
+
+LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -110,22 +110,12 @@ MOST_STEPS = 100
 """Newton's method on the margin ends below the first, some six steps as a rule, and always here."""
 
 
-Laws = Sequence[ConnectionLaw | None]
-"""Each station's calibrated law of connection; None where its power is normal."""
-
-
 def serving_prediction(
     predictions: Sequence[Prediction],
     thresholds_dbm: Sequence[float],
     p_min: float,
-    laws: Laws | None = None,
 ) -> Prediction:
     """The normal law that stands for the serving power of m stations at n places."""
-    if laws is not None:
-        predictions = [
-            own if law is None else law.prediction(own, threshold, p_min)
-            for own, threshold, law in zip(predictions, thresholds_dbm, laws, strict=True)
-        ]
     if len(predictions) == 1:
         return predictions[0]
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
@@ -142,18 +132,10 @@ def any_probability(
     predictions: Sequence[Prediction],
     thresholds_dbm: Sequence[float],
     slack_db: float = 0.0,
-    laws: Laws | None = None,
 ) -> NDArray[np.float64]:
-    """P(at least one of m stations connects), all thresholds `slack_db` lower; ``(n,)``.
-
-    `laws` as for :func:`serving_prediction`.
-    """
+    """P(at least one of m stations connects), all thresholds `slack_db` lower; ``(n,)``."""
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
-    scores = (above + slack_db) / deviation
-    for own, law in zip(scores, laws or (), strict=laws is not None):
-        if law is not None:
-            own[...] = law.normal_score(own)
-    return np.asarray(ndtr(any_score(scores)), dtype=np.float64)
+    return np.asarray(ndtr(any_score((above + slack_db) / deviation)), dtype=np.float64)
 
 
 def serving_power_dbm(

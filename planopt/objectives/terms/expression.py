@@ -52,14 +52,6 @@ class CasadiTerm(Term):
         """The expression is for all steps."""
         return True
 
-    @property
-    def calibration_fault(self) -> str | None:
-        """Mean and standard deviation say nothing of a calibrated law."""
-        for name in ("mean_db", "deviation_db"):
-            if name in names_in(self.program):
-                return f"an expression reads {name}, which would stand for the calibrated law"
-        return None
-
     def check(self, setting: TermSetting) -> None:
         """The instructions are some of an expression of as many steps as are planned."""
         if setting.stations > 1:
@@ -196,11 +188,6 @@ class OwnTerm(Term):
     def needs_power(self) -> bool:
         """Expressions may read mean, standard deviation and connectivity."""
         return True
-
-    @property
-    def calibration_fault(self) -> str | None:
-        """Return why the expression does not go with a calibrated law; None where it does."""
-        return _written(self, FEW_STEPS).calibration_fault
 
     def check(self, setting: TermSetting) -> None:
         """Raise what keeps the expression from being planned for, as for any expression."""

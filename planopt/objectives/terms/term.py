@@ -50,7 +50,6 @@ class TermSetting:
     stations: int  # How many there are
     has_target: bool  # Whether there is a target
     has_dynamics: bool = False  # Whether a robot has inertia or a heading
-    is_calibrated: bool = False  # Whether the law of connection is fitted
     is_free: bool = False  # Whether the term is the only one, and nothing is asked of connectivity
     has_estimates: bool = False  # Whether packets have estimates of a target
 
@@ -190,11 +189,6 @@ class Term:
     @property
     def steers(self) -> Steers | None:
         """Return what a robot is steered to before its plan is made; None if nothing steers."""
-        return None
-
-    @property
-    def calibration_fault(self) -> str | None:
-        """Return why the term excludes a calibrated law of connection; None where it does not."""
         return None
 
     def check(self, setting: TermSetting) -> None:

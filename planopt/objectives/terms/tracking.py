@@ -153,10 +153,7 @@ class TrackingTerm(Term):
         make_plain(self)
 
     def planned(self, setting: TermSetting) -> TrackingTerm:
-        """Return the term with the form that ``auto`` is.
-
-        Of a law of connection that is fitted nothing can be drawn.
-        """
+        """Return the term with the form that ``auto`` is."""
         if self.form != "auto":
             return self
         if self.criterion != "trace":
@@ -164,8 +161,7 @@ class TrackingTerm(Term):
         if setting.horizon > 1 and setting.is_free and not setting.has_dynamics:
             return replace(self, form="recourse")
         longest = LONGEST_ADDITIVE_OF_ESTIMATES if setting.has_estimates else LONGEST_ADDITIVE
-        drawn = setting.horizon > longest and not setting.is_calibrated
-        return replace(self, form="sampled" if drawn else "additive")
+        return replace(self, form="sampled" if setting.horizon > longest else "additive")
 
     @property
     def follows_filter(self) -> bool:
@@ -211,13 +207,6 @@ class TrackingTerm(Term):
     def sensor(self) -> Sensor:
         """Its variance grows away from the best distance."""
         return Sensor(self.noise_curvature, self.noise_floor_m2, self.sweet_spot_m)
-
-    @property
-    def calibration_fault(self) -> str | None:
-        """Samples are drawn from the normal law."""
-        if self.form == "sampled":
-            return 'tracking of the form "sampled" draws from the normal law of a whole path'
-        return None
 
     def check(self, setting: TermSetting) -> None:
         """The criterion is one of the form, and some step counts."""

@@ -70,11 +70,6 @@ class UntilConnectedTerm(Term):
         """The robot is steered to a place to try."""
         return "connection"
 
-    @property
-    def calibration_fault(self) -> str | None:
-        """First passages are of a normal law."""
-        return "the distance until connected rests on the normal law of a whole path"
-
     def search(self, at: StepContext) -> Search:
         """Return the settings of a search that ends where a try at the path's end failed.
 

@@ -43,9 +43,7 @@ PREDICTED_NAMES = frozenset(
         "trace_m_db",
     )
 )
-FITTED_NAMES = frozenset(
-    ("connection_law", "parameters", "standard_errors", "theta", "theta_covariance")
-)
+FITTED_NAMES = frozenset(("parameters", "standard_errors", "theta", "theta_covariance"))
 
 RANGES = {
     **POSSIBLE,

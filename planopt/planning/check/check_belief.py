@@ -20,11 +20,8 @@ from planopt.errors import InputError
 from planopt.objectives.measuring import closing_m
 from planopt.planning.check.agreement import Disagreement, disagreements, in_words
 from planopt.planning.files.belief_file import (
-    CALIBRATED_AT,
-    CONNECTION_LAW,
     SavedBelief,
     belief_arrays,
-    calibration_arrays,
     parameter_arrays,
     station_prefix,
 )
@@ -188,12 +185,6 @@ def _station_reasons(
         "first_measurements": np.array(len(start)),
         "theta_known": np.array(learnt.posterior.theta_known),
     }
-    if learnt.posterior.outcomes is not None:
-        found |= calibration_arrays(learnt.posterior) | calibration_arrays(posterior)
-        found[CALIBRATED_AT] = np.array(learnt.posterior.outcomes.threshold_dbm)
-    else:
-        for name in (CALIBRATED_AT, CONNECTION_LAW):
-            found.pop(name, None)
     sites = ("values_db", "noise_variance_db2")
     differences = disagreements(
         {

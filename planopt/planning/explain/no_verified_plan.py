@@ -134,8 +134,8 @@ def _is_kept(case: Case, problem: Problem) -> bool:
     plan, rule = case.plan, problem.constraints.rule
     first, broad = case.posteriors[0], None
     power = Prediction(plan.mean_dbm[1:], plan.deviation_db[1:])
-    if len(case.posteriors) > 1 or first.outcomes is not None:
-        # What stands for several powers, or a calibrated one, depends on thresholds and on p_min.
+    if len(case.posteriors) > 1:
+        # The law that replaces several powers depends on thresholds and on p_min.
         broad = broad_prediction(problem, case.posteriors)
         power, _ = certified_prediction(first, plan.positions_m[1:], broad, keep=False)
     if not rule.by_step:

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.connection.connection_law import calibrate_posterior
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition, extend
@@ -91,9 +90,6 @@ BELIEF_FILE = "belief.npz"
 PARAMETER_NAMES = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
 """Order of the arrays ``parameters`` and ``standard_errors``."""
 
-CALIBRATED_AT, CONNECTION_LAW = "calibrated_at_dbm", "connection_law"
-"""Arrays of a calibrated belief alone: the threshold, and intercept and slope of its law."""
-
 OPTIONAL_NAMES = ("resolution_db", "position_std_m", "time_s")
 """Of measurements, zero in files that lack them; as is ``receiver``."""
 
@@ -112,8 +108,6 @@ class SavedBelief:
     values_db: NDArray[np.float64]  # (kappa,) the Gaussian measurements that stood for them
     noise_variance_db2: NDArray[np.float64]
     arrays: Mapping[str, NDArray[Any]]  # All that the file has, by name
-    # The threshold that the law of connection was calibrated for; None where it was not
-    calibrated_at_dbm: float | None = None
     further: tuple[SavedBelief, ...] = ()  # Of each further station, in the problem's order
 
     @property
@@ -169,18 +163,6 @@ def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> dict[
         "fit_method": np.array(fit.method),
         "fit_status": np.array(fit.status),
         "fit_warnings": np.array(fit.warnings, dtype=np.str_),
-        **calibration_arrays(posterior),
-    }
-
-
-def calibration_arrays(posterior: ChannelPosterior) -> dict[str, NDArray[Any]]:
-    """Return the file's arrays of the calibrated law of connection; none without one."""
-    if posterior.outcomes is None:
-        return {}
-    law = posterior.outcomes.law
-    return {
-        CALIBRATED_AT: np.array(posterior.outcomes.threshold_dbm),
-        CONNECTION_LAW: np.array([law.intercept, law.slope]),
     }
 
 
@@ -239,20 +221,16 @@ def _saved(arrays: NpzArrays) -> SavedBelief:
         values_db=arrays.floats("values_db", (count,), largest=np.inf),
         noise_variance_db2=noise,
         arrays=arrays.arrays,
-        calibrated_at_dbm=_calibrated_at_dbm(arrays),
     )
 
 
 def first_posterior(saved: SavedBelief) -> ChannelPosterior:
     """Return what was believed before the first step."""
-    posterior = condition(
+    return condition(
         saved.parameters,
         saved.measurements.take(slice(saved.first)),
         theta="known" if saved.theta_known else "estimated",
     )
-    if saved.calibrated_at_dbm is None:
-        return posterior
-    return calibrate_posterior(posterior, saved.calibrated_at_dbm)
 
 
 def first_posteriors(saved: SavedBelief) -> tuple[ChannelPosterior, ...]:
@@ -298,13 +276,6 @@ def _optional(arrays: NpzArrays, count: int) -> dict[str, NDArray[Any]]:
     if "receiver" in arrays.arrays:
         found["receiver"] = arrays.of_kind("receiver", "iu", (count,)).astype(np.intp)
     return found
-
-
-def _calibrated_at_dbm(arrays: NpzArrays) -> float | None:
-    """The threshold of the calibrated law; None in files without one."""
-    if CALIBRATED_AT not in arrays.arrays:
-        return None
-    return float(arrays.floats(CALIBRATED_AT, ()))
 
 
 def _forgetting_s(arrays: NpzArrays) -> float:

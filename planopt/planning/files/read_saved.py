@@ -314,6 +314,11 @@ def _with_former_defaults(data: Mapping[str, Any]) -> Mapping[str, Any]:
     tables = cast("Table", given) if isinstance(given, dict) else {}
     task = tables.get("problem")
     reaches = isinstance(task, dict) and cast("Table", task).get("task") == "reach"
+    channel = tables.get("channel")
+    if isinstance(channel, dict) and cast("Table", channel).get("calibration") == "none":
+        tables = {**tables, "channel": {**cast("Table", channel)}}
+        del tables["channel"]["calibration"]
+        data = {**data, "problem_file": tables}
     changed: Table = {}
     for table, key, former in FORMER_DEFAULTS:
         settings = tables.get(table)

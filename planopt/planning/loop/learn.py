@@ -8,7 +8,6 @@ from dataclasses import fields, replace
 import numpy as np
 
 from planopt.channel.belief import Belief, update
-from planopt.channel.connection.connection_law import calibrate_posterior
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.measurements import Measurements
@@ -21,18 +20,13 @@ from planopt.problems.problem import Problem
 
 
 def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Belief:
-    """Fit the channel of one of the problem's stations to measurements and condition on them.
-
-    Where the problem asks for it, the law of connection is calibrated.
-    """
+    """Fit the channel of one of the problem's stations to measurements and condition on them."""
     site = problem.stations[station].site
     if problem.channel.given is not None:
         fit, posterior = _given(problem, problem.channel.given, measurements, station)
     else:
         fit = fit_channel(measurements, site, problem.channel.fit_method, intervals=False)
         posterior = condition(fit.parameters, measurements)
-    if problem.channel.calibration == "platt":
-        posterior = calibrate_posterior(posterior, problem.stations[station].threshold_dbm)
     return Belief(fit, posterior)
 
 

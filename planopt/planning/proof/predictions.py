@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.connection_law import ConnectionLaw
-from planopt.channel.connection.serving_power import Laws, any_probability, serving_prediction
+from planopt.channel.connection.serving_power import any_probability, serving_prediction
 from planopt.channel.kriging import predict
 from planopt.channel.nearest.near_factors import NearFactors
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, predict_nearby
@@ -35,24 +34,14 @@ class Serving:
     thresholds_dbm: tuple[float, ...]
     p_min: float  # The bound's probability
 
-    @property
-    def laws(self) -> Laws:
-        """Each station's calibrated law of connection; None where its power is normal."""
-        return tuple(connection_law(posterior) for posterior in self.posteriors)
-
     def law(self, predictions: Sequence[Prediction]) -> Prediction:
         """Return the prediction of the serving power, from those of each station's power."""
-        return serving_prediction(predictions, self.thresholds_dbm, self.p_min, self.laws)
+        return serving_prediction(predictions, self.thresholds_dbm, self.p_min)
 
     def probability(self, positions_m: NDArray[np.float64], slack_db: float) -> NDArray[np.float64]:
         """P(any) at places (n, 2) with all thresholds lowered by a slack; ``(n,)``."""
         each = [posterior.predict(positions_m) for posterior in self.posteriors]
-        return any_probability(each, self.thresholds_dbm, slack_db, self.laws)
-
-
-def connection_law(posterior: ChannelPosterior) -> ConnectionLaw | None:
-    """Return the calibrated law of a station's connection; None where its power is normal."""
-    return None if posterior.outcomes is None else posterior.outcomes.law
+        return any_probability(each, self.thresholds_dbm, slack_db)
 
 
 KEPT_ERROR_DB = 1e-3
@@ -184,7 +173,7 @@ Broad = BroadPrediction | Serving
 
 def broad_prediction(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Broad | None:
     """Return the prediction that the bound rests on; None where the only posterior serves."""
-    if len(posteriors) > 1 or posteriors[0].outcomes is not None:
+    if len(posteriors) > 1:
         thresholds = tuple(radio.threshold_dbm for radio in problem.stations)
         return Serving(tuple(posteriors), thresholds, problem.constraints.p_min)
     (posterior,) = posteriors

@@ -27,8 +27,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.connection_law import LEAST_DEVIATION_DB, ConnectionLaw
-from planopt.channel.connection.serving_power import Laws, any_score_derivatives
+from planopt.channel.connection.serving_power import LEAST_DEVIATION_DB, any_score_derivatives
 from planopt.channel.nearest.neighbours import NeighbourModel, neighbour_model
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
@@ -110,7 +109,6 @@ class ServingStages:
 
     def __init__(self, serving: Serving, path_m: NDArray[np.float64], neighbours: int) -> None:
         self._thresholds_dbm = serving.thresholds_dbm
-        self._laws = serving.laws
         self._stations = [
             StagePredictor(neighbour_model(posterior, path_m, neighbours))
             for posterior in serving.posteriors
@@ -125,7 +123,7 @@ class ServingStages:
 
     def law(self, powers: Sequence[StagePower]) -> StagePower:
         """Mean and deviation of the serving power, from those of each station's."""
-        return serving_derivatives(powers, self._thresholds_dbm, self._scale_db, self._laws)
+        return serving_derivatives(powers, self._thresholds_dbm, self._scale_db)
 
     def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
         """Mean and deviation of the serving power."""
@@ -136,7 +134,6 @@ def serving_derivatives(
     powers: Sequence[StagePower],
     thresholds_dbm: Sequence[float],  # (m,)
     scale_db: NDArray[np.float64],  # (N,) c
-    laws: Laws | None = None,
 ) -> StagePower:
     """Mean and deviation of the serving power of m stations, its deviation held at `scale_db`.
 
@@ -145,10 +142,8 @@ def serving_derivatives(
     dz = sum_i w_i dz_i, d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i dz_j'.
     """
     scores = [
-        scores_of(mean, deviation, threshold, law)
-        for (mean, deviation), threshold, law in zip(
-            powers, thresholds_dbm, laws or [None] * len(powers), strict=True
-        )
+        scores_of(mean, deviation, threshold)
+        for (mean, deviation), threshold in zip(powers, thresholds_dbm, strict=True)
     ]
     z, weight, bend = any_score_derivatives(np.stack([score.value for score in scores]))
     gradient = np.stack([score.gradient for score in scores])
@@ -166,7 +161,6 @@ def scores_of(
     mean: Derivatives,
     deviation: Derivatives,
     threshold_dbm: float,
-    law: ConnectionLaw | None = None,
 ) -> Derivatives:
     """Return the normal score of every stage: deviations of the mean above a threshold."""
     spread = np.maximum(deviation.value, LEAST_DEVIATION_DB)
@@ -174,12 +168,7 @@ def scores_of(
     first = by * (mean.gradient - z[:, None] * deviation.gradient)
     second = by * (mean.hessian - z[:, None] * deviation.hessian)
     add_products(second, first, -by * deviation.gradient)
-    if law is None:
-        return Derivatives(z, first, second)
-    normal, slope, bend = law.normal_score_derivatives(z)
-    second *= slope[:, None]
-    add_products(second, first, 0.5 * bend[:, None] * first)
-    return Derivatives(normal, slope[:, None] * first, second)
+    return Derivatives(z, first, second)
 
 
 def stage_predictor(

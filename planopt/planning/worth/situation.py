@@ -79,7 +79,6 @@ def _believing(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> Ch
     count = len(posterior.measurements) + len(places_m)
     known = replace(
         posterior,
-        outcomes=None,
         # A factor that is there is kept: counting neighbours anew would take longer than its rows.
         exact_limit=max(posterior.exact_limit, count)
         if posterior.has_factor

@@ -55,7 +55,7 @@ MUTANTS = (
         "return found[0][0]",
     ),
     (BROAD, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
-    (BROAD, "if len(posteriors) > 1 or", "if len(posteriors) > 2 or"),
+    (BROAD, "if len(posteriors) > 1:", "if len(posteriors) > 2:"),
     (
         PROVEN,
         "broad.probability(self.positions_m[1:], slack_db)",
@@ -65,7 +65,7 @@ MUTANTS = (
     (DRAWS, "threshold_dbm - slack_db).sum", "threshold_dbm + slack_db).sum"),
     (DRAWS, "least_dbm >=", "least_dbm <"),
     (DRAWS, "broad).min(axis=1)", "broad).max(axis=1)"),
-    (DRAWS, "path_m, threshold), number", "path_m, threshold), 0"),
+    (DRAWS, "(station, path_m), number)", "(station, path_m), 0)"),
 )
 
 

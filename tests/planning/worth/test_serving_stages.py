@@ -1,14 +1,12 @@
-"""Stages of stations with laws of their own: value, gradient and Hessian by finite differences."""
+"""Stages of several stations: value, gradient and Hessian by finite differences."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from planopt.channel.connection.connection_law import ConnectionLaw, ConnectionOutcomes
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.neighbours import neighbour_model
 from planopt.channel.parameters import ChannelParameters, Station
@@ -36,24 +34,10 @@ def posterior(number: int) -> ChannelPosterior:
     return condition(parameters, Measurements(places, power, np.zeros(60, dtype=bool)))
 
 
-def calibrated(number: int) -> ChannelPosterior:
-    """The same with a law of connection that is far from the normal one."""
-    law = ConnectionLaw((0.5, -0.9)[number], (1.1, 2.3)[number])
-    nothing = np.zeros(0)
-    outcomes = ConnectionOutcomes(THRESHOLDS[number], nothing, nothing.astype(bool), 0, law)
-    return replace(posterior(number), outcomes=outcomes)
-
-
-@pytest.fixture(params=["normal", "calibrated", "one of each", "calibrated alone"])
-def serving(request) -> Serving:
-    """Both stations, or one that is calibrated."""
-    stations = {
-        "normal": (posterior(0), posterior(1)),
-        "calibrated": (calibrated(0), calibrated(1)),
-        "one of each": (posterior(0), calibrated(1)),
-        "calibrated alone": (calibrated(0),),
-    }[request.param]
-    return Serving(stations, THRESHOLDS[: len(stations)], P_MIN)
+@pytest.fixture
+def serving() -> Serving:
+    """Both stations."""
+    return Serving((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
 
 
 def stages(serving: Serving) -> ServingStages:
@@ -123,8 +107,8 @@ def test_one_station_has_the_predictor_it_always_had() -> None:
 
 def test_the_order_of_stations_changes_only_the_reference() -> None:
     """Powers are for the first threshold."""
-    both = Serving((posterior(0), calibrated(1)), THRESHOLDS, P_MIN)
-    other = Serving((calibrated(1), posterior(0)), THRESHOLDS[::-1], P_MIN)
+    both = Serving((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
+    other = Serving((posterior(1), posterior(0)), THRESHOLDS[::-1], P_MIN)
     places = PATH + np.array([-1.1, 0.4])
     one, two = stages(both)(places), stages(other)(places)
     assert two[0].value - THRESHOLDS[1] == pytest.approx(one[0].value - THRESHOLDS[0], abs=1e-7)

@@ -1,10 +1,8 @@
 """Quantities of all steps of a path together, by the law of one station or of several.
 
 One station's powers along a path are jointly normal. The serving power of several is not: their
-channels are drawn, each by itself, as many each time and from the same seeds. A calibrated law of
-connection changes how probable each place is, and leaves how places depend on each other as the
-posterior has it (a Gaussian copula). The rule `joint` bounds the probability that every step of the
-plan is connected.
+channels are drawn independently, with the same seeds each time. The rule `joint` bounds the
+probability that every step of the plan is connected.
 """
 
 from __future__ import annotations
@@ -19,9 +17,8 @@ from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND
 from planopt.channel.posterior import ChannelPosterior, condition
-from planopt.channel.prediction import Prediction
 from planopt.planning.certificate import RuleResult
-from planopt.planning.proof.predictions import Broad, Serving, connection_law
+from planopt.planning.proof.predictions import Broad, Serving
 from planopt.planning.proof.rules.probable_data import DRAWN, drawn_powers_dbm, share_at_least
 from planopt.problems.problem import Problem
 
@@ -89,29 +86,10 @@ def path_draws_dbm(
     if not isinstance(broad, Serving):
         return drawn_powers_dbm(path_prediction(posterior, path_m))
     each = [
-        drawn_powers_dbm(calibrated_path(station, path_m, threshold), number)
-        for number, (station, threshold) in enumerate(
-            zip(broad.posteriors, broad.thresholds_dbm, strict=True)
-        )
+        drawn_powers_dbm(path_prediction(station, path_m), number)
+        for number, station in enumerate(broad.posteriors)
     ]
     return serving_power_dbm(np.stack(each), broad.thresholds_dbm)
-
-
-def calibrated_path(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], threshold_dbm: float
-) -> JointPrediction:
-    """Return powers at the places (N, 2) of a path together, each by the station's own law.
-
-    Where the law is calibrated, means and deviations are those of the normal laws that give the
-    calibrated probabilities of at least `threshold_dbm`; correlations stay.
-    """
-    raw = path_prediction(posterior, path_m)
-    law = connection_law(posterior)
-    if law is None:
-        return raw
-    found = law.prediction(Prediction(raw.mean_db, raw.deviation_db), threshold_dbm)
-    ratio = found.deviation_db / raw.deviation_db
-    return JointPrediction(found.mean_db, raw.covariance_db2 * np.outer(ratio, ratio))
 
 
 def joint_by_slack(
@@ -125,8 +103,8 @@ def joint_by_slack(
     Of one station by :func:`joint_result`; of several the lower
     end of the interval over the drawn channels.
     """
-    if not isinstance(broad, Serving) or len(broad.posteriors) == 1:
-        prediction = calibrated_path(posterior, path_m, problem.stations[0].threshold_dbm)
+    if not isinstance(broad, Serving):
+        prediction = path_prediction(posterior, path_m)
         return lambda slack_db: joint_result(problem, prediction, slack_db)
     least_dbm = path_draws_dbm(posterior, path_m, broad).min(axis=1)
 

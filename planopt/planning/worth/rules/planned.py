@@ -23,7 +23,6 @@ from planopt.channel.prediction import (
 )
 from planopt.objectives.told_batch import Pull, WayBatch, pull_of_power
 from planopt.planning.plan import Plan
-from planopt.planning.proof.predictions import connection_law
 from planopt.planning.proof.rules.proven import ProvenRule, proven_rule
 from planopt.planning.worth.situation import Situation
 from planopt.problems.constraints import ConnectivityRule
@@ -203,8 +202,7 @@ def slope_of_missing_db(
     at: Situation, batch: WayBatch, level: float, asked: NDArray[np.bool_]
 ) -> Pull:
     """Derivatives of the dB that ways miss a level by at the steps asked for (N,), summed."""
-    power, law = batch.power, connection_law(at.posterior)
-    quantile = bound_quantile(level) if law is None else law.quantile(level)
+    power, quantile = batch.power, bound_quantile(level)
     margin = power.mean_db - quantile * power.deviation_db - at.problem.stations[0].threshold_dbm
     missed = ((margin < 0.0).reshape(batch.shape) & asked).astype(np.float64)
     return pull_of_power(batch, -missed, quantile * missed)

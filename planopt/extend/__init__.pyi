@@ -1,6 +1,7 @@
 """Public names for parts of one's own; each is imported from its module when it is first used."""
 
 from planopt.objectives.terms.expression import OwnTerm as OwnTerm
+from planopt.objectives.terms.expression import casadi_term as casadi_term
 from planopt.objectives.terms.term import Term as Term
 from planopt.planning.baselines.baseline import free_ends as free_ends
 from planopt.planning.baselines.baseline import released as released
@@ -9,7 +10,6 @@ from planopt.planning.holes import BlockedWay as BlockedWay
 from planopt.planning.plan import Rung as Rung
 from planopt.planning.plan import Termination as Termination
 from planopt.planning.proof.rules.own import OwnRule as OwnRule
-from planopt.problems.casadi_term import casadi_term as casadi_term
 from planopt.problems.planner_kinds import PlannerKind as PlannerKind
 from planopt.problems.planner_kinds import register_planner as register_planner
 from planopt.problems.planner_kinds import unregister_planner as unregister_planner

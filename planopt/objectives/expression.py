@@ -1,168 +1,280 @@
-"""A user's own objective as a list of instructions: plain text that files keep, and NumPy runs.
+# pyright: basic
+"""A user's own objective as text: one Python assignment a line, read by an allow-list.
 
-Each line is an operation, the register that it writes, and the registers that it reads::
+    v0 = mean_db[2, 0]
+    v1 = v0 - -40.0
+    exp(v1) * v1
 
-    input 0 mean_db 2 0        mean_db of the third step
-    const 1 -40.0
-    sub 2 0 1
-    output 2                   the value
-
-Nothing but arithmetic can be said in it, so that a file from elsewhere can be judged safely.
-:mod:`planopt.objectives.expression_casadi` writes it from a CasADi expression, and differentiates.
+The last line is the value. Only arithmetic, comparisons and the functions of `FUNCTIONS` are
+accepted, so that the objective of a foreign file can be evaluated safely. CasADi evaluates and
+differentiates it.
 """
 
 from __future__ import annotations
 
+import ast
+import operator
 from collections.abc import Callable, Mapping
-from functools import cache
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.errors import InputError
+from planopt.objectives.stage_chain import chained
+from planopt.parts import calling
+from planopt.targets.rounding import Derivatives
 
-WIDTHS = {
-    "positions_m": 2,
-    "mean_db": 1,
-    "deviation_db": 1,
-    "connectivity": 1,
-    "target_m": 2,
-}
-"""What an expression may read of each of the N steps, and how many numbers that are."""
+WIDTHS = {"positions_m": 2, "mean_db": 1, "deviation_db": 1, "connectivity": 1, "target_m": 2}
+"""Columns of the inputs that have a row for each of the N steps."""
 
 START = "start_m"
-"""The robot's own place, the row 0 of two numbers, may be read besides."""
+"""Input with one row of two numbers, the position of the robot."""
 
-LONGEST = 200_000
-"""Instructions; more would take seconds for each path."""
+LONGEST_LINE = 200
+"""Characters of a line, which bounds its nesting."""
 
-Operation = Callable[..., Any]
+MOST_LINES = 100_000
+"""Lines times steps: derivatives of a line cost as much as there are steps."""
 
+CHANNELS: tuple[str, ...] = ("positions_m", "mean_db", "deviation_db", "connectivity")
+"""Inputs that change with the position at a step."""
 
-UNARY: dict[str, Callable[[Any], Any]] = {
-    "assign": lambda a: a,
-    "neg": np.negative,
-    "inv": lambda a: 1.0 / a,
-    "sq": np.square,
-    "twice": lambda a: 2.0 * a,
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": np.log,
-    "log1p": np.log1p,
-    "expm1": np.expm1,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "erf": erf,
-    "fabs": np.abs,
-    "sign": np.sign,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "not": lambda a: np.where(a == 0.0, 1.0, 0.0),
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
 }
 
-BINARY: dict[str, Callable[[Any, Any], Any]] = {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "pow": np.power,
-    "atan2": np.arctan2,
-    "hypot": np.hypot,
-    "fmin": np.fmin,
-    "fmax": np.fmax,
-    "lt": lambda a, b: np.where(a < b, 1.0, 0.0),
-    "le": lambda a, b: np.where(a <= b, 1.0, 0.0),
-    "eq": lambda a, b: np.where(a == b, 1.0, 0.0),
-    "ne": lambda a, b: np.where(a != b, 1.0, 0.0),
-    "and": lambda a, b: np.where((a != 0.0) & (b != 0.0), 1.0, 0.0),
-    "or": lambda a, b: np.where((a != 0.0) | (b != 0.0), 1.0, 0.0),
-    "if_else_zero": lambda a, b: np.where(a != 0.0, b, 0.0),
+FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
+    **{name: (2, getattr(ca, name)) for name in ("atan2", "fmin", "fmax", "hypot")},
+    **{f"logic_{name}": (2, getattr(ca, f"logic_{name}")) for name in ("and", "or")},
+    "logic_not": (1, ca.logic_not),
+    "if_else": (3, ca.if_else),
+    **{
+        name: (1, getattr(ca, name))
+        for name in (
+            *("sqrt", "exp", "log", "log1p", "expm1", "sin", "cos", "tan", "asin", "acos"),
+            *("atan", "sinh", "cosh", "tanh", "erf", "fabs", "sign", "floor", "ceil"),
+        )
+    },
 }
+"""Functions by name, with their number of arguments."""
 
-NUMPY: dict[str, tuple[int, Operation]] = {
-    **{name: (1, apply) for name, apply in UNARY.items()},
-    **{name: (2, apply) for name, apply in BINARY.items()},
+TEXTS = {
+    **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
+    **{ca.OP_POW: "{} ** {}", ca.OP_CONSTPOW: "{} ** {}", ca.OP_SQ: "{0} * {0}"},
+    **{ca.OP_ASSIGN: "{}", ca.OP_NEG: "-{}", ca.OP_INV: "1.0 / {}", ca.OP_TWICE: "2.0 * {}"},
+    **{ca.OP_LT: "{} < {}", ca.OP_LE: "{} <= {}", ca.OP_EQ: "{} == {}", ca.OP_NE: "{} != {}"},
+    **{ca.OP_AND: "logic_and({}, {})", ca.OP_OR: "logic_or({}, {})", ca.OP_NOT: "logic_not({})"},
+    ca.OP_IF_ELSE_ZERO: "if_else({}, {}, 0.0)",
+    **{
+        getattr(ca, f"OP_{name.upper()}"): f"{name}({', '.join(['{}'] * count)})"
+        for name, (count, _) in FUNCTIONS.items()
+        if name != "if_else" and not name.startswith("logic")
+    },
 }
-"""How many registers each operation reads, and what it does."""
+"""Text of CasADi's instructions."""
+
+
+@dataclass(frozen=True)
+class PathSymbols:
+    """The CasADi symbols of which an expression of N steps is made."""
+
+    positions_m: Any  # (N, 2) after each step
+    mean_db: Any  # (N, 1) of the predicted power there, dBm
+    deviation_db: Any  # (N, 1) its standard deviation
+    connectivity: Any  # (N, 1) P(power >= threshold)
+    target_m: Any  # (N, 2) expected target; only in a problem with a term of kind tracking
+    start_m: Any  # (1, 2) position of the robot
+
+
+def program_of(expression: Any, steps: int) -> str:
+    """Return the text of a CasADi expression of a path of `steps` steps."""
+    if not isinstance(steps, int | np.integer) or steps < 1:
+        raise InputError(
+            f"is {steps!r}", key="horizon", remedy="give the whole number of steps that are planned"
+        )
+    symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
+    remedy = f"return a scalar of {', '.join(symbols)}"
+    try:
+        value = _value(expression, symbols, remedy)
+        function = ca.Function("value", list(symbols.values()), [ca.densify(ca.SX(value))])
+    except (RuntimeError, NotImplementedError, TypeError, ValueError) as error:
+        raise InputError(
+            f"the expression is not one of CasADi: {str(error).splitlines()[-1]}",
+            key="expression",
+            remedy=remedy,
+        ) from None
+    if function.size_out(0) != (1, 1):
+        raise InputError(
+            f"the expression has the shape {function.size_out(0)}, not that of a number",
+            key="expression",
+            remedy=remedy,
+        )
+    return "\n".join(
+        _line(function, k, list(symbols), steps) for k in range(function.n_instructions())
+    )
+
+
+def names_in(program: str) -> frozenset[str]:
+    """Return the names of the inputs that a program reads."""
+    return frozenset(name for name in (*WIDTHS, START) if f"{name}[" in program)
 
 
 def expression_values(
     program: str, steps: int, given: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """The value of each of c paths; not finite where the expression has none; ``(c,)``."""
-    with np.errstate(all="ignore"):
-        found = run_program(
-            program, steps, {name: _entry(values) for name, values in given.items()}, NUMPY
-        )
+    """Return the values (c,) of c paths from inputs (c, rows, columns), NaN where undefined."""
     count = max(len(values) for values in given.values())
-    return np.broadcast_to(np.asarray(found, dtype=np.float64), (count,)).copy()
+    inputs: list[NDArray[np.float64]] = []
+    for name, shape in _shapes(steps).items():
+        values = np.broadcast_to(given.get(name, np.zeros((1, *shape))), (count, *shape))
+        inputs.append(values.transpose(1, 0, 2).reshape(shape[0], -1))
+    return np.array(_valued(program, steps)(*inputs), dtype=np.float64).ravel()
 
 
-def names_in(program: str) -> frozenset[str]:
-    """Return the names that the instructions read."""
-    lines = (line.split() for line in program.splitlines())
-    return frozenset(words[2] for words in lines if len(words) == 5 and words[0] == "input")
-
-
-def run_program(
-    program: str,
-    steps: int,
-    given: Mapping[str, Callable[[int, int], Any]],
-    operations: Mapping[str, tuple[int, Operation]],
+def expression_derivatives(
+    program: str, steps: int, given: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
 ) -> Any:
-    """Run the instructions, by NumPy's operations or CasADi's, on entries by row and column."""
-    registers: dict[str, Any] = {}
-    value: Any = None
-    for row, words in enumerate(_instructions(program), start=1):
+    """Return the value of a path with derivatives by its positions."""
+    columns = [given[name] for name in ("x", "y", *CHANNELS[1:])]
+    shapes = _shapes(steps)
+    values = dict(zip(CHANNELS[1:], (each.value for each in columns[2:]), strict=True))
+    values["positions_m"] = np.stack([each.value for each in columns[:2]], axis=1)
+    inputs = [(values | known).get(name, np.zeros(shape)) for name, shape in shapes.items()]
+    value, gradient, hessian = _differentiated(program, steps)(*inputs)
+    count = len(columns)
+    return chained(
+        float(value),
+        np.asarray(gradient).reshape(steps, count),
+        np.asarray(hessian.full()).reshape(steps, count, steps, count),
+        columns,
+    )
+
+
+@lru_cache(maxsize=64)
+def _valued(program: str, steps: int) -> Any:
+    """Return the value as a function of the inputs."""
+    symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
+    return ca.Function("value", list(symbols.values()), [_parsed(program, symbols, steps)])
+
+
+@lru_cache(maxsize=64)
+def _differentiated(program: str, steps: int) -> Any:
+    """Return value, gradient and Hessian by the channels as a function of the inputs."""
+    symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
+    value = _parsed(program, symbols, steps)
+    # Step after step, as the rows of the table of channels.
+    channels = ca.vec(ca.horzcat(*(symbols[name] for name in CHANNELS)).T)
+    hessian, gradient = ca.hessian(value, channels)
+    return ca.Function("derivatives", list(symbols.values()), [value, gradient, hessian])
+
+
+def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
+    """Return the CasADi expression of a program."""
+    lines = program.splitlines()
+    names: dict[str, Any] = {}
+    for row, line in enumerate(lines, start=1):
         try:
-            match words:
-                case ("input", to, name, step, column):
-                    registers[to] = given[name](*_checked(name, int(step), int(column), steps))
-                case ("const", to, number):
-                    registers[to] = float(number)
-                case ("output", at):
-                    value = registers[at]
-                case (operation, to, *at):
-                    reads, apply = operations[operation]
-                    if len(at) != reads:
-                        raise ValueError
-                    registers[to] = apply(*(registers[each] for each in at))
+            if len(lines) * steps > MOST_LINES or len(line) > LONGEST_LINE:
+                raise ValueError
+            match ast.parse(line).body:
+                case [ast.Assign([ast.Name(name)], right)] if name not in symbols:
+                    names[name] = _built(right, names, symbols)
+                case [ast.Expr(right)] if row == len(lines):
+                    return _built(right, names, symbols)
                 case _:
                     raise ValueError
-        except (KeyError, ValueError):
+        except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError):
             raise InputError(
-                f"instruction {row} ({' '.join(words)}) is none of an expression of {steps} steps",
+                f"line {row} of {len(lines)} ({line[:60]}) is not one of an expression of "
+                f"{steps} steps",
                 key="program",
                 remedy="write programs by planopt.extend.casadi_term",
             ) from None
-    if value is None:
-        raise InputError("the program has no output", key="program")
-    return value
+    raise InputError("has no value in its last line", key="program")
 
 
-@cache
-def _instructions(program: str) -> tuple[tuple[str, ...], ...]:
-    found = tuple(tuple(line.split()) for line in program.splitlines())
-    if len(found) > LONGEST:
-        raise InputError(f"{len(found)} instructions are too many", key="program")
-    return found
+def _built(node: ast.AST, names: Mapping[str, Any], symbols: Mapping[str, Any]) -> Any:
+    """Return the CasADi expression of an allowed node; KeyError or ValueError for any other."""
+    match node:
+        case ast.Constant(int() | float() as number) if not isinstance(number, bool):
+            return ca.SX(float(number))
+        case ast.Name(name):
+            return names[name]
+        case ast.Subscript(
+            ast.Name(name), ast.Tuple([ast.Constant(int() as row), ast.Constant(int() as column)])
+        ):
+            if row >= symbols[name].size1() or column >= symbols[name].size2():
+                raise ValueError
+            return symbols[name][row, column]
+        case ast.UnaryOp(sign, one):
+            return OPERATORS[type(sign)](_built(one, names, symbols))
+        case ast.BinOp(one, sign, other) | ast.Compare(one, [sign], [other]):
+            sides = (_built(each, names, symbols) for each in (one, other))
+            return OPERATORS[type(sign)](*sides)
+        case ast.Call(ast.Name(name), arguments, []):
+            count, apply = FUNCTIONS[name]
+            if len(arguments) != count:
+                raise ValueError
+            return apply(*(_built(each, names, symbols) for each in arguments))
+        case _:
+            raise ValueError
 
 
-def _checked(name: str, step: int, column: int, steps: int) -> tuple[int, int]:
-    rows, width = (1, 2) if name == START else (steps, WIDTHS[name])
-    if not (0 <= step < rows and 0 <= column < width):
-        raise ValueError
-    return step, column
+def _shapes(steps: int) -> dict[str, tuple[int, int]]:
+    return {name: (steps, width) for name, width in WIDTHS.items()} | {START: (1, 2)}
 
 
-def _entry(values: NDArray[np.float64]) -> Callable[[int, int], NDArray[np.float64]]:
-    return lambda step, column: values[:, step, column]
+def _value(expression: Any, symbols: dict[str, Any], remedy: str) -> Any:
+    if not isinstance(expression, ca.Function):
+        if not callable(expression):
+            raise InputError(
+                f"is a {type(expression).__name__}, nothing that can be called",
+                key="expression",
+                remedy=f"give a function of path, for instance lambda path: ...; {remedy}",
+            )
+        with calling(expression, "", remedy=remedy):
+            return expression(PathSymbols(**symbols))
+    names = expression.name_in()
+    unknown = [name for name in names if name not in symbols]
+    if unknown or expression.n_out() != 1:
+        raise InputError(
+            f"has the inputs {names} and {expression.n_out()} outputs",
+            key="expression",
+            remedy=f"name inputs as in {', '.join(symbols)}, and give one output",
+        )
+    return expression.expand()(*(symbols[name] for name in names))
+
+
+def _line(function: Any, k: int, names: list[str], steps: int) -> str:
+    """Return the line of an instruction of an SX function."""
+    code = function.instruction_id(k)
+    reads, writes = function.instruction_input(k), function.instruction_output(k)
+    if code == ca.OP_OUTPUT:
+        return f"v{reads[0]}"
+    if code == ca.OP_INPUT:
+        name = names[reads[0]]
+        rows = _shapes(steps)[name][0]
+        return f"v{writes[0]} = {name}[{reads[1] % rows}, {reads[1] // rows}]"
+    if code == ca.OP_CONST:
+        # Python has no literal of infinity but a number that is too large.
+        return f"v{writes[0]} = {function.instruction_constant(k)!r}".replace("inf", "1e999")
+    if code not in TEXTS:
+        raise InputError(
+            f"operation {code} of the expression cannot be saved",
+            key="expression",
+            remedy=f"use + - * / **, comparisons and {', '.join(FUNCTIONS)}",
+        )
+    return f"v{writes[0]} = {TEXTS[code].format(*(f'v{each}' for each in reads))}"

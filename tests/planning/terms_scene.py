@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from planopt.channel.belief import Belief
+from planopt.extend import casadi_term
 from planopt.planning.judge import Judge
 from planopt.planning.prepare import prepare
 from planopt.planning.proof.circumstances import Circumstances
@@ -19,7 +20,6 @@ from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering_way import SteeringWay
-from planopt.problems.casadi_term import casadi_term
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles

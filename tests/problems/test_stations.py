@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from planopt.errors import InputError
+from planopt.extend import casadi_term
 from planopt.planning.given import draw
-from planopt.problems.casadi_term import casadi_term
 from planopt.problems.library import find_problem
 from planopt.problems.load import load, problem_from_tables
 from planopt.problems.problem import Problem

@@ -13,8 +13,15 @@ from pydantic import Field
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.batch_derivatives import PathDerivatives
-from planopt.objectives.expression import START, WIDTHS, expression_values, names_in
-from planopt.objectives.expression_casadi import PathSymbols, program_of
+from planopt.objectives.expression import (
+    START,
+    WIDTHS,
+    PathSymbols,
+    expression_derivatives,
+    expression_values,
+    names_in,
+    program_of,
+)
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Term, TermSetting
 from planopt.objectives.tracking import connectivity_derivatives
@@ -37,7 +44,9 @@ class CasadiTerm(Term):
         ),
     ] = field(default=1.0, kw_only=True)
     steps: Annotated[int, Field(ge=1, description="The horizon that the expression is for.")]
-    program: Annotated[str, Field(description="Its instructions, one a line.")]
+    program: Annotated[
+        str, Field(description="Assignments, one a line; the last line is the value.")
+    ]
 
     kind: ClassVar[str] = "casadi"
     summary: ClassVar[str] = "A value of one's own, made large."
@@ -142,8 +151,6 @@ class CasadiTerm(Term):
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
         """Return the expression with derivatives by CasADi and the chain rule."""
-        from planopt.objectives.expression_casadi import expression_derivatives
-
         places, power = path.places_m, path.stage_power
         straight = np.zeros((len(places), 3))
         own = {
@@ -157,6 +164,32 @@ class CasadiTerm(Term):
         return expression_derivatives(
             self.program, self.steps, given, self.known(path.at, len(places))
         )
+
+
+def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTerm:
+    """Return a term that maximises an expression of the path and the predicted channel.
+
+    The expression is kept as text, so that problems, plans and runs with it are saved, checked and
+    sent to other processes like any other.
+
+    Parameters
+    ----------
+    expression
+        A function from :class:`planopt.objectives.expression.PathSymbols` (``positions_m``,
+        ``mean_db``, ``deviation_db``, ``connectivity``, ``target_m``, ``start_m``) to a scalar
+        CasADi expression, twice differentiable; or a `casadi.Function` of inputs of these names
+        and shapes with one output.
+    horizon
+        N, the number of steps that it is for.
+    weight
+        Factor in the sum of terms; negative for a cost.
+
+    Raises
+    ------
+    InputError
+        The expression is no scalar of these symbols.
+    """
+    return CasadiTerm(horizon, program_of(expression, horizon), weight=weight)
 
 
 FEW_STEPS = 2

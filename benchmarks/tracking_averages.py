@@ -4,8 +4,9 @@
 drives every setting on the same seeds, prints a table with 95 % intervals, and compares each with
 the first setting seed by seed. A setting is FORM:HORIZON, then PLANNER and PACKETS if they are not
 the problem's: ``sampled:10:auto:estimates``. A target counts as lost where tr P was ever more than
-three times that of the first estimate. With ``--rows FILE`` rows are kept there, and a study that
-was stopped goes on.
+three times that of the first estimate. ``--p-min 0.5`` adds a chance constraint. With ``--criterion
+determinant`` plans and the table have det P. With ``--rows FILE`` rows are kept there, and a study
+that was stopped goes on.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import process_time
-from typing import cast
+from typing import cast, get_args
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from planopt import Problem, load, simulate
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
+from planopt.objectives.tracking_filter import Criterion
 from planopt.planning.loop.metrics import LOST_RATIO
 from planopt.problems.problem import TermsObjective
 from planopt.problems.target import Packets
@@ -37,6 +39,7 @@ class Row:
     setting: str
     seed: int
     mean_m2: float
+    mean_determinant_m4: float
     last_m2: float
     largest_m2: float
     delivered: float
@@ -44,14 +47,16 @@ class Row:
     cpu_s: float
 
 
-def with_setting(problem: Problem, setting: str) -> Problem:
+def with_setting(problem: Problem, setting: str, criterion: Criterion) -> Problem:
     """Return the problem with the form, horizon, planner and packets of FORM:HORIZON:..."""
     form, horizon, *rest = setting.split(":")
     planner = rest[0] if rest else problem.planner.name
     packets = rest[1] if len(rest) > 1 else problem.targets[0].packets
     terms = tuple(
-        replace(term, form=cast("TrackingForm", form)) if isinstance(term, TrackingTerm) else term
-        for term in problem.terms
+        replace(term, form=cast("TrackingForm", form), criterion=criterion)
+        if isinstance(term, TrackingTerm)
+        else term
+        for term in problem.objective.terms
     )
     return replace(
         problem,
@@ -61,10 +66,10 @@ def with_setting(problem: Problem, setting: str) -> Problem:
     )
 
 
-def run_row(problem: Problem, setting: str, seed: int) -> Row:
+def run_row(problem: Problem, setting: str, seed: int, criterion: Criterion) -> Row:
     """Drive one run of a setting."""
     begun = process_time()
-    run = simulate(with_setting(problem, setting), seed=seed)
+    run = simulate(with_setting(problem, setting, criterion), seed=seed)
     if run.target is None:
         raise AssertionError("the problem tracks a target")
     variance = run.target.station_variance_m2
@@ -72,6 +77,8 @@ def run_row(problem: Problem, setting: str, seed: int) -> Row:
         setting,
         seed,
         float(variance[1:].mean()),
+        # The covariance is alike along both axes.
+        float(np.square(0.5 * variance[1:]).mean()),
         float(variance[-1]),
         float(variance.max()),
         float(run.target.delivered.mean()),
@@ -80,8 +87,12 @@ def run_row(problem: Problem, setting: str, seed: int) -> Row:
     )
 
 
-def table(problem: Problem, rows: Iterable[Row]) -> list[str]:
+def table(problem: Problem, rows: Iterable[Row], criterion: Criterion) -> list[str]:
     """Return a line for each setting, the first being what others are compared with."""
+
+    def mean_of(row: Row) -> float:
+        return row.mean_determinant_m4 if criterion == "determinant" else row.mean_m2
+
     by_setting: dict[str, dict[int, Row]] = {}
     for row in rows:
         by_setting.setdefault(row.setting, {})[row.seed] = row
@@ -92,9 +103,9 @@ def table(problem: Problem, rows: Iterable[Row]) -> list[str]:
         "half_95 ratio_of_means"
     ]
     for setting, found in by_setting.items():
-        means = np.array([row.mean_m2 for row in found.values()])
+        means = np.array([mean_of(row) for row in found.values()])
         both = sorted(found.keys() & first.keys())
-        own, other = (np.array([each[seed].mean_m2 for seed in both]) for each in (found, first))
+        own, other = (np.array([mean_of(each[seed]) for seed in both]) for each in (found, first))
         each = list(found.values())
         lost = sum(row.largest_m2 > lost_m2 for row in each)
         lines.append(
@@ -120,10 +131,15 @@ def main() -> None:
     parser.add_argument("--settings", nargs="+", default=["additive:1", "additive:10"])
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--p-min", type=float)
+    parser.add_argument("--criterion", choices=get_args(Criterion), default="trace")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--rows", type=Path)
     chosen = parser.parse_args()
     problem = load(chosen.problem)
+    if chosen.p_min is not None:
+        bound = replace(problem.constraints, p_min=chosen.p_min)
+        problem = replace(problem, constraints=bound)
     rows: list[Row] = []
     if chosen.rows is not None and chosen.rows.exists():
         rows = [Row(**json.loads(line)) for line in chosen.rows.read_text().splitlines()]
@@ -131,7 +147,7 @@ def main() -> None:
     asked = [(setting, seed) for setting in chosen.settings for seed in seeds]
     done = {(row.setting, row.seed) for row in rows}
     made = Parallel(n_jobs=chosen.workers, return_as="generator")(
-        delayed(run_row)(problem, *each) for each in asked if each not in done
+        delayed(run_row)(problem, *each, chosen.criterion) for each in asked if each not in done
     )
     for row in made:
         rows.append(row)
@@ -139,7 +155,7 @@ def main() -> None:
             with chosen.rows.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(asdict(row)) + "\n")
     found = {(row.setting, row.seed): row for row in rows}
-    print("\n".join(table(problem, [found[each] for each in asked])))
+    print("\n".join(table(problem, [found[each] for each in asked], chosen.criterion)))
 
 
 if __name__ == "__main__":

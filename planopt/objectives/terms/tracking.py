@@ -210,17 +210,11 @@ class TrackingTerm(Term):
 
     def check(self, setting: TermSetting) -> None:
         """The criterion is one of the form, and some step counts."""
-        if self.criterion != "trace" and self.form not in ("auto", "sampled"):
+        if self.criterion != "trace" and self.form not in ("auto", "sampled", "recourse"):
             raise InputError(
                 f"{self.criterion} is no criterion of the form {self.form}",
                 key="criterion",
                 remedy='use form = "sampled", or criterion = "trace"',
-            )
-        if self.form == "recourse" and setting.has_dynamics:
-            raise InputError(
-                "the form recourse is for robots that turn and stop at will",
-                key="form",
-                remedy='use form = "auto"',
             )
         if self.step_weights and not any(self.step_weights):
             raise InputError(

@@ -56,6 +56,7 @@ class TriedPlaces:
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem, self._ground = problem, ground
         self._longest_m = problem.step_length_m - STEP_PAD_M
+        self._alone = len(problem.terms) == 1 and not problem.constraints.asks_connection
         places = [np.zeros((1, 2))]
         for number, radius in enumerate(CIRCLES):
             apart = max(LEAST_APART, radius * APART_SHARE)
@@ -82,7 +83,8 @@ class TriedPlaces:
         at_stop = (paths == stops[:, None]).all(axis=2)
         ends = self._chance(situation, situation.power(stops))
         guessed = np.where(at_stop, ends[:, None], guessed)
-        return [paths[i] for i in self._best(situation, paths, guessed, TRIED)]
+        tried = TRIED if self._alone else COMPARED
+        return [paths[i] for i in self._best(situation, paths, guessed, tried)]
 
     def _best(
         self,
@@ -96,7 +98,12 @@ class TriedPlaces:
         for number, term in enumerate(situation.problem.terms):
             if term.tries_places:
                 value += tried_worth(situation, number, paths, chance)
-        return np.argsort(-value, kind="stable")[:count]
+        missing = np.zeros(len(paths))
+        if self._problem.constraints.asks_connection:
+            constraints = self._problem.constraints
+            each = chance if constraints.rule.by_step else chance.mean(axis=1, keepdims=True)
+            missing = np.maximum(constraints.p_min - each, 0.0).sum(axis=1)
+        return np.lexsort((-value, np.round(missing, 3)))[:count]
 
     def _beside(self, field: NodeField, places_m: NDArray[np.float64]) -> Prediction:
         """Return the power at the free node nearest to each place (n, 2)."""

@@ -107,9 +107,7 @@ def _term(generator: np.random.Generator, step_m: float) -> Tables:
     if generator.uniform() < 0.5:
         return {"kind": "until_connected", "weight": float(1.0 / step_m)}
     return {
-        "kind": "transmission_energy",
+        "kind": "motion_energy",
         "weight": float(10.0 ** generator.uniform(-3.0, 0.0)),
-        "bits": 1e6,
-        "bandwidth_hz": 1e6,
-        "noise_dbm": -100.0,
+        "per_metre_j_m": 1.0,
     }

@@ -18,7 +18,6 @@ FORMER_NAMES = {
 """Former public names, accepted for one version, and the names that replace them."""
 
 FORMER_MODULES = {
-    "planopt.objectives.energy": "planopt.objectives.terms.transmission_energy",
     "planopt.planning.programme.offenders": "planopt.planning.programme.clearance_lines",
     "planopt.planning.proof.apart": "planopt.planning.proof.motion",
     "planopt.planning.rule_result": "planopt.planning.certificate",

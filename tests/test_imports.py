@@ -141,7 +141,6 @@ def test_private_names_have_no_hint() -> None:
 @pytest.mark.parametrize(
     ("former", "name"),
     [
-        ("planopt.objectives.energy", "transmission_energy_j"),
         ("planopt.planning.programme.offenders", "lines_about"),
         ("planopt.planning.proof.apart", "judge_apart"),
         ("planopt.planning.rule_result", "RuleResult"),

@@ -161,13 +161,6 @@ TRACKED = [
         '[[robots]]\nname = "a"\nstart_m = [9.0, 9.0]\nspeed_max_m_s = 1.0\n[[stations]]',
         "as that of robots[0] is",
     ),
-    (
-        "bandwidth",
-        "[[targets]]",
-        '[[objective.terms]]\nkind = "transmission_energy"\nbits = 1.0\nbandwidth_hz = 1e-300\n'
-        "noise_dbm = 0.0\n[[targets]]",
-        "bandwidth_hz",
-    ),
 ]
 
 WHOLE = {

@@ -9,7 +9,6 @@ from planopt.objectives.terms.mapping import MappingForm, MappingTerm
 from planopt.objectives.terms.motion_energy import MotionEnergyTerm
 from planopt.objectives.terms.term import Term
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
-from planopt.objectives.terms.transmission_energy import TransmissionEnergyTerm
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
 from planopt.problems.problem import CostToGo, ReachObjective, TermsObjective
 
@@ -27,6 +26,5 @@ __all__ = [
     "TermsObjective",
     "TrackingForm",
     "TrackingTerm",
-    "TransmissionEnergyTerm",
     "UntilConnectedTerm",
 ]

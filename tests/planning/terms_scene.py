@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from sending_term import SendingTerm
 
 from planopt.channel.belief import Belief
 from planopt.extend import casadi_term
@@ -34,7 +35,8 @@ TRACKING = {
 LEARNING = {"kind": "path_loss_learning", "criterion": "D"}
 ENERGY = {"kind": "motion_energy", "per_metre_j_m": 0.5, "power_w": 0.1}
 CONNECT = {"kind": "until_connected"}
-SENDING = {"kind": "transmission_energy", "bits": 1e6, "bandwidth_hz": 1e6, "noise_dbm": -100.0}
+
+SENDING = {"kind": SendingTerm.kind}
 
 TABLES: dict[str, Any] = {
     "problem": {"schema": 1, "name": "small"},

@@ -11,7 +11,6 @@ from terms_scene import (
     CONNECT,
     ENERGY,
     LEARNING,
-    SENDING,
     TRACKING,
     judge_of,
     own_term,
@@ -56,8 +55,7 @@ def planned(problem, warm=None, seed=0, **options):
         ({**TRACKING, "form": "covariance"},),
         ({**TRACKING, "form": "sampled"},),
         (CONNECT,),
-        (SENDING,),
-        (SENDING, ENERGY),
+        (CONNECT, ENERGY),
     ],
 )
 @pytest.mark.parametrize("horizon", [1, 2, 8])

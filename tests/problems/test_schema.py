@@ -14,8 +14,8 @@ from planopt.problems.channel_setup import ModelTruth, SampledMeasurements
 from planopt.problems.objective import (
     CasadiTerm,
     LearningTerm,
+    MotionEnergyTerm,
     TrackingTerm,
-    TransmissionEnergyTerm,
     UntilConnectedTerm,
 )
 from planopt.problems.problem import Problem
@@ -333,7 +333,7 @@ def test_terms_are_read_in_order(tables: Tables, built: Build) -> None:
 
 
 OWN = {"kind": "casadi", "weight": -2.0, "steps": 5, "program": "const 0 1.5\noutput 0"}
-SENDING = {"kind": "transmission_energy", "bits": 1e6, "bandwidth_hz": 1e5, "noise_dbm": -95.0}
+ENERGY = {"kind": "motion_energy", "per_metre_j_m": 2.0}
 
 
 @pytest.mark.parametrize(
@@ -342,16 +342,11 @@ SENDING = {"kind": "transmission_energy", "bits": 1e6, "bandwidth_hz": 1e5, "noi
         ("connect", [{"kind": "until_connected"}], (UntilConnectedTerm(),)),
         (
             "connect",
-            [{"kind": "until_connected", "weight": 0.5, "beyond_m": 80.0}, SENDING],
+            [{"kind": "until_connected", "weight": 0.5, "beyond_m": 80.0}, ENERGY],
             (
                 UntilConnectedTerm(80.0, weight=0.5),
-                TransmissionEnergyTerm(1e6, 1e5, 2.0, 1e-6, -95.0),
+                MotionEnergyTerm(2.0),
             ),
-        ),
-        (
-            "custom",
-            [{**SENDING, "bits_per_symbol": 4.0, "bit_error_rate": 1e-3}],
-            (TransmissionEnergyTerm(1e6, 1e5, 4.0, 1e-3, -95.0),),
         ),
         ("custom", [OWN], (CasadiTerm(5, OWN["program"], weight=-2.0),)),
     ],
@@ -382,9 +377,9 @@ def other(tables: Tables, task: str, terms: list[Tables]) -> None:
         (
             "custom",
             {"kind": "mapping"},
-            "begin with one of kind casadi or goal or transmission_energy",
+            "begin with one of kind casadi",
         ),
-        ("connect", SENDING, "begin with one of kind until_connected"),
+        ("connect", OWN, "begin with one of kind until_connected"),
         (
             "custom",
             {**OWN, "steps": 4},
@@ -395,11 +390,6 @@ def other(tables: Tables, task: str, terms: list[Tables]) -> None:
             "custom",
             {**OWN, "program": "input 0 target_m 0 0\noutput 0"},
             r"objective.terms\[0\].program: reads target_m, and there is no target",
-        ),
-        (
-            "custom",
-            {**SENDING, "bit_error_rate": 0.3},
-            r"objective.terms\[0\].bit_error_rate: is 0.3, should be more than 0 and less than 0.2",
         ),
         (
             "connect",

@@ -119,11 +119,6 @@ class StepContext(Protocol):
         ...
 
     @property
-    def transmit_powers_dbm(self) -> tuple[float, ...]:
-        """Transmit power of each station."""
-        ...
-
-    @property
     def target_m(self) -> NDArray[np.float64] | None:
         """``(N, 2)`` where the target is expected after each step; None without target."""
         ...
@@ -195,10 +190,6 @@ class StepContext(Protocol):
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
         """Return the power that connectivity rests on at places (n, 2)."""
-        ...
-
-    def powers(self, places_m: NDArray[np.float64]) -> list[Prediction]:
-        """Return each station's power at places (n, 2)."""
         ...
 
     def law(self, powers: Sequence[Prediction]) -> Prediction:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -25,7 +24,6 @@ from planopt.targets.sensor import Sensor
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
-    from planopt.channel.prediction import Prediction
     from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, StepContext
     from planopt.objectives.told_batch import Pull, ToldBatch
 
@@ -254,12 +252,6 @@ class Term:
         """
         return None
 
-    def power_reward(
-        self, at: StepContext, powers: Sequence[Prediction], chance: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """Return what ending a step is worth by each station's power and the chance there."""
-        return None
-
     def stage_reward(
         self,
         at: StepContext,
@@ -267,12 +259,11 @@ class Term:
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
     ) -> NDArray[np.float64] | None:
-        """Return what ending step `stage`, from 0 on, is worth at places (..., 2)."""
+        """Return the reward of ending step `stage`, from 0 on, at places (..., 2)."""
         return None
 
-    @property
-    def most_stage_reward(self) -> float:
-        """An upper limit of :meth:`stage_reward`."""
+    def largest_stage_reward(self, at: StepContext) -> float:
+        """Return an upper limit of :meth:`stage_reward`."""
         return 0.0
 
     def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:

@@ -425,9 +425,8 @@ class TrackingTerm(Term):
         variance = 0.5 * np.trace(covariances[:, :2, :2], axis1=1, axis2=2)
         return np.minimum(variance, 0.5 / self.noise_floor_m2)
 
-    @property
-    def most_stage_reward(self) -> float:
-        """The information of a packet from the best distance, at the step that counts most."""
+    def largest_stage_reward(self, at: StepContext) -> float:
+        """Return the information of a packet from the best distance at the heaviest step."""
         most = 1.0 / self.noise_floor_m2
         if self.criterion == "determinant":
             most = max(most, 0.25 * most**2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -10,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.channel.prediction import Prediction
 from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Steers, Term
@@ -160,11 +158,19 @@ class UntilConnectedTerm(Term):
         )
         return PathDerivatives(-found.value, -found.gradient, -found.hessian)
 
-    def power_reward(
-        self, at: StepContext, powers: Sequence[Prediction], chance: NDArray[np.float64]
+    def stage_reward(
+        self,
+        at: StepContext,
+        places_m: NDArray[np.float64],
+        stage: int | NDArray[np.intp],
+        chance: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return what connection at each place would save, if it were the only try."""
+        """Return the distance that connection at each place saves if it is the only try."""
         return self.search(at).beyond_m * chance
+
+    def largest_stage_reward(self, at: StepContext) -> float:
+        """Return the distance that certain connection saves."""
+        return self.search(at).beyond_m
 
 
 def _beyond(path: NearPath, search: Search) -> Derivatives | None:

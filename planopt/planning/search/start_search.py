@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
+from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.parts import calling
 from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.programme.pivot import GoalCharge
@@ -38,7 +38,6 @@ from planopt.planning.tolerances import (
 from planopt.planning.worth.path_worth import PathWorth, rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule
 from planopt.planning.worth.situation import Situation, bends_starts
-from planopt.problems.objective import Term
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.lattice import MOVES
@@ -47,8 +46,6 @@ from planopt.world.moving_obstacle import ways_gap_m
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Rows and columns of single nodes."""
-
-EVERYWHERE: Window = slice(None), slice(None)
 
 MISSING_DB_SHARE = 10.0
 """What a missing dB costs, in units of the largest reward of a step. A step that misses at all
@@ -113,8 +110,6 @@ class StageRewards:
         chance = connection_probability(mean, deviation, radio.threshold_dbm)
         self._chance[where] = np.where(known, chance, 0.0)
         fixed = np.zeros_like(mean) if self._alone is None else self._alone[where]
-        for term in problem.terms:
-            fixed = fixed + term.weight * self._by_power(term, where, chance)
         self._unasked[where] = np.where(known, fixed, -np.inf)
         if self._guide.asked.any():
             margin = bound_margin_db(mean, deviation, radio.threshold_dbm, self._guide.level)
@@ -123,25 +118,12 @@ class StageRewards:
             fixed = fixed - self._largest * cost
         self._fixed[where] = np.where(known, fixed, -np.inf)
 
-    def _by_power(
-        self, term: Term, where: Window | Nodes, chance: NDArray[np.float64]
-    ) -> NDArray[np.float64] | float:
-        """Return a term's reward for the power at a place, whenever it is visited."""
-        powers = [
-            Prediction(station.mean_db[where], station.deviation_db[where])
-            for station in self._field.stations
-        ]
-        with calling(term, "power_reward", key="objective.terms"):
-            found = term.power_reward(self._situation, powers, chance)
-        return 0.0 if found is None else found
-
     def _largest_reward(self) -> float:
         """The largest reward of a step."""
         largest = 0.0 if self._alone is None else float(np.nanmax(np.abs(self._alone), initial=0.0))
         for term in self._situation.problem.terms:
-            largest += term.weight * term.most_stage_reward
-            each = self._by_power(term, EVERYWHERE, np.ones(1))
-            largest += term.weight * float(np.nanmax(np.abs(each), initial=0.0))
+            with calling(term, "largest_stage_reward", key="objective.terms"):
+                largest += term.weight * term.largest_stage_reward(self._situation)
         return max(largest, 1e-9)
 
 

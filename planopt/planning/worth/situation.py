@@ -212,11 +212,6 @@ class Situation:
         return tuple(radio.threshold_dbm for radio in self.problem.stations)
 
     @property
-    def transmit_powers_dbm(self) -> tuple[float, ...]:
-        """Transmit power of each station."""
-        return tuple(radio.transmit_power_dbm for radio in self.problem.stations)
-
-    @property
     def target_motion(self) -> TargetModel:
         """Return how the target moves."""
         return target_model(self.problem)
@@ -277,12 +272,6 @@ class Situation:
         """Return the power that connectivity rests on, from each station's prediction."""
         broad = self.circumstances.broad
         return broad.law(powers) if isinstance(broad, Serving) else powers[0]
-
-    def powers(self, places_m: NDArray[np.float64]) -> list[Prediction]:
-        """Predictions of each station's power at `places_m` (n, 2), as searches look at them."""
-        if not isinstance(self.circumstances.broad, Serving):
-            return [self.power(places_m)]
-        return [search_prediction(station, places_m) for station in self.stations]
 
     @cached_property
     def measuring(self) -> MeasuringRule:

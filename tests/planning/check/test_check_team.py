@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from team_scene import two_trackers
-from terms_scene import CONNECT, ENERGY, LEARNING, SENDING, TRACKING, own_term, terms_problem
+from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, own_term, terms_problem
 
 from planopt.errors import InputError
 from planopt.planning.check.check import check
@@ -103,7 +103,7 @@ def test_what_the_station_knew_is_found_again(form: str, tmp_path: Path) -> None
 OWN = own_term(lambda path: path.connectivity[0] + path.mean_db[1] / path.deviation_db[1], 2)
 
 
-@pytest.mark.parametrize("terms", [(CONNECT,), (SENDING, ENERGY), (OWN,)])
+@pytest.mark.parametrize("terms", [(CONNECT,), (CONNECT, ENERGY), (OWN,)])
 @pytest.mark.parametrize("planner", ["auto", "one_step"])
 def test_plans_that_find_connection_are_judged(
     terms: tuple[dict, ...], planner: str, tmp_path: Path

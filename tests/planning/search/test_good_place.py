@@ -39,7 +39,7 @@ def edge_m(problem):
 
 
 def just_in_reach(*polygons, planner="lattice", **more):
-    """A robot three steps left of where the bound is met, that only has to send."""
+    """A robot three steps left of where the bound is met, that only sends."""
     problem = small_problem(*polygons, planner=planner, horizon=5, **more)
     start = (edge_m(problem) - 3.0 * SHARE * problem.step_length_m, 15.0)
     robot = replace(problem.robots[0], start_m=start, goal_m=None)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import ENERGY, LEARNING, SENDING, TRACKING, situation_of, terms_problem
+from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
 
 from planopt.channel.posterior import condition
 from planopt.planning.search.local_ranking import LocalRanking
@@ -33,7 +33,6 @@ def ways_of(situation, count=7):
     [
         (TRACKING,),
         ({**TRACKING, "form": "information"},),
-        (SENDING,),
         *[({**LEARNING, "criterion": kind},) for kind in "DTAV"],
         *[(mapping(form),) for form in ("two_layer", "path", "information", "average")],
         (TRACKING, {**LEARNING, "weight": 3.0}, {**mapping("path"), "weight": 0.2}, ENERGY),

@@ -8,7 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import shapely
-from terms_scene import CONNECT, LEARNING, SENDING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import (
+    CONNECT,
+    LEARNING,
+    SENDING,
+    TRACKING,
+    judge_of,
+    situation_of,
+    terms_problem,
+)
 
 import planopt.planning.baselines.one_step as one_step_module
 from planopt.channel.measurements import Measurements

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from terms_scene import CONNECT, LEARNING, SENDING, TRACKING, own_term, terms_problem
+from terms_scene import CONNECT, LEARNING, TRACKING, own_term, terms_problem
 
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import true_power_dbm
@@ -29,7 +29,6 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "track": (TRACKING, {"p_min": 0.8}),
     "sampled": ({**TRACKING, "form": "sampled"}, {}),
     "connect": (CONNECT, {}),
-    "send": (SENDING, {}),
     "learn": (LEARNING, {}),
     "map": ({"kind": "mapping", "form": "information"}, {}),
     "own": (own_term(connected, 3), {"p_min": 0.8}),

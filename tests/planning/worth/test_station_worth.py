@@ -9,7 +9,6 @@ import pytest
 from terms_scene import (
     CONNECT,
     LEARNING,
-    SENDING,
     TRACKING,
     situation_of,
     terms_problem,
@@ -17,7 +16,6 @@ from terms_scene import (
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.semidefinite import semidefinite_factor
-from planopt.objectives.terms.transmission_energy import expected_transmit_power_w
 from planopt.objectives.tracking_filter import covariance_gain, sensing_of
 from planopt.objectives.until_connected import counted_legs_m
 from planopt.planning.proof.circumstances import Circumstances
@@ -103,18 +101,6 @@ def test_sampled_losses_are_those_of_drawn_channels() -> None:
     mean = gain @ counts / DRAWS
     spread = np.sqrt((gain - mean) ** 2 @ counts / DRAWS)
     assert PathWorth(situation)(path) == pytest.approx(mean, abs=4.0 * spread / np.sqrt(512))
-
-
-def test_sending_goes_to_the_station_that_needs_least() -> None:
-    """At each place by itself."""
-    situation, _ = situation_of(terms_problem(SENDING, stations=2))
-    path, term = a_path(situation), situation.problem.terms[0]
-    each = []
-    for station, posterior in enumerate(situation.stations):
-        power, radio = posterior.predict(path), term.radio(situation.transmit_powers_dbm[station])
-        watts = expected_transmit_power_w(power.mean_db, power.deviation_db, radio)
-        each.append(radio.send_s * watts)
-    assert -PathWorth(situation)(path) == pytest.approx(np.min(each, axis=0).sum(), rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -8,5 +8,4 @@ from planopt.problems.objective import MotionEnergyTerm as MotionEnergyTerm
 from planopt.problems.objective import ReachObjective as ReachObjective
 from planopt.problems.objective import TermsObjective as TermsObjective
 from planopt.problems.objective import TrackingTerm as TrackingTerm
-from planopt.problems.objective import TransmissionEnergyTerm as TransmissionEnergyTerm
 from planopt.problems.objective import UntilConnectedTerm as UntilConnectedTerm

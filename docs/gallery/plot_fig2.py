@@ -18,7 +18,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from planopt import load, simulate
-from planopt.report.animation import save_animation
+from planopt.report.motion_animation import save_animation
 from planopt.report.result_figures import draw_team_run
 
 problem = load("fig2")

@@ -49,7 +49,7 @@ def picture_run(run: Run, folder: Path) -> None:
 
 def animate(run: Run, folder: Path) -> None:
     """The run step by step."""
-    from planopt.report.animation import save_animation
+    from planopt.report.motion_animation import save_animation
 
     save_animation(run, folder / "run.gif")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -16,13 +16,12 @@ from planopt.coverage.events import Event
 from planopt.coverage.ground import Ground
 from planopt.coverage.limits import RadioLimits
 from planopt.coverage.simulation import ABSENT, NetworkRun
-from planopt.report.moving_picture import Line, Segments, save_moving
+from planopt.report.animation import animate
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import (
     BLACK,
     BLUE,
     GREEN,
-    NOTE_PT,
     OBSTACLE,
     OBSTACLE_EDGE,
     ORANGE,
@@ -30,6 +29,7 @@ from planopt.report.style import (
     SERIES,
     VERMILLION,
     dress,
+    frame_title,
     head,
     legend_below,
     legend_inside,
@@ -101,7 +101,8 @@ def draw_network(picture: NetworkPicture) -> Figure:
     for place, step in enumerate(steps):
         panel = add_panel(figure, grid[0, 3 * place : 3 * place + 3])
         words = ("at the start" if step == 0 else "while agents respond", "at the end")[place]
-        entries.update(_plane(panel, picture, step))
+        entries |= _area(panel, picture.ground, picture.obstacles, picture.radio)
+        entries |= {str(each.get_label()): each for each in _state(panel, picture, step)}
         _paths(panel, picture, 0 if place == 0 else steps[0], step, entries)
         dress(panel, f"{words}, {run.times_s[step]:g} s", "x [m]", "y [m]", grid=False)
     times_s, each = run.times_s[:-1], columns // (3 if eventful else 2)
@@ -190,56 +191,20 @@ def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]
 
 
 def animate_network(picture: NetworkPicture, path: Path) -> None:
-    """Write a GIF of a run: agents, their cells, events and teams."""
-    from matplotlib.collections import LineCollection
+    """Write a GIF of a run: agents, their cells, radio links, events and responders."""
     from matplotlib.gridspec import GridSpec
 
-    figure, run = new_figure(6.6, 6.4), picture.run
+    figure, run = new_figure(6.6, 6.8), picture.run
     panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
     entries = _area(panel, picture.ground, picture.obstacles, picture.radio)
-    borders = LineCollection([], colors=CELL, linewidths=0.7)
-    panel.add_collection(borders)
+    dress(panel, "", "x [m]", "y [m]", grid=False)
+    head(figure, spaced(picture.name))
 
-    def dots(**look: Any) -> Line:
-        return cast(Line, panel.plot([], [], linestyle="none", **look)[0])
+    def draw_frame(step: int) -> list[Artist]:
+        words = f"t = {run.times_s[step]:g} s, H = {run.costs[step]:.4g}"
+        return [frame_title(panel, words), *_state(panel, picture, step)]
 
-    covering = dots(color=BLUE, marker="o", markersize=4.5, label="covers")
-    team = dots(color=ORANGE, marker="o", markersize=6.0, label="responds")
-    there = dots(color=VERMILLION, marker="*", markersize=14.0, label="event")
-    guess = dots(color=BLACK, marker="+", markersize=11.0, label="estimate")
-    tree = LineCollection([], **LINK)
-    unlinked = dots(**UNLINKED, markersize=7.0, zorder=4.0)
-    shown = [covering, *((team, there, guess) if picture.events else ())]
-    handles = [*entries.values(), *(cast("Artist", each) for each in shown)]
-    if picture.radio is not None:
-        panel.add_collection(tree)
-        handles += [tree, cast("Artist", unlinked)]
-    panel.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.1),
-        ncols=5,
-        columnspacing=1.0,
-        fontsize=NOTE_PT - 1.0,
-        frameon=False,
-    )
-
-    def show(step: int) -> None:
-        here, states = run.positions_m[step], run.states[step]
-        cast(Segments, borders).set_segments(picture.ground.borders(here[states != ABSENT]))
-        covering.set_data(*here[states == -1].T)
-        team.set_data(*here[states >= 0].T)
-        links, lonely = picture.links(step)
-        cast(Segments, tree).set_segments(links)
-        unlinked.set_data(*lonely.T)
-        time_s = float(run.times_s[step])
-        places = [e.place_at(time_s) for e in picture.events if e.is_there(time_s)]
-        there.set_data(*np.array(places).reshape(-1, 2).T)
-        guess.set_data(*run.estimates_m[step].reshape(-1, 2).T)
-        cost = f"{time_s:g} s, H = {run.costs[step]:.4g}"
-        dress(panel, f"{spaced(picture.name)}, {cost}", "x [m]", "y [m]", grid=False)
-
-    save_moving(figure, path, len(run.costs), show)
+    animate(figure, path, len(run.costs), draw_frame, list(entries.values()))
 
 
 def _area(
@@ -269,46 +234,43 @@ def _area(
     return entries
 
 
-def _plane(panel: Panel, picture: NetworkPicture, step: int) -> dict[str, Artist]:
-    """The region, the cells and everybody in one step; legend entries."""
+def _state(panel: Panel, picture: NetworkPicture, step: int) -> list[Artist]:
+    """Draw cells, radio links, agents, events and estimates of one step."""
     from matplotlib.collections import LineCollection
 
-    entries, run = _area(panel, picture.ground, picture.obstacles, picture.radio), picture.run
+    run = picture.run
     here, states = run.positions_m[step], run.states[step]
-    cells = picture.ground.borders(here[states != ABSENT])
-    layer = LineCollection(list(cells), colors=CELL, linewidths=0.7, label="border of a cell")
-    panel.add_collection(layer)
-    entries["cells"] = layer
+    borders = list(picture.ground.borders(here[states != ABSENT]))
+    cells = LineCollection(borders, colors=CELL, linewidths=0.7, label="border of a cell")
+    panel.add_collection(cells)
+    drawn: list[Artist] = [cells]
     links, lonely = picture.links(step)
     if len(links):
-        entries["links"] = tree = LineCollection(list(links), **LINK)
+        tree = LineCollection(list(links), **LINK)
         panel.add_collection(tree)
+        drawn.append(tree)
     if len(lonely):
-        entries["lonely"] = panel.scatter(*lonely.T, s=45.0, zorder=4, **UNLINKED)
+        drawn.append(panel.scatter(*lonely.T, s=45.0, zorder=4, **UNLINKED))
     looks = (
         ("covers", states == -1, BLUE, "o", 18.0),
         ("responds", states >= 0, ORANGE, "o", 30.0),
         ("absent", states == ABSENT, CELL, "x", 20.0),
     )
-    for word, which, colour, marker, size in looks:
+    for label, which, colour, marker, size in looks:
         if which.any():
-            entries[word] = panel.scatter(
-                here[which, 0], here[which, 1], s=size, color=colour, marker=marker, zorder=3,
-                label=word,
-            )  # fmt: skip
+            look = {"s": size, "color": colour, "marker": marker, "zorder": 3, "label": label}
+            drawn.append(panel.scatter(*here[which].T, **look))
     time_s = float(run.times_s[step])
     for number, event in enumerate(picture.events):
         if event.is_there(time_s):
             x, y = event.place_at(time_s).tolist()
-            entries["event"] = panel.scatter(
-                [x], [y], s=170.0, color=VERMILLION, marker="*", zorder=4, label="event"
-            )
+            look = {"s": 170.0, "color": VERMILLION, "marker": "*", "zorder": 4, "label": "event"}
+            drawn.append(panel.scatter([x], [y], **look))
         guess = run.estimates_m[step, number]
         if np.isfinite(guess).all():
-            entries["estimate"] = panel.scatter(
-                guess[:1], guess[1:], s=110.0, color=BLACK, marker="+", zorder=5, label="estimate"
-            )
-    return entries
+            look = {"s": 110.0, "color": BLACK, "marker": "+", "zorder": 5, "label": "estimate"}
+            drawn.append(panel.scatter(guess[:1], guess[1:], **look))
+    return drawn
 
 
 def _paths(

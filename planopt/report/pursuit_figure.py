@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -13,19 +13,19 @@ from numpy.typing import NDArray
 from planopt.pursuit.knowledge import Snapshot, Track, mote_centres_m, snapshot
 from planopt.pursuit.service import SnapshotService
 from planopt.pursuit.simulation import Pursuit, Use
-from planopt.report.moving_picture import Line, save_moving
+from planopt.report.animation import animate
 from planopt.report.panel import Panel, add_colorbar, add_panel, new_figure
 from planopt.report.style import (
     BLACK,
     BLUE,
     DEVIATION_MAP,
-    NOTE_PT,
     OBSTACLE,
     OBSTACLE_EDGE,
     ORANGE,
     SERIES,
     VERMILLION,
     dress,
+    frame_title,
     head,
     legend_below,
     legend_inside,
@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
-CIRCLE = np.linspace(0.0, 2.0 * np.pi, 49)
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 49)
+UNIT_CIRCLE = np.array([np.cos(ANGLES), np.sin(ANGLES)])
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 
 
@@ -150,97 +151,42 @@ def draw_view(
 
 
 def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
-    """Write a GIF of a pursuit: who is where, and the record that each pursuer goes by."""
+    """Write a GIF of a pursuit: positions, paths, and the record that each pursuer uses."""
     from matplotlib.gridspec import GridSpec
 
     figure = new_figure(6.4, 6.8)
     panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
-    _scene(panel, pursuit)
+    entries = _scene(panel, pursuit)
     panel.set_aspect("equal")
     _limits(panel, pursuit)
-    moving = _Moving(panel, pursuit)
-    panel.legend(
-        handles=moving.entries,
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.09),
-        ncols=4,
-        columnspacing=1.0,
-        fontsize=NOTE_PT - 1.0,
-        frameon=False,
-    )
-
-    def show(step: int) -> None:
-        dress(panel, f"{spaced(name)}, {moving.show(step)}", "x [m]", "y [m]")
-
-    save_moving(figure, path, len(pursuit.times_s), show)
+    head(figure, spaced(name))
+    count = len(pursuit.times_s)
+    animate(figure, path, count, lambda step: _frame(panel, pursuit, step), list(entries.values()))
 
 
-class _Moving:
-    """Everything in an animation that moves."""
-
-    def __init__(self, panel: Panel, pursuit: Pursuit) -> None:
-        self._pursuit = pursuit
-
-        def line(**look: object) -> Line:
-            return cast(Line, panel.plot([], [], **look)[0])
-
-        self._paths = [
-            line(color=BLUE, linewidth=1.2, label="pursuer" if n == 0 else "_")
-            for n in range(len(pursuit.pursuers))
-        ]
-        self._flights = [
-            line(color=VERMILLION, linewidth=1.2, label="evader" if n == 0 else "_")
-            for n in range(len(pursuit.evaders_m))
-        ]
-        self._places = line(color=BLUE, marker="s", linestyle="none", markersize=7.0)
-        self._evaders = line(color=VERMILLION, marker="o", linestyle="none", markersize=7.0)
-        self._cells = [
-            line(color=ORANGE, linewidth=1.6, label="where it was reported" if n == 0 else "_")
-            for n in range(len(pursuit.pursuers))
-        ]
-        self._sampled = line(
-            color=VERMILLION,
-            marker="x",
-            linestyle="none",
-            markersize=7.0,
-            label="where it was then",
-        )
-
-    @property
-    def entries(self) -> list[Artist]:
-        """Legend entries, one of a kind."""
-        lines = (self._paths[0], self._flights[0], self._cells[0], self._sampled)
-        return [cast("Artist", line) for line in lines]
-
-    def show(self, step: int) -> str:
-        """Move everything to a step, and say what is known then."""
-        pursuit = self._pursuit
-        now_s = float(pursuit.times_s[step])
-        for line, states in zip(self._paths, pursuit.pursuers, strict=True):
-            line.set_data(states[: step + 1, 0], states[: step + 1, 1])
-        for line, places in zip(self._flights, pursuit.evaders_m, strict=True):
-            line.set_data(places[: step + 1, 0], places[: step + 1, 1])
-        here = np.array([states[step, :2] for states in pursuit.pursuers])
-        self._places.set_data(here[:, 0], here[:, 1])
-        there = pursuit.evaders_m[:, step]
-        self._evaders.set_data(there[:, 0], there[:, 1])
-        sampled: list[NDArray[np.float64]] = []
-        ages: list[float] = []
-        for number, line in enumerate(self._cells):
-            use = _in_use(pursuit, number, now_s)
-            if use is None:
-                line.set_data([], [])
-                continue
-            around = use.record.reported_m[:, None] + use.record.error_m * np.array(
-                [np.cos(CIRCLE), np.sin(CIRCLE)]
-            )
-            line.set_data(around[0], around[1])
-            sampled.append(use.sampled_m)
-            ages.append(now_s - use.record.sampled_s)
-        then = np.array(sampled).reshape(-1, 2)
-        self._sampled.set_data(then[:, 0], then[:, 1])
-        age = f", record {max(ages):.1f} s old" if ages else ", nothing known"
-        return f"{now_s:.1f} s{age}"
+def _frame(panel: Panel, pursuit: Pursuit, step: int) -> list[Artist]:
+    """Draw positions and paths up to one step, and the records in use."""
+    now_s = float(pursuit.times_s[step])
+    drawn: list[Artist] = []
+    for label, colour, marker, paths in (
+        ("pursuer", BLUE, "s", pursuit.pursuers),
+        ("evader", VERMILLION, "o", pursuit.evaders_m),
+    ):
+        for path in paths:
+            look = {"color": colour, "marker": marker, "markersize": 7.0, "markevery": [-1]}
+            drawn += panel.plot(*path[: step + 1, :2].T, linewidth=1.2, label=label, **look)
+    ages: list[float] = []
+    for number in range(len(pursuit.pursuers)):
+        use = _in_use(pursuit, number, now_s)
+        if use is None:
+            continue
+        around = use.record.reported_m[:, None] + use.record.error_m * UNIT_CIRCLE
+        drawn += panel.plot(*around, color=ORANGE, linewidth=1.6, label="reported position")
+        look = {"color": VERMILLION, "marker": "x", "linestyle": "none", "markersize": 7.0}
+        drawn += panel.plot(*use.sampled_m[:, None], label="position when sampled", **look)
+        ages.append(now_s - use.record.sampled_s)
+    age = f"record {max(ages):.1f} s old" if ages else "no record yet"
+    return [frame_title(panel, f"t = {now_s:.1f} s, {age}"), *drawn]
 
 
 def _in_use(pursuit: Pursuit, pursuer: int, now_s: float) -> Use | None:
@@ -287,9 +233,7 @@ def _limits(panel: Panel, pursuit: Pursuit) -> None:
 def _captures(panel: Panel, pursuit: Pursuit, entries: dict[str, Artist]) -> None:
     for places, caught_s in zip(pursuit.evaders_m, pursuit.capture_s.tolist(), strict=True):
         if np.isfinite(caught_s):
-            around = places[-1][:, None] + pursuit.scene.capture_radius_m * np.array(
-                [np.cos(CIRCLE), np.sin(CIRCLE)]
-            )
+            around = places[-1][:, None] + pursuit.scene.capture_radius_m * UNIT_CIRCLE
             entries["capture"] = panel.plot(
                 around[0],
                 around[1],

@@ -54,6 +54,13 @@ def dress(panel: Panel, title: str, x_label: str, y_label: str, *, grid: bool = 
         panel.grid(True, color="#e2e2e2", linewidth=0.6)
 
 
+def frame_title(panel: Panel, words: str) -> Artist:
+    """Title of one frame of an animation, as an artist that can be removed."""
+    return panel.text(
+        0.0, 1.01, words, transform=panel.transAxes, fontsize=TITLE_PT, va="bottom", zorder=9.0
+    )
+
+
 def head(figure: Figure, words: str) -> None:
     """Give a figure its title."""
     add_title(figure, words, fontsize=TITLE_PT + 1.0, fontweight="bold")

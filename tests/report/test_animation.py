@@ -11,14 +11,8 @@ from teams import team_run
 
 from planopt.cli import main
 from planopt.errors import InputError
-from planopt.report.animation import (
-    FRAME_MS,
-    LAST_MS,
-    MOST_FRAMES,
-    animation_frames,
-    save_animation,
-    shown_steps,
-)
+from planopt.report.animation import FRAME_MS, LAST_MS, MOST_FRAMES, shown_steps
+from planopt.report.motion_animation import animation_frames, save_animation
 from planopt.report.team_series import robot_colour
 
 

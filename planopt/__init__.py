@@ -23,7 +23,6 @@ FORMER_MODULES = {
     "planopt.planning.rule_result": "planopt.planning.certificate",
     "planopt.planning.team.crew": "planopt.planning.team.team_step",
     "planopt.report.belief_map": "planopt.report.map_figure",
-    "planopt.report.run_series": "planopt.report.run_figure",
     "planopt.robots.carrot": "planopt.robots.pure_pursuit",
     "planopt.targets.target_model": "planopt.targets.information_filter",
 }

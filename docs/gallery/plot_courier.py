@@ -10,7 +10,7 @@ start, and look at the proof.
 # The problem: central Munich, a mast, a courier, and 300 measurements of a ray-traced channel.
 from planopt import load, solve
 from planopt.report.map_figure import draw_belief
-from planopt.report.result_figures import draw_plan
+from planopt.report.motion_figures import draw_solution
 
 problem = load("munich_courier")
 print(problem.description)
@@ -33,4 +33,4 @@ print(plan.verdict.value)
 print(f"clearance of the swept path {certificate.min_clearance_m:.2f} m")
 print(f"least P(connected) of the planned steps {certificate.min_connectivity:.2f}")
 print(f"cost {plan.objective:.1f} s; of the lattice path {plan.lattice_objective:.1f} s")
-plan_figure = draw_plan(solution)
+plan_figure = draw_solution(solution)

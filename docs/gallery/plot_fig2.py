@@ -19,7 +19,7 @@ import matplotlib.pyplot as plt
 
 from planopt import load, simulate
 from planopt.report.motion_animation import save_animation
-from planopt.report.result_figures import draw_team_run
+from planopt.report.motion_figures import draw_run
 
 problem = load("fig2")
 (term,) = problem.terms
@@ -34,7 +34,7 @@ for name, (which, criterion) in SETTINGS.items():
         objective=(replace(term, criterion=criterion),),
     )
     runs[name] = simulate(chosen, seed=SEED)
-figure = draw_team_run(runs["D"])
+figure = draw_run(runs["D"])
 
 # %%
 # The variance of the predicted path loss, averaged over the workspace, is what a map pays for.

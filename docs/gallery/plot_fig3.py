@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 
 from planopt import load, simulate
 from planopt.report.motion_animation import save_animation
-from planopt.report.result_figures import draw_team_run
+from planopt.report.motion_figures import draw_run
 
 problem = load("fig3")
 planner = replace(problem.planner, max_steps=25)
@@ -27,7 +27,7 @@ runs = {
     name: simulate(replace(problem, planner=replace(planner, name=name)), seed=SEED)
     for name in ("auto", "random_persistent", "random_disk")
 }
-figure = draw_team_run(runs["auto"])
+figure = draw_run(runs["auto"])
 
 # %%
 # The error against path loss and shadowing alone. Against measured power the multipath, which

@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 
 from planopt import load, simulate
 from planopt.report.motion_animation import save_animation
-from planopt.report.result_figures import draw_team_run
+from planopt.report.motion_figures import draw_run
 
 problem = load("fig4")
 SETTINGS = {"one step, additive": 1, "ten steps, recourse": 10}
@@ -29,11 +29,11 @@ runs = {name: simulate(problem, horizon=ahead, seed=SEED) for name, ahead in SET
 
 # %%
 # The longer horizon goes farther with the target: robots try places, and go back.
-figure = draw_team_run(runs["ten steps, recourse"])
+figure = draw_run(runs["ten steps, recourse"])
 
 # %%
 # One step ahead, the same world: the robots stay where they are surely heard.
-short_figure = draw_team_run(runs["one step, additive"])
+short_figure = draw_run(runs["one step, additive"])
 
 # %%
 # The trace of the station's covariance of the target's position, from the same first estimate.

@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 
 from planopt import load, simulate
 from planopt.report.motion_animation import save_animation
-from planopt.report.result_figures import draw_team_run
+from planopt.report.motion_figures import draw_run
 
 problem = load("fig5")
 STYLES = {
@@ -31,7 +31,7 @@ STYLES = {
 }
 SEED = 0
 runs = {name: simulate(problem, planner=name, horizon=1, seed=SEED) for name in STYLES}
-figure = draw_team_run(runs["auto"])
+figure = draw_run(runs["auto"])
 
 # %%
 # The trace of the station's covariance of the target's position.

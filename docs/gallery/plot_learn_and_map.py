@@ -17,7 +17,7 @@ import numpy as np
 
 from planopt import load
 from planopt.planning.loop.closed_loop import simulate
-from planopt.report.result_figures import draw_team_run
+from planopt.report.motion_figures import draw_run
 
 
 def shortened(name, steps):
@@ -30,7 +30,7 @@ HORIZONS = (1, 5)
 SEEDS = (0, 1, 2)
 learn = shortened("indoor_learn", 20)
 learned = {h: [simulate(learn, horizon=h, seed=seed) for seed in SEEDS] for h in HORIZONS}
-learn_figure = draw_team_run(learned[5][0])
+learn_figure = draw_run(learned[5][0])
 
 # %%
 # In each of three worlds the uncertainty of the line falls by more than 10 dB, the error of the map
@@ -48,7 +48,7 @@ for h, runs in learned.items():
 # measured. Left what is predicted at the end, right how uncertain that is.
 mapping = shortened("outdoor_map", 25)
 mapped = {h: [simulate(mapping, horizon=h, seed=seed) for seed in SEEDS[:2]] for h in HORIZONS}
-map_figure = draw_team_run(mapped[5][0])
+map_figure = draw_run(mapped[5][0])
 
 # %%
 # Does it help to look five steps ahead? The mean of the last errors, and the difference seed by

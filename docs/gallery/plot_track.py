@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from planopt import load
 from planopt.planning.loop.closed_loop import simulate
-from planopt.report.result_figures import draw_team_run
+from planopt.report.motion_figures import draw_run
 
 problem = load("outdoor_track")
 problem = replace(problem, planner=replace(problem.planner, max_steps=50))
@@ -29,11 +29,11 @@ runs = {h: [simulate(problem, horizon=h, seed=seed) for seed in SEEDS] for h in 
 # near 1 for 10 s, and 0.6 for two of the robots at the end. In the last 2 s packets are lost (the
 # crosses), and trace P, 0.025 m^2 while all are heard, doubles: what the station does not hear it
 # has to predict.
-figure = draw_team_run(runs[10][0])
+figure = draw_run(runs[10][0])
 
 # %%
 # Horizon 1, the same world.
-short_figure = draw_team_run(runs[1][0])
+short_figure = draw_run(runs[1][0])
 
 # %%
 # What the station knew, averaged over the run and at its end, and the share of packets that

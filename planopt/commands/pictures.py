@@ -17,10 +17,13 @@ from planopt.report.calibration_figure import draw_calibration
 from planopt.report.comparison_figure import draw_comparison, draw_traces
 from planopt.report.fit_figure import draw_fit
 from planopt.report.map_figure import draw_belief, draw_posterior_map
-from planopt.report.no_plan_figure import draw_no_plan
+from planopt.report.motion_figures import (
+    draw_no_plan,
+    draw_run,
+    draw_run_series,
+    draw_solution,
+)
 from planopt.report.reliability_figure import draw_reliability
-from planopt.report.result_figures import draw_driven, draw_solution
-from planopt.report.run_figure import draw_run_series
 from planopt.report.saving import save_figure
 from planopt.studies.comparison import Comparison
 
@@ -40,7 +43,7 @@ def picture_no_plan(problem: Problem, seed: int, error: BlockedError, folder: Pa
 
 def picture_run(run: Run, folder: Path) -> None:
     """The ways driven; to a goal also the belief at the end, and of one robot its time series."""
-    save_figure(draw_driven(run), folder / "run.png")
+    save_figure(draw_run(run), folder / "run.png")
     if run.problem.task == "reach":
         if len(run.runs) == 1:
             save_figure(draw_run_series(run), folder / "series.png")

@@ -140,7 +140,7 @@ class Run:
             Notebooks show it; ``figure.savefig("run.png")`` writes it.
         """
         # Named, not imported: the drawing package is above this one.
-        return import_module("planopt.report.result_figures").draw_driven(self)
+        return import_module("planopt.report.motion_figures").draw_run(self)
 
     def save(self, folder: Path | str) -> None:
         """Save the run as a folder that ``planopt check`` and :func:`planopt.load_result` read.

@@ -81,7 +81,7 @@ class Solution:
             Notebooks show it; ``figure.savefig("plan.png")`` writes it.
         """
         # Named, not imported: the drawing package is above this one.
-        return import_module("planopt.report.result_figures").draw_solution(self)
+        return import_module("planopt.report.motion_figures").draw_solution(self)
 
     def save(self, folder: Path | str) -> None:
         """Save the plans as a folder that ``planopt check`` and :func:`planopt.load_result` read.

@@ -80,17 +80,17 @@ def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
             bbox={"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none"},
         )
     x_min, y_min, x_max, y_max = workspace.bounds_m
-    panel.plot(
-        [x_min, x_max, x_max, x_min, x_min],
-        [y_min, y_min, y_max, y_max, y_min],
-        color=FRAME,
-        linewidth=1.2,
-        zorder=MARGIN_Z,
-    )
+    panel.plot(*rectangle(workspace.bounds_m), color=FRAME, linewidth=1.2, zorder=MARGIN_Z)
     dress(panel, title, X_LABEL, Y_LABEL, grid=False)
     panel.set_aspect("equal")
     panel.set_xlim(x_min, x_max)
     panel.set_ylim(y_min, y_max)
+
+
+def rectangle(bounds_m: tuple[float, float, float, float]) -> tuple[list[float], list[float]]:
+    """Return x and y of the closed outline of a rectangle."""
+    x_min, y_min, x_max, y_max = bounds_m
+    return [x_min, x_max, x_max, x_min, x_min], [y_min, y_min, y_max, y_max, y_min]
 
 
 def draw_layer(
@@ -128,8 +128,12 @@ def draw_layer(
         bar.axhline(mark, color=FRAME, linewidth=1.2)
 
 
-def draw_level(panel: Panel, raster: Raster, level: float, colour: str) -> None:
-    """Draw the contour of a raster at `level`, if it crosses it."""
+def draw_level(
+    panel: Panel, raster: Raster, level: float, colour: str, label: str = ""
+) -> list[Artist]:
+    """Draw the contour of a raster at `level`, if it has one; a legend entry for a label."""
+    from matplotlib.lines import Line2D
+
     known = raster.values[np.isfinite(raster.values)]
     if known.size and known.min() < level < known.max():
         panel.contour(
@@ -141,6 +145,7 @@ def draw_level(panel: Panel, raster: Raster, level: float, colour: str) -> None:
             linewidths=1.1,
             zorder=CONTOUR_Z,
         )
+    return [Line2D([], [], color=colour, linewidth=1.2, label=label)] if label else []
 
 
 def draw_places(panel: Panel, problem: Problem) -> list[Artist]:

@@ -13,21 +13,21 @@ from planopt.planning.plan import Plan
 from planopt.planning.run import Run
 from planopt.problems.problem import Problem
 from planopt.report.animation import animate, frames
-from planopt.report.maps import MARGIN_Z, PATH_Z, PLACE_Z, draw_ground, draw_layer, draw_places
+from planopt.report.map_window import map_window
+from planopt.report.maps import MARGIN_Z, PATH_Z, PLACE_Z, draw_ground, draw_places
+from planopt.report.motion_map import draw_true_power, path_curve
 from planopt.report.panel import Panel, add_panel, new_figure
-from planopt.report.run_figure import true_power
 from planopt.report.style import (
     BLACK,
     DISCONNECTED,
     OBSTACLE,
-    POWER_MAP,
     WHITE,
     frame_title,
     head,
+    robot_colour,
+    robot_marker,
     spaced,
 )
-from planopt.report.team_map import team_window
-from planopt.report.team_series import driven_line, robot_colour, robot_marker
 from planopt.world.moving_obstacle import centres_at
 
 if TYPE_CHECKING:
@@ -63,13 +63,11 @@ def _background(run: Run) -> tuple[Figure, Panel, list[Artist]]:
     shown += [np.array([robot.goal_m]) for robot in problem.robots if robot.goal_m is not None]
     if run.target is not None:
         shown.append(run.target.true_m)
-    window = team_window(problem, np.concatenate(shown))
+    window = map_window(problem, np.concatenate(shown))
     figure = new_figure(WIDTH_IN, HEIGHT_IN, maps_only=True)
     panel = add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
     draw_ground(panel, problem.workspace, "")
-    raster, threshold = true_power(run), problem.stations[0].true_threshold_dbm
-    label = "true power [dBm] (line: threshold)"
-    draw_layer(panel, raster, POWER_MAP, figure, label, mark=threshold)
+    draw_true_power(figure, panel, run)
     panel.set_xlim(window[0], window[2])
     panel.set_ylim(window[1], window[3])
     head(figure, f"{problem.name}: horizon {problem.planner.horizon}, seed {run.seed}")
@@ -135,7 +133,7 @@ def _draw_robot(
             )
         )
     if step < len(plans):
-        ahead, _ = driven_line(problem, plans[step].positions_m, plans[step].drive)
+        ahead, _ = path_curve(problem, plans[step].positions_m, plans[step].drive)
         drawn += panel.plot(
             *np.vstack([path[-1:], ahead]).T,
             color=colour if several else BLACK,

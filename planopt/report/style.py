@@ -66,6 +66,21 @@ def head(figure: Figure, words: str) -> None:
     add_title(figure, words, fontsize=TITLE_PT + 1.0, fontweight="bold")
 
 
+ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
+ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
+"""Of different lengths, so that the pair of colour and marker repeats late."""
+
+
+def robot_colour(number: int) -> str:
+    """Return the colour of a robot, the first has number 0."""
+    return ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
+
+
+def robot_marker(number: int) -> str:
+    """Return the marker of a robot."""
+    return ROBOT_MARKERS[number % len(ROBOT_MARKERS)]
+
+
 LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
 """Room in inches that a letter of a legend, the mark before its words, and a line of it take."""
 
@@ -95,7 +110,9 @@ def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> Non
 
 
 def legend_above(panel: Panel, columns: int = 6) -> None:
-    """Legend of curves on the line of the panel's title, where it covers none of them."""
+    """Legend of curves, if any has a label, on the line of the panel's title."""
+    if not panel.get_legend_handles_labels()[1]:
+        return
     panel.legend(
         fontsize=NOTE_PT,
         loc="lower right",

@@ -13,7 +13,7 @@ from planopt.cli import main
 from planopt.errors import InputError
 from planopt.report.animation import FRAME_MS, LAST_MS, MOST_FRAMES, shown_steps
 from planopt.report.motion_animation import animation_frames, save_animation
-from planopt.report.team_series import robot_colour
+from planopt.report.style import robot_colour
 
 
 def coloured(frame: Image.Image, colour: str) -> int:

@@ -27,8 +27,7 @@ from planopt.cli import main
 from planopt.planning.holes import BlockedError
 from planopt.planning.prepare import prepare
 from planopt.problems.library import library_folder
-from planopt.report.no_plan_figure import draw_no_plan
-from planopt.report.run_figure import draw_run
+from planopt.report.motion_figures import draw_no_plan, draw_run
 from planopt.report.saving import save_figure
 
 CHANGES = {

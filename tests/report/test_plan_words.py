@@ -7,7 +7,7 @@ import pytest
 from planopt.planning.certificate import RuleResult
 from planopt.planning.plan import Verdict
 from planopt.problems.constraints import ConnectivityRule
-from planopt.report.result_figures import MEANING, plan_words
+from planopt.report.plan_words import MEANING, plan_words
 
 
 def test_all_numbers(plan, problem):
@@ -15,10 +15,11 @@ def test_all_numbers(plan, problem):
     assert plan_words(plan, problem.constraints) == [
         "verdict: verified (constraints hold; "
         "contact is left only where unavoidable or worth its price)",
-        "least clearance 1.625 m of the whole swept path, 1.5 m asked",
-        "least P(connected) 0.812, 0.8 asked (posterior: exact)",
-        "motion model kept to 2.5e-09 m; KKT residual of the polish 3.5e-07",
-        "cost 101.2 s (lattice start 103.5 s); converged after 17 iterations, 42 ms; rung: plan",
+        "least clearance 1.625 m along the swept path, 1.5 m required",
+        "least P(connected) 0.812, 0.8 required (posterior: exact)",
+        "motion model satisfied to 2.5e-09 m; KKT residual of the refinement 3.5e-07",
+        "cost 101.2 s (lattice start 103.5 s); converged after 17 iterations, 42 ms; "
+        "fallback: plan",
         "the bound is not met at 1 of 4 steps; missed by at most 0.75 dB",
     ]
 
@@ -41,7 +42,7 @@ def test_missing_parts(plan, problem):
     )
     words = plan_words(replace(plan, certificate=certificate, message="third"), problem.constraints)
     assert words[1] == "no obstacles to keep clear of"
-    assert words[3].endswith("not polished")
+    assert words[3].endswith("not refined")
     assert words[5:] == ["first", "second", "third"]
 
 
@@ -58,4 +59,4 @@ def test_rule_of_connectivity_has_its_line(plan, problem):
 def test_a_bound_is_asked_of_steps_only_where_it_is(plan, problem, form, asked):
     """What a rule asks of all steps together says nothing of the least of them."""
     constraints = replace(problem.constraints, rule=ConnectivityRule(form))
-    assert (", 0.8 asked" in "\n".join(plan_words(plan, constraints))) == asked
+    assert (", 0.8 required" in "\n".join(plan_words(plan, constraints))) == asked

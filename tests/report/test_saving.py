@@ -4,8 +4,8 @@ import pytest
 from artists import line_of, panel_of
 
 from planopt.errors import InputError, OutputError
+from planopt.report.motion_figures import draw_run_series
 from planopt.report.panel import new_figure
-from planopt.report.run_figure import draw_run_series
 from planopt.report.saving import save_figure
 
 

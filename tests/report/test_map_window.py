@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import small_problem
 
-from planopt.report.plan_map import BORDER, window_about
+from planopt.report.map_window import BORDER, window_about
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,0 +1,255 @@
+"""Figures of plans, runs and refused problems: maps, time series and certificates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planopt.channel.belief import Belief
+from planopt.planning.holes import BlockedWay
+from planopt.planning.run import Run
+from planopt.planning.solution import Solution
+from planopt.problems.problem import Problem
+from planopt.report.map_window import map_window, window_about
+from planopt.report.maps import draw_ground, draw_moving, draw_places
+from planopt.report.motion_map import (
+    draw_belief_maps,
+    draw_blocked,
+    draw_clearance,
+    draw_connected_track,
+    draw_expected_target,
+    draw_measured,
+    draw_plans,
+    draw_relaxed,
+    draw_target,
+    draw_tracks,
+    draw_true_power,
+    layers_of,
+)
+from planopt.report.motion_series import TIME, Series, plan_series, power_series, run_series
+from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.plan_words import plan_words, team_words
+from planopt.report.style import NOTE_PT, head, legend_below, spaced
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
+
+COLUMNS = 5
+"""Columns of a legend."""
+
+MESSAGE_WIDTH = 100
+"""Letters in a line of a message above a map."""
+
+WORDS_WIDTH, WORDS_LINES = 60, 13
+"""Letters in a line, and number of lines, of a certificate."""
+
+
+def draw_solution(solution: Solution) -> Figure:
+    """Draw plans on the predicted channel, their predictions and their certificates."""
+    problem, plans = solution.problem, solution.plans
+    target_m = solution.aims[0].target_m
+    shown = [plan.positions_m for plan in plans]
+    shown += [plan.route_m for plan in plans if plan.holes and len(plan.route_m)]
+    if target_m is not None:
+        shown.append(target_m)
+    positions = np.concatenate(shown)
+    words = _certificates(solution)
+    series = plan_series(problem, plans, target_m)
+    figure, maps, curves = _sheet(problem, [*series, (_blank, 0.3 + 0.11 * len(words))])
+    alone = problem.task == "reach" and len(plans) == 1
+    window = (window_about if alone else map_window)(problem, positions)
+    entries = draw_belief_maps(figure, maps, problem, solution.belief, positions, window)
+    measured = solution.belief.posterior.measurements.positions_m
+    for panel in maps:
+        drawn = draw_plans(panel, problem, plans, 0)
+        drawn += draw_moving(panel, problem, len(plans[0].t_s) - 1, predicted=True)
+        if alone:
+            drawn += draw_clearance(panel, problem, window)
+        else:
+            drawn += draw_measured(panel, measured, "measured")
+        if target_m is not None:
+            drawn += draw_expected_target(panel, target_m)
+        entries = _merged(entries, drawn)
+    _draw_series(series, curves[:-1], float(plans[0].t_s[0]), float(plans[0].t_s[-1]))
+    curves[-1].set_axis_off()
+    curves[-1].text(
+        0.0, 1.0, "\n".join(words), va="top", fontsize=NOTE_PT, linespacing=1.35, in_layout=False
+    )
+    legend_below(figure, entries, COLUMNS)
+    verdict = f", {spaced(solution.verdict)}"
+    steps = len(plans[0].t_s) - 1
+    head(figure, f"{problem.name}: {steps} steps, {problem.planner.name} planner{verdict}")
+    return figure
+
+
+def _certificates(solution: Solution) -> list[str]:
+    """Return the certificates in lines that fit their panel."""
+    if len(solution.plans) > 1:
+        return team_words(solution.plans)
+    lines = [
+        piece
+        for line in plan_words(solution.plan, solution.problem.constraints)
+        for piece in wrap(line, WORDS_WIDTH, subsequent_indent="    ")
+    ]
+    return lines if len(lines) <= WORDS_LINES else [*lines[: WORDS_LINES - 1], "..."]
+
+
+def draw_run(run: Run) -> Figure:
+    """Draw the driven paths; the map of one robot to a goal is separate from its time series.
+
+    That map shows the true power; the maps of other runs show the first robot's final belief.
+
+    Parameters
+    ----------
+    run
+        From :func:`planopt.simulate`.
+    """
+    problem = run.problem
+    alone = problem.task == "reach" and len(run.runs) == 1
+    figure = _draw_courier(run) if alone else _draw_team(run)
+    cost = f", {problem.cost_to_go} cost-to-go" if problem.cost_to_go else ""
+    steps = len(run.runs[0].log.t_s) - 1
+    head(
+        figure,
+        f"{problem.name}: horizon {problem.planner.horizon}{cost}, "
+        f"{problem.planner.name} planner, seed {run.seed}, {steps} steps",
+    )
+    return figure
+
+
+def _draw_courier(run: Run) -> Figure:
+    """Draw the path of one robot to its goal on the true power, where that is available."""
+    problem, log = run.problem, run.run.log
+    figure, panel = _single_map()
+    message = wrap(f"{spaced(run.outcome)}: {run.reason}", MESSAGE_WIDTH)
+    draw_ground(panel, problem.workspace, "\n".join(message))
+    if run.truths:
+        draw_true_power(figure, panel, run)
+    measured = run.belief.posterior.measurements.positions_m
+    before, during = np.split(measured, [run.first_measurements])
+    entries = [
+        *draw_places(panel, problem),
+        *draw_measured(panel, before, "measured before"),
+        *draw_measured(panel, during, "measured during the run", on_path=True),
+        *draw_moving(panel, problem, len(log.t_s) - 1, predicted=False),
+        *draw_connected_track(panel, log),
+        *draw_plans(panel, problem, run.plans[0][:1], 0),
+        *draw_relaxed(panel, log),
+        *draw_blocked(panel, run.blocked),
+    ]
+    legend_below(figure, _merged([], entries), COLUMNS)
+    return figure
+
+
+def _draw_team(run: Run) -> Figure:
+    """Draw all robots on the final belief of the first, and the time series of the run."""
+    problem = run.problem
+    plans = [released[-1] for released in run.plans if released]
+    shown = [one.log.positions_m for one in run.runs] + [plan.positions_m for plan in plans]
+    if run.target is not None:
+        shown.append(run.target.true_m)
+    positions = np.concatenate(shown)
+    series = run_series(run)
+    figure, maps, curves = _sheet(problem, series)
+    window = map_window(problem, positions)
+    entries = draw_belief_maps(figure, maps, problem, run.beliefs[0], positions, window)
+    t_s = run.runs[0].log.t_s
+    before = run.beliefs[0].posterior.measurements.positions_m[: run.first_measurements]
+    for panel in maps:
+        drawn = draw_measured(panel, before, "measured before")
+        drawn += draw_moving(panel, problem, len(t_s) - 1, predicted=False)
+        drawn += draw_tracks(panel, problem, run.runs)
+        drawn += draw_plans(panel, problem, plans, 1)
+        if run.target is not None:
+            drawn += draw_target(panel, run.target)
+        entries = _merged(entries, drawn + draw_blocked(panel, run.blocked))
+    half_step = problem.planner.step_s / 2.0
+    _draw_series(series, curves, float(t_s[0]) - half_step, float(t_s[-1]) + half_step)
+    legend_below(figure, entries, COLUMNS)
+    return figure
+
+
+def draw_run_series(run: Run) -> Figure:
+    """Draw one robot's power, connection, predicted connectivity and step times over time."""
+    from matplotlib.gridspec import GridSpec
+
+    series = power_series(run)
+    figure = new_figure(12.0, 9.0)
+    shares = [share for _, share in series]
+    cells = GridSpec(len(series), 1, figure=figure, height_ratios=shares)
+    panels = [add_panel(figure, cells[row, 0]) for row in range(len(series))]
+    t_s, half_step = run.run.log.t_s, run.problem.planner.step_s / 2.0
+    _draw_series(series, panels, float(t_s[0]) - half_step, float(t_s[-1]) + half_step)
+    head(
+        figure,
+        f"{run.problem.name}: horizon {run.problem.planner.horizon}, seed {run.seed}, "
+        f"{spaced(run.outcome)}",
+    )
+    return figure
+
+
+def draw_no_plan(
+    problem: Problem, belief: Belief, message: str, blocked: Sequence[BlockedWay]
+) -> Figure:
+    """Draw why there is no plan: the cheapest paths, and the holes that a bound forbids."""
+    positions = np.concatenate([one.way_m for one in blocked])
+    figure, panel = _single_map()
+    window = window_about(problem, positions)
+    entries = draw_belief_maps(figure, [panel], problem, belief, positions, window)
+    panel.set_title("\n".join(wrap(f"no plan: {message}", MESSAGE_WIDTH)), loc="left")
+    legend_below(figure, _merged(entries, draw_blocked(panel, blocked)), COLUMNS)
+    head(figure, f"{problem.name}: horizon {problem.planner.horizon}, no plan")
+    return figure
+
+
+def _single_map() -> tuple[Figure, Panel]:
+    from matplotlib.gridspec import GridSpec
+
+    figure = new_figure(10.0, 9.6, maps_only=True)
+    return figure, add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+
+
+def _sheet(problem: Problem, series: Sequence[Series]) -> tuple[Figure, list[Panel], list[Panel]]:
+    """Return a figure with panels for maps, and for series beside one map or below two."""
+    from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
+
+    count, shares = len(layers_of(problem)), [share for _, share in series]
+    if count == 1:
+        figure = new_figure(15.0, max(7.6, 1.2 + 1.65 * sum(shares)))
+        cells = GridSpec(1, 2, figure=figure, width_ratios=[1.2, 1.0])
+        spots: list[SubplotSpec] = [cells[0, 0]]
+        below = cells[0, 1]
+    else:
+        curves_in = 0.6 + 1.5 * sum(shares)
+        figure = new_figure(13.0, 6.5 + curves_in)
+        cells = GridSpec(2, count, figure=figure, height_ratios=[5.0, curves_in])
+        spots = [cells[0, column] for column in range(count)]
+        below = cells[1, :]
+    rows = GridSpecFromSubplotSpec(len(shares), 1, below, height_ratios=shares)
+    maps = [add_panel(figure, spot) for spot in spots]
+    return figure, maps, [add_panel(figure, rows[row, 0]) for row in range(len(shares))]
+
+
+def _draw_series(
+    series: Sequence[Series], panels: Sequence[Panel], begin_s: float, end_s: float
+) -> None:
+    """Draw panels above each other with one time axis, labelled below the last."""
+    for (draw, _), panel in zip(series, panels, strict=False):
+        draw(panel)
+        panel.set_xlim(begin_s, end_s)
+        panel.set_xlabel("")
+    panels[-1].set_xlabel(TIME)
+
+
+def _blank(panel: Panel) -> None:
+    """Draw nothing: the panel holds text."""
+
+
+def _merged(entries: Sequence[Artist], more: Sequence[Artist]) -> list[Artist]:
+    """Return legend entries with one for each label."""
+    return list({str(each.get_label()): each for each in (*more, *entries)}.values())

@@ -1,0 +1,379 @@
+"""What maps of plans and runs show: channel layers, paths, coverage holes, measurements, target."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.planning.holes import BlockedWay, Hole
+from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
+from planopt.planning.loop.robot_run import true_serving_dbm
+from planopt.planning.plan import Plan
+from planopt.planning.run import Run
+from planopt.problems.problem import Problem
+from planopt.report.grid import Bounds, believed_rasters
+from planopt.report.map_window import show_window
+from planopt.report.maps import (
+    LAYER_Z,
+    MARGIN_Z,
+    PATH_Z,
+    PLACE_Z,
+    draw_ground,
+    draw_layer,
+    draw_level,
+    draw_places,
+    ring_xy,
+)
+from planopt.report.panel import Panel
+from planopt.report.style import (
+    BLACK,
+    CONNECTED,
+    DEVIATION_MAP,
+    DISCONNECTED,
+    POWER_MAP,
+    PROBABILITY_MAP,
+    PURPLE,
+    VERMILLION,
+    WHITE,
+    robot_colour,
+    robot_marker,
+)
+from planopt.robots.drive import Drive
+from planopt.world.raster import Raster
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+CURVE_POINTS = 16
+"""Points of the curve that a robot with dynamics follows during a step."""
+
+LAYERS = {"map": ("power", "deviation"), "learn": ("power",)}
+"""Channel layers of a task; the other tasks show the probability of connection."""
+
+
+def layers_of(problem: Problem) -> tuple[str, ...]:
+    """Return the channel layers of a problem, one panel each."""
+    return LAYERS.get(problem.task, ("connectivity",))
+
+
+def draw_belief_maps(
+    figure: Figure,
+    panels: Sequence[Panel],
+    problem: Problem,
+    belief: Belief,
+    positions_m: NDArray[np.float64],  # (n, 2) what the maps have to show
+    window: Bounds,
+) -> list[Artist]:
+    """Draw the workspace on each layer of the predicted channel; legend entries."""
+    mean, deviation, chance = believed_rasters(problem, belief, window)
+    p_min = problem.constraints.step_p_min
+    entries: list[Artist] = []
+    for panel, layer in zip(panels, layers_of(problem), strict=True):
+        if layer == "connectivity":
+            draw_ground(panel, problem.workspace, "predicted P(connected)")
+            label = "P(connected) [1]" + (" (line: p_min)" if p_min > 0.0 else "")
+            mark = p_min if p_min > 0.0 else None
+            draw_layer(panel, chance, PROBABILITY_MAP, figure, label, (0.0, 1.0), mark)
+            if p_min > 0.0:
+                entries = draw_level(panel, chance, p_min, VERMILLION, f"P(connected) = {p_min:g}")
+        elif layer == "power":
+            draw_ground(panel, problem.workspace, "predicted power")
+            draw_layer(panel, mean, POWER_MAP, figure, "power [dBm]")
+        else:
+            draw_ground(panel, problem.workspace, "standard deviation of the prediction")
+            draw_layer(panel, deviation, DEVIATION_MAP, figure, "standard deviation [dB]")
+        places = draw_places(panel, problem)
+        show_window(panel, problem, positions_m, window)
+        entries = [*places, *(each for each in entries if each not in places)]
+    return entries
+
+
+def draw_true_power(figure: Figure, panel: Panel, run: Run) -> None:
+    """Draw the true power below the obstacles, with the threshold on its colour bar."""
+    label = "true power [dBm] (line: threshold)"
+    mark = run.problem.stations[0].true_threshold_dbm
+    draw_layer(panel, true_power(run), POWER_MAP, figure, label, mark=mark)
+
+
+def true_power(run: Run) -> Raster:
+    """Return the true power on the first station's cells; of several, the serving station's."""
+    raster = run.truths[0].raster
+    if len(run.truths) == 1:
+        return raster
+    cells = np.stack(np.meshgrid(raster.x_m, raster.y_m), axis=-1)
+    power = true_serving_dbm(run.problem, run.truths, cells.reshape(-1, 2))
+    return Raster(raster.x_m, raster.y_m, power.reshape(cells.shape[:2]))
+
+
+def path_curve(
+    problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None, first: int = 0
+) -> tuple[NDArray[np.float64], list[int]]:
+    """Return points (k, 2) of the curve through positions (n + 1, 2), and which are positions."""
+    if drive is None or len(drive.inputs) <= first:
+        return positions_m[first:], list(range(len(positions_m) - first))
+    ways = drive.dynamics.ways(drive.states[first:-1], drive.inputs[first:], problem.planner.step_s)
+    curve, marks = [positions_m[first : first + 1]], [0]
+    for way in ways:
+        points, _ = way.points_m()
+        count = min(CURVE_POINTS, len(points))
+        chosen = np.linspace(0, len(points) - 1, count).round().astype(int)
+        curve.append(points[chosen[1:]])
+        marks.append(marks[-1] + len(chosen) - 1)
+    return np.concatenate(curve), marks
+
+
+def draw_tracks(panel: Panel, problem: Problem, runs: Sequence[RobotRun]) -> list[Artist]:
+    """Draw the driven path of each robot, every step marked."""
+    entries: list[Artist] = []
+    for number, run in enumerate(runs):
+        curve, steps = path_curve(problem, run.log.positions_m, run.drive)
+        panel.plot(*curve.T, color=WHITE, linewidth=4.2, zorder=PATH_Z, solid_capstyle="round")
+        entries += panel.plot(
+            *curve.T,
+            color=robot_colour(number),
+            linewidth=1.8,
+            marker=robot_marker(number),
+            markevery=steps,
+            markersize=4.5,
+            markeredgecolor=WHITE,
+            markeredgewidth=0.6,
+            zorder=PATH_Z + 0.1,
+            label=f"{run.robot}, driven",
+        )
+    return entries
+
+
+def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int) -> list[Artist]:
+    """Draw each plan from position `first` on, its route to the goal and the holes on it."""
+    entries: list[Artist] = []
+    for number, plan in enumerate(plans):
+        curve, steps = path_curve(problem, plan.positions_m, plan.drive, first)
+        panel.plot(*curve.T, color=WHITE, linewidth=3.6, zorder=PATH_Z, solid_capstyle="round")
+        entries += panel.plot(
+            *curve.T,
+            color=robot_colour(number),
+            linewidth=1.8,
+            linestyle=(0, (2.5, 1.0)),
+            marker=robot_marker(number),
+            markevery=steps,
+            markersize=5.5,
+            markerfacecolor=WHITE,
+            markeredgecolor=robot_colour(number),
+            markeredgewidth=1.2,
+            zorder=PATH_Z + 0.2,
+            label=f"{plan.robot}, planned",
+        )
+        if len(plan.route_m):
+            route = np.vstack([plan.positions_m[-1:], plan.route_m])
+            entries += _draw_dotted(panel, route, "remaining route to the goal")
+        entries += draw_holes(panel, np.vstack([plan.positions_m, plan.route_m]), plan.holes)
+    return entries
+
+
+def draw_blocked(panel: Panel, blocked: Sequence[BlockedWay]) -> list[Artist]:
+    """Draw the cheapest paths that a hard bound forbids, and the holes on them."""
+    entries: list[Artist] = []
+    for one in blocked:
+        entries += _draw_dotted(panel, one.way_m, "cheapest path, forbidden")
+        entries += draw_holes(panel, one.way_m, one.holes)
+    return entries
+
+
+def _draw_dotted(panel: Panel, path_m: NDArray[np.float64], label: str) -> Sequence[Artist]:
+    return panel.plot(
+        *path_m.T,
+        color=BLACK,
+        linewidth=1.2,
+        linestyle=(0, (1, 2)),
+        zorder=PATH_Z - 0.2,
+        label=label,
+    )
+
+
+def draw_holes(panel: Panel, path_m: NDArray[np.float64], holes: Sequence[Hole]) -> list[Artist]:
+    """Draw the coverage holes that a path (n, 2) crosses, with their lengths."""
+    entries: list[Artist] = []
+    for hole in holes:
+        x, y = _part_in_hole(path_m, hole).T
+        panel.plot(x, y, color=WHITE, linewidth=7.0, zorder=PATH_Z - 0.4, solid_capstyle="butt")
+        entries += panel.plot(
+            x,
+            y,
+            color=VERMILLION,
+            linewidth=5.0,
+            zorder=PATH_Z - 0.3,
+            solid_capstyle="butt",
+            label="crosses a coverage hole",
+        )
+        middle = len(x) // 2
+        panel.text(
+            x[middle],
+            y[middle],
+            f"{hole.length_m:.0f} m",
+            zorder=PATH_Z + 0.5,
+            clip_on=True,
+            bbox={"boxstyle": "round,pad=0.15", "fc": WHITE, "ec": "none", "alpha": 0.8},
+        )
+    return entries
+
+
+def _part_in_hole(path_m: NDArray[np.float64], hole: Hole) -> NDArray[np.float64]:
+    """Return the part of a path from half a step before a hole to half a step behind it."""
+    first = int(np.argmin(np.linalg.norm(path_m - np.array(hole.from_m), axis=1)))
+    last = int(np.argmin(np.linalg.norm(path_m - np.array(hole.to_m), axis=1)))
+    first, last = min(first, last), max(first, last)
+    before = 0.5 * (path_m[max(first - 1, 0)] + path_m[first])
+    behind = 0.5 * (path_m[min(last + 1, len(path_m) - 1)] + path_m[last])
+    return np.vstack([before, path_m[first : last + 1], behind])
+
+
+def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artist]:
+    """Draw the outline that paths must stay outside of; nothing without obstacles in sight."""
+    from matplotlib.collections import LineCollection
+
+    clearance = problem.constraints.clearance_m
+    around = shapely.box(*window).buffer(clearance)
+    near = [
+        obstacle.polygon.buffer(clearance)
+        for obstacle in problem.workspace.obstacles
+        if obstacle.polygon.intersects(around)
+    ]
+    rings = shapely.get_parts(shapely.boundary(shapely.union_all(near)))
+    if not len(rings):
+        return []
+    outline = LineCollection(
+        [ring_xy(ring) for ring in rings],
+        colors=PURPLE,
+        linewidths=0.9,
+        linestyles="dashed",
+        zorder=MARGIN_Z,
+        label=f"clearance of {clearance:g} m",
+    )
+    panel.add_collection(outline, autolim=False)
+    return [outline]
+
+
+def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
+    """Draw a driven path by true connection: solid on white, or dashed on black where lost.
+
+    Lightness and dashes distinguish the two without colour. A step has the state of its end.
+    """
+    from matplotlib.collections import LineCollection
+
+    entries: list[Artist] = []
+    for label, colour, casing, dashes, state in (
+        ("driven, connected", CONNECTED, WHITE, "solid", True),
+        ("driven, not connected", DISCONNECTED, BLACK, (0, (1.2, 0.8)), False),
+    ):
+        pieces = _pieces(log, state)
+        if not pieces:
+            continue
+        below = LineCollection(
+            pieces, colors=casing, linewidths=6.0, capstyle="round", zorder=PATH_Z
+        )
+        lines = LineCollection(
+            pieces,
+            colors=colour,
+            linewidths=4.0,
+            linestyles=[dashes],
+            capstyle="butt",
+            zorder=PATH_Z + 0.1,
+            label=label,
+        )
+        for collection in (below, lines):
+            panel.add_collection(collection, autolim=False)
+        entries.append(lines)
+    return entries
+
+
+def _pieces(log: StepLog, connected: bool) -> list[NDArray[np.float64]]:
+    """Return the longest pieces of the path whose steps all end in the same state."""
+    states = log.connected[1:]
+    changes = np.flatnonzero(np.diff(states)) + 1
+    bounds = [0, *changes.tolist(), len(states)] if len(states) else [0]
+    return [
+        log.positions_m[first : last + 1]
+        for first, last in itertools.pairwise(bounds)
+        if states[first] == connected
+    ]
+
+
+def draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
+    """Mark the positions at which the chance constraint was relaxed."""
+    relaxed = log.relaxation_db > 0.0
+    if not relaxed.any():
+        return []
+    look = {"marker": "D", "s": 60.0, "color": PURPLE, "linewidths": 0.0}
+    positions = log.positions_m[relaxed]
+    # Below the path, which stays visible.
+    return [panel.scatter(*positions.T, zorder=PATH_Z - 0.1, label="bound relaxed", **look)]
+
+
+def draw_measured(
+    panel: Panel, positions_m: NDArray[np.float64], label: str, *, on_path: bool = False
+) -> list[Artist]:
+    """Mark measured positions (n, 2), below the paths or as small dots on them."""
+    if not len(positions_m):
+        return []
+    look = {
+        "s": 4.0 if on_path else 13.0,
+        "color": WHITE if on_path else BLACK,
+        "edgecolors": BLACK if on_path else WHITE,
+        "zorder": (PATH_Z if on_path else LAYER_Z) + 0.2,
+    }
+    return [panel.scatter(*positions_m.T, linewidths=0.4, label=label, **look)]
+
+
+def draw_target(panel: Panel, target: TargetLog) -> list[Artist]:
+    """Draw the true trajectory of the target above the station's estimates of it."""
+    x, y = target.true_m.T
+    panel.plot(x, y, color=WHITE, linewidth=2.6, zorder=PATH_Z + 0.35)
+    (track,) = panel.plot(
+        x, y, color=BLACK, linewidth=1.6, zorder=PATH_Z + 0.4, label="target, true path"
+    )
+    end = panel.scatter(
+        x[-1:],
+        y[-1:],
+        marker="*",
+        s=190.0,
+        color=BLACK,
+        edgecolors=WHITE,
+        linewidths=0.8,
+        zorder=PLACE_Z + 0.1,
+        label="target at the end",
+    )
+    estimates = panel.scatter(
+        *target.station_mean_m.T,
+        s=30.0,
+        color=WHITE,
+        edgecolors=BLACK,
+        linewidths=0.9,
+        zorder=PATH_Z + 0.3,
+        label="the station's estimates",
+    )
+    return [track, end, estimates]
+
+
+def draw_expected_target(panel: Panel, target_m: NDArray[np.float64]) -> list[Artist]:
+    """Draw the expected position of the target after each step (N, 2)."""
+    return list(
+        panel.plot(
+            *target_m.T,
+            color=BLACK,
+            linewidth=1.4,
+            linestyle="dotted",
+            marker="*",
+            markersize=9.0,
+            markeredgecolor=WHITE,
+            markeredgewidth=0.5,
+            zorder=PATH_Z + 0.1,
+            label="target as expected",
+        )
+    )

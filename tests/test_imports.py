@@ -146,7 +146,6 @@ def test_private_names_have_no_hint() -> None:
         ("planopt.planning.rule_result", "RuleResult"),
         ("planopt.planning.team.crew", "plan_together"),
         ("planopt.report.belief_map", "draw_belief"),
-        ("planopt.report.run_series", "draw_run_series"),
         ("planopt.robots.carrot", "PurePursuit"),
         ("planopt.targets.target_model", "TargetModel"),
     ],

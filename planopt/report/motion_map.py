@@ -1,4 +1,4 @@
-"""What maps of plans and runs show: channel layers, paths, coverage holes, measurements, target."""
+"""Maps of plans and runs: channel layers, paths, coverage holes, measurements and the target."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """How well a station knows a target over whole runs: tr P averaged over time, seed by seed.
 
-``python benchmarks/tracking_averages.py fig4 --settings additive:1 additive:10 sampled:20:lattice``
+``python benchmarks/tracking_averages.py fig4 --settings additive:1 recourse:10:lattice``
 drives every setting on the same seeds, prints a table with 95 % intervals, and compares each with
 the first setting seed by seed. A setting is FORM:HORIZON, then PLANNER and PACKETS if they are not
-the problem's: ``sampled:10:auto:estimates``. A target counts as lost where tr P was ever more than
+the problem's: ``recourse:10:auto:estimates``. A target counts as lost where tr P was ever more than
 three times that of the first estimate. ``--p-min 0.5`` adds a chance constraint. With ``--criterion
 determinant`` plans and the table have det P. With ``--rows FILE`` rows are kept there, and a study
 that was stopped goes on.
@@ -24,8 +24,8 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from planopt import Problem, load, simulate
+from planopt.objectives.station_filter import Criterion
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
-from planopt.objectives.tracking_filter import Criterion
 from planopt.planning.loop.metrics import LOST_RATIO
 from planopt.problems.problem import TermsObjective
 from planopt.problems.target import Packets

@@ -17,8 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.axis_filter import Axis, criterion_of
-from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.objectives.station_filter import Axis, FilteredTracking, criterion_of
 from planopt.objectives.tracking_recourse import (
     Retreats,
     at_ends,
@@ -36,9 +35,8 @@ STEPS_OF_ESTIMATES = 10
 
 def discounted(settings: FilteredTracking) -> FilteredTracking:
     """Return the settings with the weights w_k of steps k = 1, 2, .. times `DISCOUNT`^(k - 1)."""
-    tracking = settings.tracking
-    weight = tracking.weight * DISCOUNT ** np.arange(len(tracking.weight))
-    return replace(settings, tracking=replace(tracking, weight=weight))
+    weight = settings.tracking.weight
+    return settings.weighted(weight * DISCOUNT ** np.arange(len(weight)))
 
 
 def told_later_costs(
@@ -76,7 +74,7 @@ def told_later_costs(
     axis, full = Axis.of(settings), np.empty((3, 2, count))
     full[:] = Axis.of(replace(settings, information=held.information)).start[:, None, None]
     less = np.repeat(axis.start[:, None], count, axis=1)
-    for known, sent in zip(held.known, held.sent[-1], strict=True):
+    for known, sent in zip(held.known, held.sent, strict=True):
         axis.predict(full)
         axis.update(full, known + sent)
     costs, tried = np.zeros(count), chance[:, -1]
@@ -133,7 +131,7 @@ def _known_on_way(
         now = variance[:, first:]
         axis.predict(now)
         if s < told:
-            axis.update(now, held.known[s] + held.sent[-1, s] * known[:, s])
+            axis.update(now, held.known[s] + held.sent[s] * known[:, s])
         else:
             axis.update(now, known[first:, s] * sensed[:, first] + others[first])
     return variance

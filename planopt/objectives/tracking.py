@@ -1,16 +1,15 @@
 """Tracking: information that reaches the station, summed over steps, with derivatives.
 
-A packet counts with the probability that it arrives. Summed over steps and robots that needs no
-joint law, so that a dynamic programme can plan with it; :mod:`planopt.objectives.tracking_filter`
-has the forms that follow the filter itself.
+A packet counts with the probability that it arrives. The sum over steps and robots needs no joint
+law, so that a dynamic programme can plan with it; :mod:`planopt.objectives.tracking_recourse`
+follows the station's filter instead.
 
-The chain rule only: where the prediction and its derivatives come from is the caller's choice.
+Predictions and their derivatives come from the caller; this module applies the chain rule.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -54,55 +53,20 @@ def tracking_reward(
     return settings.weight[stage] * connectivity * sensing
 
 
-def tracking_stage_rewards(
-    posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
-    stage: int,
-    settings: Tracking,
-) -> NDArray[np.float64]:
-    """:func:`tracking_reward` with the connectivity of `posterior`, today's deviation in it."""
-    connectivity = posterior.connectivity(positions_m, settings.threshold_dbm)
-    return tracking_reward(connectivity, positions_m, stage, settings)
-
-
 def tracking_value(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Tracking
 ) -> float:
     """Return sum_k w_k P(connected at q_k) tr Phi^-1(q_k, p_hat_{t+k|t}) (equation 4.11)."""
-    arrival, sensing = delivery([posterior], [path_m], settings)
-    return float(settings.weight @ (arrival * sensing)[:, 0])
-
-
-def team_tracking_value(
-    posteriors: Sequence[ChannelPosterior],
-    paths_m: Sequence[NDArray[np.float64]],
-    settings: Tracking,
-) -> float:
-    """:func:`tracking_value` summed over robots, each with its own knowledge of the channel."""
-    arrival, sensing = delivery(posteriors, paths_m, settings)
-    return float(settings.weight @ (arrival * sensing).sum(axis=1))
-
-
-def delivery(
-    posteriors: Sequence[ChannelPosterior],
-    paths_m: Sequence[NDArray[np.float64]],  # (h, 2) of each robot
-    settings: Tracking,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """P(packet arrives) and tr Phi^-1 of every step and robot; both ``(h, N)``."""
-    steps = len(settings.target_m)
-    if len(paths_m) != len(posteriors) or not posteriors:
-        raise InputError(f"{len(posteriors)} robots and {len(paths_m)} paths", key="paths_m")
-    arrival, sensing = np.empty((2, steps, len(posteriors)))
-    for robot, (posterior, path) in enumerate(zip(posteriors, paths_m, strict=True)):
-        places = require_places(path)
-        if len(places) != steps:
-            raise InputError(
-                f"a path of {len(places)} places and a target predicted for {steps} steps",
-                key="paths_m",
-            )
-        arrival[:, robot] = posterior.connectivity(places, settings.threshold_dbm)
-        sensing[:, robot] = sensing_information(settings.sensor, places, settings.target_m)
-    return arrival, sensing
+    places = require_places(path_m)
+    if len(places) != len(settings.target_m):
+        raise InputError(
+            f"a path of {len(places)} places and a target predicted for "
+            f"{len(settings.target_m)} steps",
+            key="path_m",
+        )
+    arrival = posterior.connectivity(places, settings.threshold_dbm)
+    sensing = sensing_information(settings.sensor, places, settings.target_m)
+    return float(settings.weight @ (arrival * sensing))
 
 
 def connectivity_derivatives(

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.axis_filter import left
 from planopt.objectives.measuring import SAME_PLACE_M
-from planopt.objectives.tracking_filter import FilteredTracking
+from planopt.objectives.station_filter import FilteredTracking, left
 from planopt.targets.sensor import sensing_information
 
 RECOURSE_STEPS = 20

@@ -227,8 +227,13 @@ class Problem:
 
     @property
     def can_be_polished(self) -> bool:
-        """Return whether a solver improves plans by the derivatives of all terms."""
-        return all(term.can_be_polished for term in self.terms)
+        """Return whether a solver improves plans by the derivatives of all terms.
+
+        Tries are searched only, because the connection at their ends is not smooth; drives of
+        robots with dynamics are refined all the same.
+        """
+        has_dynamics = any(robot.dynamics is not None for robot in self.robots)
+        return has_dynamics or all(term.can_be_polished for term in self.terms)
 
     @property
     def term_setting(self) -> TermSetting:

@@ -9,10 +9,7 @@ from planopt.channel.posterior import condition
 from planopt.objectives.local_channel import factored_near
 from planopt.objectives.mapping import Region, average_reduction, path_information
 from planopt.objectives.path_loss_learning import Criterion, path_loss_value
-from planopt.objectives.tracking import Tracking
-from planopt.objectives.tracking_filter import sampled_arrivals
 from planopt.objectives.until_connected import Search, expected_distance_m
-from planopt.targets.sensor import Sensor
 
 DATA = drawn(900, side_m=150.0)
 WHOLE = condition(CHANNEL, DATA)
@@ -37,7 +34,7 @@ def test_without_one_the_near_measurements_are_factorised():
 
 
 def test_objectives_agree_with_those_of_all_measurements():
-    """Learning, information, average, arrivals and distance, without a factor and with one."""
+    """Learning, information, average and distance, without a factor and with one."""
     region = Region(np.array([[20.0, 20.0], [30.0, 25.0]]), np.ones(2))
     for value in (
         lambda posterior: path_loss_value(posterior, PATH, Criterion("T")),
@@ -52,9 +49,3 @@ def test_objectives_agree_with_those_of_all_measurements():
         for each in (MANY, WHOLE)
     ]
     assert distances[0] == pytest.approx(distances[1], rel=5e-3)
-    task = Tracking(level, Sensor(0.008, 0.08, 1.0), PATH)
-    shares = [
-        sampled_arrivals([each], [PATH], task, 4000, np.random.default_rng(0)).mean(axis=0)
-        for each in (MANY, WHOLE)
-    ]
-    np.testing.assert_allclose(shares[0], shares[1], atol=0.005)

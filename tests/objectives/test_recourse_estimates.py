@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dense_filter import dense_costs
 from terms_scene import TRACKING, situation_of, terms_problem
 from test_tracking_recourse import (
     ALONE,
@@ -25,14 +26,13 @@ from planopt.objectives.recourse_estimates import (
     discounted,
     told_later_costs,
 )
-from planopt.objectives.tracking_estimates import Held
-from planopt.objectives.tracking_filter import riccati_covariances
+from planopt.objectives.station_filter import Held
 from planopt.objectives.tracking_recourse import Retreats, recourse_costs, retreats_of
 from planopt.targets.information_filter import predicted_information
 from planopt.targets.sensor import sensing_information
 
 TOTAL = STEPS + BEYOND
-FIRST = replace(SETTINGS, held=Held(SETTINGS.information, np.zeros(0), np.zeros((1, 0))))
+FIRST = replace(SETTINGS, held=Held(SETTINGS.information, np.zeros(0), np.zeros(0)))
 OUT = WAYS[2]
 """Four steps of 2 m along the x axis, to (8, 0)."""
 
@@ -55,10 +55,9 @@ def test_an_excursion_is_told_of_on_return(home_m, steps_back):
     # From home on the place brings nothing, as `home_at` has it.
     senses = np.where(np.arange(TOTAL) < at_home, 1.0, 0.0)
     sensing = sensing_information(SENSOR, places, TARGET)
-    known = riccati_covariances(senses[:, None], sensing[:, None], SETTINGS)
+    known = dense_costs(0.5 * senses * sensing, SETTINGS)
     senses[1:] = 0.0
-    unknown = riccati_covariances(senses[:, None], sensing[:, None], SETTINGS)
-    both = [np.trace(each[:, :2, :2], axis1=1, axis2=2) for each in (unknown, known)]
+    both = dense_costs(0.5 * senses * sensing, SETTINGS), known
     expected = np.where(np.arange(TOTAL) < at_home, *both).sum()
     np.testing.assert_allclose(found, [expected], rtol=1e-12)
 
@@ -97,9 +96,9 @@ def test_telling_later_never_costs_more_than_losing_and_more_the_later():
 
 def test_what_is_held_comes_with_the_first_packet():
     """Measurements before the plan: one arrival now, against the filter of 4 by 4 matrices."""
-    held = Held(SETTINGS.information, np.array([0.2, 0.0]), np.array([[0.0, 1.5]]))
+    held = Held(SETTINGS.information, np.array([0.2, 0.0]), np.array([0.0, 1.5]))
     states = []
-    for sent in (np.zeros(2), held.sent[0]):
+    for sent in (np.zeros(2), held.sent):
         matrix = SETTINGS.information
         for known, each in zip(held.known, sent, strict=True):
             matrix = predicted_information(SETTINGS.model, matrix)
@@ -135,7 +134,7 @@ def test_later_steps_are_discounted():
     raw, _ = situation_of(problem)
     if raw.information is None:
         raise AssertionError("the station knows something")
-    sent = replace(raw, own_held=Held(raw.information, np.zeros(0), np.zeros((1, 0))))
+    sent = replace(raw, held=Held(raw.information, np.zeros(0), np.zeros(0)))
     (term,) = problem.terms
     way, chance = np.tile(raw.position_m, (1, 3, 1)), np.ones((1, 3))
     values = [term.tried_values(each, way, chance)[0] for each in (raw, sent)]
@@ -153,13 +152,6 @@ def test_who_stands_sets_out_when_the_plan_ends():
     at_home = STEPS - 1 + 4
     senses = np.where(np.arange(TOTAL) < at_home, 1.0, 0.0)
     sensing = sensing_information(SENSOR, places, TARGET)
-    both = (
-        np.trace(
-            riccati_covariances(each[:, None], sensing[:, None], SETTINGS)[:, :2, :2],
-            axis1=1,
-            axis2=2,
-        )
-        for each in (np.zeros(TOTAL), senses)
-    )
+    both = (dense_costs(0.5 * each * sensing, SETTINGS) for each in (np.zeros(TOTAL), senses))
     expected = np.where(np.arange(TOTAL) < at_home, *both).sum()
     np.testing.assert_allclose(found, [expected], rtol=1e-12)

@@ -1,4 +1,4 @@
-"""Tracking: equation 4.11 by hand, additivity, several robots, invariances."""
+"""Tracking: equation 4.11 by hand, additivity, invariances."""
 
 import dataclasses
 
@@ -13,20 +13,15 @@ from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.objectives.tracking import (
     Tracking,
-    delivery,
-    team_tracking_value,
     tracking_reward,
-    tracking_stage_rewards,
     tracking_value,
 )
 from planopt.targets.sensor import Sensor, sensing_information
 
 POSTERIOR = condition(CHANNEL, drawn(15))
-OTHER = condition(CHANNEL, drawn(12, seed=5))
 SENSOR = Sensor(0.008, 0.08, 1.0)
 TARGET = PATH + np.array([3.0, -4.0])
 TASK = Tracking(-73.0, SENSOR, TARGET, np.array([1.0, 0.5, 2.0, 0.0, 1.0]))
-SECOND_PATH = PATH[::-1] + 1.0
 
 
 def test_one_step_is_the_seeds_equation_4():
@@ -41,11 +36,12 @@ def test_one_step_is_the_seeds_equation_4():
 
 def test_value_is_the_weighted_sum_of_stage_rewards():
     """Stage by stage, many places at once."""
-    rewards = np.array([tracking_stage_rewards(POSTERIOR, PATH, k, TASK) for k in range(5)])
+    chance = POSTERIOR.connectivity(PATH, -73.0)
+    rewards = np.array([tracking_reward(chance, PATH, k, TASK) for k in range(5)])
     assert rewards.shape == (5, 5)
     assert tracking_value(POSTERIOR, PATH, TASK) == pytest.approx(np.trace(rewards))
     plain = Tracking(-73.0, SENSOR, TARGET)
-    each = [tracking_stage_rewards(POSTERIOR, PATH, k, plain) for k in range(5)]
+    each = [tracking_reward(chance, PATH, k, plain) for k in range(5)]
     np.testing.assert_allclose(rewards, TASK.weight[:, None] * np.array(each))
 
 
@@ -53,13 +49,6 @@ def test_reward_takes_a_connectivity_from_anywhere():
     """From a map: certain connection gives the sensing alone."""
     found = tracking_reward(np.ones(5), PATH, 2, TASK)
     np.testing.assert_allclose(found, 2.0 * sensing_information(SENSOR, PATH, TARGET[2]))
-
-
-def test_a_team_is_the_sum_of_its_robots():
-    """The trace decouples (equation 4.11); robots may know different things."""
-    found = team_tracking_value([POSTERIOR, OTHER], [PATH, SECOND_PATH], TASK)
-    expected = tracking_value(POSTERIOR, PATH, TASK) + tracking_value(OTHER, SECOND_PATH, TASK)
-    assert found == pytest.approx(expected)
 
 
 def test_a_lower_threshold_is_never_worth_less():
@@ -101,8 +90,6 @@ def test_moving_the_scene_and_another_unit_change_nothing(mirror, scale):
         lambda: Tracking(-73.0, SENSOR, TARGET, -np.ones(5)),
         lambda: tracking_value(POSTERIOR, PATH[:4], TASK),
         lambda: tracking_value(POSTERIOR, PATH * np.nan, TASK),
-        lambda: delivery([POSTERIOR], [PATH, PATH], TASK),
-        lambda: delivery([], [], TASK),
     ],
 )
 def test_bad_input_is_ours(make):

@@ -9,8 +9,8 @@ from planopt.channel.posterior import condition
 from planopt.objectives.tracking import (
     Tracking,
     connectivity_derivatives,
+    tracking_reward,
     tracking_reward_derivatives,
-    tracking_stage_rewards,
 )
 from planopt.targets.rounding import Derivatives
 from planopt.targets.sensor import Sensor, sensing_derivatives
@@ -42,7 +42,8 @@ def derivatives(path, threshold=-73.0):
 
 def test_value_is_the_stage_reward():
     """The same number as the objective's, from the exact posterior."""
-    expected = [tracking_stage_rewards(POSTERIOR, PATH[k : k + 1], k, TASK)[0] for k in range(5)]
+    chance = POSTERIOR.connectivity(PATH, -73.0)
+    expected = [tracking_reward(chance, PATH, k, TASK)[k] for k in range(5)]
     np.testing.assert_allclose(derivatives(PATH).value, expected, rtol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""Tries with recourse: against the covariance recursion, and what retreats may change."""
+"""Tries with recourse: against the filter by 4 by 4 matrices, and the effect of retreats."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dense_filter import MEASURES, dense_costs
 from terms_scene import TRACKING, situation_of, terms_problem
 
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.objectives.axis_filter import left
 from planopt.objectives.known_links import KnownLinks, known_links
+from planopt.objectives.station_filter import FilteredTracking, left
 from planopt.objectives.tracking import Tracking
-from planopt.objectives.tracking_filter import FilteredTracking, riccati_covariances
 from planopt.objectives.tracking_recourse import (
     Retreats,
     at_ends,
@@ -42,10 +42,29 @@ WAYS = np.array(
 
 
 def traced(places_m, arrives):
-    """Sum of tr P of the position by the recursion of 4 by 4 matrices, for certain losses."""
+    """Sum of tr P of the position by the filter of 4 by 4 matrices, for certain losses."""
     sensing = sensing_information(SENSOR, places_m, TARGET)
-    spread = riccati_covariances(arrives[:, None], sensing[:, None], SETTINGS)
-    return np.trace(spread[:, :2, :2], axis1=1, axis2=2).sum()
+    return dense_costs(0.5 * arrives * sensing, SETTINGS).sum()
+
+
+@pytest.mark.parametrize("criterion", list(MEASURES))
+def test_one_axis_is_the_whole_filter(criterion):
+    """The weighted sum of each criterion, for several sequences of packets at once."""
+    weight = np.array([1.0, 0.5, 2.0, 1.0, 1.5, 0.0, 1.0, 1.0, 3.0])
+    settings = replace(SETTINGS.weighted(weight), criterion=criterion)
+    received = np.random.default_rng(0).exponential(2.0, (7, len(TARGET)))
+    expected = [weight @ dense_costs(each, settings) for each in received]
+    np.testing.assert_allclose(left(received, settings), expected, rtol=1e-9)
+
+
+def test_steps_beyond_the_horizon_are_at_the_last_velocity():
+    """And of weight one."""
+    few = replace(
+        SETTINGS, tracking=replace(SETTINGS.tracking, target_m=TARGET[:3], weight=np.full(3, 2.0))
+    )
+    found = few.extended(len(TARGET) - 3).tracking
+    np.testing.assert_allclose(found.target_m, TARGET)
+    np.testing.assert_array_equal(found.weight, [2.0] * 3 + [1.0] * (len(TARGET) - 3))
 
 
 @pytest.mark.parametrize("chance", [0.0, 1.0])

@@ -53,7 +53,6 @@ def test_every_planner_gives_verified_plans(name, horizon):
         (INFORMATION,),
         ({"kind": "mapping", "form": "average"},),
         (PATH,),
-        *[({**TRACKING, "form": form},) for form in ("information", "covariance")],
         (CONNECT,),
         (TRACKING, LEARNING, ENERGY),
     ],

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from motion_scene import DOUBLE, planned, with_dynamics
 from terms_scene import ENERGY, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt import check, solve
@@ -24,7 +25,7 @@ def term_context(**keys):
     return problem.terms[0], situation_of(problem)[0]
 
 
-@pytest.mark.parametrize("form", ["additive", "sampled", "covariance", "information"])
+@pytest.mark.parametrize("form", ["additive", "recourse"])
 def test_step_weights_multiply_steps(form):
     """Only the first step counts: the value of a path is that of its first step alone."""
     term, at = term_context(form=form, step_weights=[2.0, 0.0])
@@ -56,7 +57,7 @@ def test_a_terminal_weight_is_the_last_steps():
         ({"step_weights": [0.0]}, "no step counts"),
         ({"step_weights": [-1.0]}, "step_weights"),
         ({"terminal_weight": 0.0}, "terminal_weight"),
-        ({"criterion": "size", "form": "sampled"}, "criterion"),
+        ({"criterion": "size", "form": "recourse"}, "criterion"),
     ],
 )
 def test_keys_that_do_not_fit_are_refused(keys, words):
@@ -69,11 +70,11 @@ def test_the_form_follows_the_horizon(tmp_path):
     """Plans are those of the form that auto is; the problem keeps the word that it was given."""
     forms = {form: {**TRACKING, "form": form} for form in ("auto", "additive", "recourse")}
 
-    def planned(name, horizon):
+    def solved(name, horizon):
         return solve(terms_problem(forms[name], horizon=horizon, name="lattice"), seed=0)
 
     for horizon, form in ((1, "additive"), (2, "recourse")):
-        found, stated = planned("auto", horizon), planned(form, horizon)
+        found, stated = solved("auto", horizon), solved(form, horizon)
         assert found.plans[0].objective == stated.plans[0].objective
         np.testing.assert_array_equal(found.plans[0].positions_m, stated.plans[0].positions_m)
     assert problem_to_dict(found.problem)["objective"]["terms"][0]["form"] == "auto"
@@ -83,8 +84,8 @@ def test_the_form_follows_the_horizon(tmp_path):
     assert found.problem.terms[0].form == "recourse" and short.terms[0].form == "additive"
 
 
-@pytest.mark.parametrize(("horizon", "form"), [(1, "additive"), (2, "sampled"), (40, "sampled")])
-def test_packets_that_have_estimates_are_planned_by_drawing(horizon, form):
+@pytest.mark.parametrize(("horizon", "form"), [(1, "additive"), (2, "recourse")])
+def test_the_form_of_packets_that_have_estimates(horizon, form):
     """From two steps on, beside another term: a later packet tells of the first step too."""
     terms = {**TRACKING, "form": "auto"}, ENERGY
     problem = terms_problem(*terms, horizon=horizon, name="lattice")
@@ -92,33 +93,50 @@ def test_packets_that_have_estimates_are_planned_by_drawing(horizon, form):
     assert replace(problem, targets=(target,)).terms[0].form == form
 
 
-def test_the_form_of_other_criteria():
-    """Criteria other than the trace need drawing."""
+def test_the_form_beside_bounds_dynamics_and_other_criteria():
+    """Additive up to ten steps beside a bound and with dynamics; recourse for other criteria."""
     term = TrackingTerm(0.008, 0.08, 1.0)
     driven = TermSetting(40, 1, True, has_dynamics=True, is_free=True)
-    assert term.planned(driven).form == "sampled"
-    assert term.planned(replace(driven, horizon=LONGEST_ADDITIVE)).form == "additive"
     bound = TermSetting(40, 1, True)
-    assert term.planned(bound).form == "sampled"
-    assert term.planned(replace(bound, is_free=True)).form == "recourse"
+    for setting in (driven, bound):
+        assert term.planned(setting).form == "recourse"
+        assert term.planned(replace(setting, horizon=LONGEST_ADDITIVE)).form == "additive"
+    assert term.planned(replace(bound, is_free=True, horizon=2)).form == "recourse"
     squares = replace(term, criterion="determinant")
-    assert squares.planned(replace(bound, horizon=1)).form == "sampled"
+    assert squares.planned(replace(bound, horizon=1)).form == "recourse"
     stated = replace(term, form="additive")
     assert stated.planned(bound) is stated
 
 
+def planned_with(**keys):
+    """The plan of tries for these keys of the term and the planner."""
+    criterion = keys.pop("criterion", "trace")
+    problem = terms_problem({**TRACKING, "form": "recourse", "criterion": criterion}, **keys)
+    situation, belief = situation_of(problem)
+    judge, ground = judge_of(situation, belief)
+    planner = planner_for(problem, ground, np.random.default_rng(0))
+    return planner.plan(situation, judge)
+
+
+@pytest.mark.parametrize("p_min", [0.0, 0.5, 0.9])
+def test_tries_keep_a_chance_constraint(p_min):
+    """The best path that keeps it is released, and a tighter bound never improves the value."""
+    plan = planned_with(horizon=4, p_min=p_min)
+    assert plan.verdict is Verdict.VERIFIED
+    assert plan.objective <= planned_with(horizon=4).objective + 1e-12
+
+
 @pytest.mark.parametrize("criterion", ["determinant", "norm"])
 def test_plans_of_every_criterion_are_verified(criterion):
-    """The norm is half the trace, and has its plan; the solver climbs the determinant too."""
-    found = {}
-    for name in ("trace", criterion):
-        problem = terms_problem({**TRACKING, "form": "sampled", "criterion": name}, horizon=3)
-        situation, belief = situation_of(problem)
-        judge, ground = judge_of(situation, belief)
-        planner = planner_for(problem, ground, np.random.default_rng(0))
-        found[name] = planner.plan(situation, judge)
-        assert found[name].verdict is Verdict.VERIFIED
-        assert found[name].objective >= found[name].lattice_objective - 1e-12
+    """The norm is half the trace, and has its plan."""
+    plain, found = (planned_with(horizon=3, criterion=name) for name in ("trace", criterion))
+    assert found.verdict is Verdict.VERIFIED
     if criterion == "norm":
-        half = 0.5 * found["trace"].objective
-        assert found["norm"].objective == pytest.approx(half, rel=0.02)
+        assert found.objective == pytest.approx(0.5 * plain.objective, rel=1e-9)
+
+
+def test_tries_of_robots_with_dynamics_are_verified():
+    """Drives that follow the paths to the places tried."""
+    problem = terms_problem({**TRACKING, "form": "recourse"}, horizon=6)
+    plan, *_ = planned(with_dynamics(problem, DOUBLE))
+    assert plan.verdict is Verdict.VERIFIED and plan.drive is not None

@@ -30,22 +30,22 @@ def fig4():
 
 def test_a_setting_is_what_it_says(fig4, study):
     """Form, horizon, planner and packets; what is left out is the problem's."""
-    problem = study.with_setting(fig4, "sampled:3:lattice:estimates")
-    assert problem.terms[0].form == "sampled" and problem.planner.horizon == 3
+    problem = study.with_setting(fig4, "recourse:3:lattice:estimates", "trace")
+    assert problem.terms[0].form == "recourse" and problem.planner.horizon == 3
     assert (problem.planner.name, problem.targets[0].packets) == ("lattice", "estimates")
-    assert study.with_setting(fig4, "additive:1").planner.name == fig4.planner.name
+    assert study.with_setting(fig4, "additive:1", "trace").planner.name == fig4.planner.name
 
 
 def test_rows_are_those_of_runs(fig4, study):
     """The same numbers as a simulation's, and a table that compares seed by seed."""
     rows = [
-        study.run_row(fig4, each, seed)
-        for each in ("additive:1", "sampled:2:lattice")
+        study.run_row(fig4, each, seed, "trace")
+        for each in ("additive:1", "recourse:2:lattice")
         for seed in (0, 1)
     ]
-    run = simulate(study.with_setting(fig4, "additive:1"), seed=1)
+    run = simulate(study.with_setting(fig4, "additive:1", "trace"), seed=1)
     assert rows[1].mean_m2 == run.metrics["time_averaged_trace_p"]
-    lines = study.table(fig4, rows)
+    lines = study.table(fig4, rows, "trace")
     first, second = (line.split() for line in lines[1:])
     assert first[:2] == ["additive:1", "2"] and first[10] == "+0.0000"
     means = np.array([row.mean_m2 for row in rows]).reshape(2, 2)

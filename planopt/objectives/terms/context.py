@@ -22,8 +22,8 @@ from planopt.objectives.known_links import KnownLinks
 from planopt.objectives.local_channel import LocalChannel, LocalGrid
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import Gates, MeasuringRule
+from planopt.objectives.station_filter import Held
 from planopt.objectives.told_batch import ToldBatch, WayBatch
-from planopt.objectives.tracking_estimates import Held
 from planopt.targets.information_filter import TargetModel
 from planopt.targets.rounding import Derivatives
 
@@ -130,7 +130,7 @@ class StepContext(Protocol):
 
     @property
     def held(self) -> Held | None:
-        """Return what robots hold of the target where packets have estimates, this one's last."""
+        """The robot's unsent target measurements; None where packets have no estimates."""
         ...
 
     @property

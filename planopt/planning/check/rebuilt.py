@@ -375,6 +375,6 @@ def _worth(asked: Asked, path_m: NDArray[np.float64]) -> float:
         asked.aim.information,
         circumstances=asked.circumstances,
         pending=asked.aim.pending,
-        own_held=asked.aim.held,
+        held=asked.aim.held,
     )
     return PathWorth(at)(path_m[1:])

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.tracking_estimates import Held
+from planopt.objectives.station_filter import Held
 from planopt.planning.given import free_target_path
 from planopt.planning.worth.situation import Aim, target_model
 from planopt.problems.problem import Problem
@@ -143,12 +143,12 @@ def _held(watch: TargetWatch, robot: int) -> Held | None:
     recent = np.flatnonzero(unknown[max(count - MOST_HELD, 0) :])
     first = max(count - MOST_HELD, 0) + int(recent[0]) if len(recent) else count
     states = (*watch.past, watch.station)
-    known, sent = np.zeros(count - first), np.zeros((1, count - first))
+    known, sent = np.zeros((2, count - first))
     for number, step in enumerate(range(first, count)):
         ahead = predict(watch.model, states[step])
         each = 0.5 * sensing_information(watch.sensor, watch.sent[step].positions_m, ahead.mean[:2])
         known[number] = each @ watch.known[step]
-        sent[0, number] = each[robot] * unknown[step]
+        sent[number] = each[robot] * unknown[step]
     return Held(states[first].matrix, known, sent)
 
 

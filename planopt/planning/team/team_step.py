@@ -95,7 +95,7 @@ class Member:
             information=watched.information,
             circumstances=circumstances,
             pending=pending,
-            own_held=watched.held,
+            held=watched.held,
         )
         if self.steer is not None:
             situation = replace(situation, steering=self.steer(situation))

@@ -28,8 +28,8 @@ from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.known_links import KnownLinks, known_links
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
+from planopt.objectives.station_filter import Held
 from planopt.objectives.terms.term import Structure
-from planopt.objectives.tracking_estimates import Held
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import Serving, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
@@ -176,7 +176,7 @@ class Situation:
     # What else is known at the step
     circumstances: Circumstances = field(default_factory=Circumstances)
     pending: Pending = NOTHING_PENDING  # Where the other robots measure
-    own_held: Held | None = None  # What the robot holds of the target, where packets have estimates
+    held: Held | None = None  # The robot's unsent target measurements, where packets have estimates
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -253,14 +253,6 @@ class Situation:
     def others_m(self) -> tuple[NDArray[np.float64], ...]:
         """Places that the others plan to be at."""
         return self.pending.planned_m
-
-    @property
-    def held(self) -> Held | None:
-        """Return what the robot holds of the target; of the others nothing is told."""
-        if self.own_held is None:
-            return None
-        others = np.zeros((len(self.others_m), self.own_held.steps))
-        return replace(self.own_held, sent=np.vstack([others, self.own_held.sent]))
 
     @property
     def stations(self) -> tuple[ChannelPosterior, ...]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt import check, load, simulate, solve
+from planopt import check, load, simulate
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.planning.loop.metrics import run_metrics
@@ -68,7 +68,7 @@ def test_plans_know_what_a_robot_holds():
         assert held is not None
         for told, expected in (
             (held.known, watch.station.matrix),
-            (held.known + held.sent[0], watch.robots[0].matrix),
+            (held.known + held.sent, watch.robots[0].matrix),
         ):
             matrix = held.information
             for each in told:
@@ -107,9 +107,9 @@ def test_a_run_of_estimates_is_judged_from_its_files(tmp_path):
 
 
 def test_plans_for_estimates_are_checked_from_files(tmp_path):
-    """By the form that follows the filter, in which estimates are worth more."""
+    """By the form that follows the filter."""
     problem = load("fig4")
-    term = replace(problem.terms[0], form="sampled")
+    term = replace(problem.terms[0], form="recourse")
     planner = replace(problem.planner, name="lattice", max_steps=4, horizon=4)
     weak = replace(problem.stations[0], threshold_dbm=-32.0)
     problem = replace(problem, objective=TermsObjective((term,)), planner=planner, stations=(weak,))
@@ -117,9 +117,6 @@ def test_plans_for_estimates_are_checked_from_files(tmp_path):
     estimates = replace(problem, targets=(target,))
     simulate(estimates, seed=1).save(tmp_path / "run")
     assert check(tmp_path / "run").reasons == ()
-    raw, more = (solve(each, seed=1).plans[0] for each in (problem, estimates))
-    np.testing.assert_array_equal(raw.positions_m, more.positions_m)
-    assert more.objective > 1.0001 * raw.objective > 0.0
 
 
 def with_receiver(receive_dbm):

@@ -32,7 +32,6 @@ def ways_of(situation, count=7):
     "terms",
     [
         (TRACKING,),
-        ({**TRACKING, "form": "information"},),
         *[({**LEARNING, "criterion": kind},) for kind in "DTAV"],
         *[(mapping(form),) for form in ("two_layer", "path", "information", "average")],
         (TRACKING, {**LEARNING, "weight": 3.0}, {**mapping("path"), "weight": 0.2}, ENERGY),

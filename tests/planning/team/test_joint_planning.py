@@ -18,7 +18,7 @@ from planopt.planning.solve import solve
 from planopt.planning.stepping import TeamMoment
 from planopt.planning.team import team_step
 
-MAPPING = {"kind": "mapping", "form": "information"}
+MAPPING = {"kind": "mapping", "form": "recourse"}
 
 
 def team(*terms, count=3, **planner):
@@ -60,8 +60,6 @@ def test_a_joint_team_tells_more_than_a_decoupled_one(seed):
     "terms",
     [
         (MAPPING,),
-        ({**TRACKING, "form": "covariance"},),
-        ({**TRACKING, "form": "sampled", "beyond_steps": 3},),
     ],
 )
 def test_rounds_never_make_the_team_worse(terms):
@@ -96,7 +94,7 @@ def _worth_together(solution):
         (MAPPING,),
         ({"kind": "mapping", "form": "two_layer", "variance_threshold_db2": 2.0},),
         ({"kind": "path_loss_learning"},),
-        ({**TRACKING, "form": "information"},),
+        ({**TRACKING, "form": "recourse"},),
     ],
 )
 def test_joint_runs_are_judged_from_their_files(terms, tmp_path: Path):

@@ -27,7 +27,7 @@ def connected(path: Any) -> Any:
 
 CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "track": (TRACKING, {"p_min": 0.8}),
-    "sampled": ({**TRACKING, "form": "sampled"}, {}),
+    "recourse": ({**TRACKING, "form": "recourse"}, {}),
     "connect": (CONNECT, {}),
     "learn": (LEARNING, {}),
     "map": ({"kind": "mapping", "form": "information"}, {}),

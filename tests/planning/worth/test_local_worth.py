@@ -38,8 +38,6 @@ def everything(path):
 
 SUMS = [
     (TRACKING,),
-    ({**TRACKING, "form": "information"},),
-    ({**TRACKING, "form": "covariance"},),
     (TRACKING, ENERGY),
     (CONNECT,),
     (own_term(everything), TRACKING),

@@ -13,7 +13,7 @@ from planopt.planning.worth.path_worth import PathWorth
 
 TERMS = {
     "tries": ({**TRACKING, "form": "recourse"},),
-    "samples": ({**TRACKING, "form": "sampled"}, ENERGY),
+    "tries and energy": ({**TRACKING, "form": "recourse"}, ENERGY),
     "measurements": (LEARNING, ENERGY),
 }
 

@@ -9,14 +9,12 @@ import pytest
 from terms_scene import (
     CONNECT,
     LEARNING,
-    TRACKING,
     situation_of,
     terms_problem,
 )
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.semidefinite import semidefinite_factor
-from planopt.objectives.tracking_filter import covariance_gain, sensing_of
 from planopt.objectives.until_connected import counted_legs_m
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.search.local_ranking import LocalRanking
@@ -88,19 +86,6 @@ def test_search_looks_at_nearly_the_same_distance() -> None:
     path = a_path(situation)
     (found,) = LocalRanking(situation, path[None])(path[None])
     assert found == pytest.approx(PathWorth(situation)(path), rel=0.03)
-
-
-def test_sampled_losses_are_those_of_drawn_channels() -> None:
-    """A packet is lost where no station receives it."""
-    situation, _ = situation_of(terms_problem({**TRACKING, "form": "sampled"}, stations=2))
-    situation = raised(situation, 5.0)
-    path, term = a_path(situation), situation.problem.terms[0]
-    settings = term.filtered(situation)
-    outcomes, counts = np.unique(drawn_connected(situation, path), axis=0, return_counts=True)
-    gain = covariance_gain(outcomes.astype(float), sensing_of(path, settings), settings)
-    mean = gain @ counts / DRAWS
-    spread = np.sqrt((gain - mean) ** 2 @ counts / DRAWS)
-    assert PathWorth(situation)(path) == pytest.approx(mean, abs=4.0 * spread / np.sqrt(512))
 
 
 @pytest.mark.parametrize(

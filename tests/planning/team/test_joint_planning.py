@@ -18,7 +18,7 @@ from planopt.planning.solve import solve
 from planopt.planning.stepping import TeamMoment
 from planopt.planning.team import team_step
 
-MAPPING = {"kind": "mapping", "form": "recourse"}
+MAPPING = {"kind": "mapping", "form": "information"}
 
 
 def team(*terms, count=3, **planner):

@@ -220,7 +220,7 @@ def parts_of(value=0.0, gradient=None, hessian=None):
 )
 def test_wrong_derivatives(base, capfd, derivatives, words, planner) -> None:
     """Whatever the solver, one error names the method, and nothing is printed."""
-    term = own_class(Term, **ONES, derivatives=derivatives, can_be_polished=True)()
+    term = own_class(Term, **ONES, derivatives=derivatives)()
     with pytest.raises(InputError, match=rf"test_own_mistakes.*{words}"):
         solve(made(base, objective=term), planner=planner, seed=0)
     assert capfd.readouterr() == ("", "")

@@ -226,7 +226,7 @@ class HorizonPlanner:
         """
         terms = self.problem.terms
         if not any(term.is_measured for term in terms) or not all(
-            term.is_measured or term.is_motion_cost for term in terms
+            term.is_measured or term.structure == "chain" for term in terms
         ):
             return None
         worth = PathWorth(situation)

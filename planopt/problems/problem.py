@@ -232,8 +232,10 @@ class Problem:
         Tries are searched only, because the connection at their ends is not smooth; drives of
         robots with dynamics are refined all the same.
         """
+        if any(type(term).derivatives is Term.derivatives for term in self.terms):
+            return False
         has_dynamics = any(robot.dynamics is not None for robot in self.robots)
-        return has_dynamics or all(term.can_be_polished for term in self.terms)
+        return has_dynamics or not any(term.tries_places for term in self.terms)
 
     @property
     def term_setting(self) -> TermSetting:

@@ -22,11 +22,6 @@ class SendingTerm(Term):
         """Steps add up."""
         return "stagewise"
 
-    @property
-    def needs_power(self):
-        """The predicted power decides."""
-        return True
-
     def value(self, at, path_m):
         """Return minus the power of all steps."""
         power = at.power(path_m)

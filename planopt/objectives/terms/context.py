@@ -271,10 +271,7 @@ class NearPath:
 
     at: StepContext  # What is known
     places_m: NDArray[np.float64]  # (N, 2) places after each step
-    # Power that connectivity rests on at every stage, and each station's; None and empty where no
-    # term needs it and nothing is asked of connectivity
-    power: StagePower | None
-    each: Sequence[StagePower]
+    predicted: Callable[[], StagePower]  # Predict the power that connectivity rests on
     # Each station's channel near the path, where places share measurements
     joint: Sequence[NearStation]
     # The same, of the anticipated channels: measurements along the path add to what they tell
@@ -284,14 +281,11 @@ class NearPath:
     ahead: NDArray[np.intp] | None
     # (N,) which places are tries for connection; None where no term tries
     tried: NDArray[np.bool_] | None
-    about_m: NDArray[np.float64]  # (N, 2) the path that it began from
 
-    @property
+    @cached_property
     def stage_power(self) -> StagePower:
-        """Power that connectivity rests on, for terms that need it."""
-        if self.power is None:
-            raise AssertionError("the term needs predictions of the stages")
-        return self.power
+        """Power that connectivity rests on at every stage."""
+        return self.predicted()
 
     @property
     def rounding_m(self) -> float:

@@ -51,16 +51,6 @@ class CasadiTerm(Term):
     kind: ClassVar[str] = "casadi"
     summary: ClassVar[str] = "A value of one's own, made large."
 
-    @property
-    def needs_power(self) -> bool:
-        """Expressions may read mean, standard deviation and connectivity."""
-        return True
-
-    @property
-    def whole_horizon(self) -> bool:
-        """The expression is for all steps."""
-        return True
-
     def check(self, setting: TermSetting) -> None:
         """The instructions are some of an expression of as many steps as are planned."""
         if setting.stations > 1:
@@ -216,11 +206,6 @@ class OwnTerm(Term):
     def expression(self, path: PathSymbols) -> Any:
         """Return the value of a path, to be made large: a scalar CasADi expression of `path`."""
         raise self._without("expression")
-
-    @property
-    def needs_power(self) -> bool:
-        """Expressions may read mean, standard deviation and connectivity."""
-        return True
 
     def check(self, setting: TermSetting) -> None:
         """Raise what keeps the expression from being planned for, as for any expression."""

@@ -43,11 +43,6 @@ class GoalTerm(Term):
         """The robot is steered to its goal."""
         return "goal"
 
-    @property
-    def may_stand(self) -> bool:
-        """A robot that stands short of its goal has failed."""
-        return False
-
     def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
         """Return the metres gained by the places of one path, summed."""
         return gained_m(at, path_m)
@@ -59,16 +54,6 @@ class GoalTerm(Term):
     def derivatives(self, path: NearPath) -> Derivatives:
         """Return minus the distance that is left at every place."""
         return gained_derivatives(path)
-
-    @property
-    def has_slope(self) -> bool:
-        """There is one."""
-        return True
-
-    @property
-    def adds_stations(self) -> bool:
-        """No station counts."""
-        return False
 
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
         """Return derivatives of :meth:`values` by the places of paths."""

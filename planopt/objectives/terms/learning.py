@@ -89,11 +89,6 @@ class LearningTerm(Term):
             for near in path.told
         )
 
-    @property
-    def has_slope(self) -> bool:
-        """Return True: all criteria have a slope."""
-        return True
-
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
         """Return 2 X Z by B and -X Z X' by S, X = S^-1 B and Z the slope by B' S^-1 B."""
         criterion = self.settings(at, station)

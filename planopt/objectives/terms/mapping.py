@@ -114,11 +114,6 @@ class MappingTerm(Term):
         return self.form != "two_layer"
 
     @property
-    def learns(self) -> bool:
-        """Return True: all forms lead to places that are not known."""
-        return True
-
-    @property
     def averages_map(self) -> bool:
         """The form ``average`` does."""
         return self.form == "average"
@@ -208,11 +203,6 @@ class MappingTerm(Term):
         if self.form == "information":
             return path_information_derivatives(channel, places, gates=gates)
         return average_reduction_derivatives(channel, near.required_grid, places, gates=gates)
-
-    @property
-    def has_slope(self) -> bool:
-        """Return True: all forms have a slope."""
-        return True
 
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
         """Return derivatives of :meth:`values` by what one station's measurements tell."""

@@ -56,11 +56,6 @@ class MotionEnergyTerm(Term):
     task: ClassVar[str | None] = None
 
     @property
-    def is_motion_cost(self) -> bool:
-        """Energy is spent by moving alone."""
-        return True
-
-    @property
     def structure(self) -> Structure:
         """A step couples its two ends."""
         return "chain"
@@ -81,11 +76,6 @@ class MotionEnergyTerm(Term):
         return PathDerivatives(
             scale * length.value, scale * length.gradient, scale * length.hessian
         )
-
-    @property
-    def has_slope(self) -> bool:
-        """Lengths have one."""
-        return True
 
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
         """Return derivatives by the lengths of the steps."""

@@ -97,26 +97,11 @@ class Term:
         return "full"
 
     @property
-    def bends_starts(self) -> bool:
-        """Return whether paths in all directions are tried besides those of the lattice search.
-
-        Only of terms that couple all places of a path.
-        """
-        return True
-
-    @property
     def tries_places(self) -> bool:
-        """Return whether the value takes the end of a path for a place that is tried."""
-        return False
+        """Return whether the end of a path is a place that is tried: :meth:`tried_values` is there.
 
-    @property
-    def can_be_polished(self) -> bool:
-        """Return whether a solver improves paths by the derivatives of the value."""
-        return True
-
-    @property
-    def needs_power(self) -> bool:
-        """Return whether the value rests on the predicted power at the end of each step."""
+        Such values are not smooth where paths end.
+        """
         return False
 
     @property
@@ -125,64 +110,19 @@ class Term:
         return False
 
     @property
-    def learns(self) -> bool:
-        """Return whether a robot is to go to places that are not known yet."""
-        return self.is_measured
-
-    @property
-    def is_motion_cost(self) -> bool:
-        """Return whether moving only lessens the value: a robot without other tasks stands."""
-        return False
-
-    @property
-    def counts_others(self) -> bool:
-        """Return whether what the other robots of a team plan changes the value."""
-        return self.learns
-
-    @property
-    def shares_places(self) -> bool:
-        """Return whether the value of one place is less for another place beside it."""
-        return self.is_measured
-
-    @property
     def averages_map(self) -> bool:
         """Return whether the value is an average over the workspace."""
         return False
 
     @property
     def variance_threshold(self) -> float | None:
-        """Variance in dB^2 up to which a place counts as known; None without such a threshold."""
+        """Stopping condition: variance in dB^2 up to which a place is known; None without one."""
         return None
 
     @property
     def sensor(self) -> Sensor | None:
         """The sensor that the target is tracked by; None for terms without target."""
         return None
-
-    @property
-    def ends_connected(self) -> bool:
-        """Return whether a run for this term is over once all robots are connected."""
-        return False
-
-    @property
-    def pays_standing(self) -> bool:
-        """Return whether the value of standing changes from step to step while packets arrive."""
-        return False
-
-    @property
-    def may_stand(self) -> bool:
-        """Return whether a robot that stands, by verified plans, may be doing its best."""
-        return self.task == "custom"
-
-    @property
-    def tries_connection(self) -> bool:
-        """Return whether the value depends on where connection was tried before."""
-        return False
-
-    @property
-    def whole_horizon(self) -> bool:
-        """Return whether only paths of all steps have a value."""
-        return False
 
     @property
     def steers(self) -> Steers | None:
@@ -227,22 +167,12 @@ class Term:
         """Return the value of one path with its derivatives, as a solver asks for it."""
         raise self._without("derivatives")
 
-    @property
-    def has_slope(self) -> bool:
-        """Return whether :meth:`slope` is there: searches climb if it is there for all terms."""
-        return False
-
     def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
         """Return derivatives of :meth:`values` by what one station's measurements tell.
 
         Terms that are no sum over stations count only the first.
         """
         raise self._without("slope")
-
-    @property
-    def adds_stations(self) -> bool:
-        """Return whether the value is a sum over the stations."""
-        return self.is_measured
 
     def node_reward(self, at: StepContext, nodes: Nodes) -> NDArray[np.float64] | None:
         """Return what ending a step at each node is worth by itself, (ny, nx), at any stage.

@@ -126,34 +126,9 @@ class TrackingTerm(Term):
         return "full" if self.tries_places else "stagewise"
 
     @property
-    def needs_power(self) -> bool:
-        """A packet arrives with the probability of connection."""
-        return True
-
-    @property
-    def bends_starts(self) -> bool:
-        """Tries have paths of their own."""
-        return not self.tries_places
-
-    @property
     def tries_places(self) -> bool:
         """Return whether the end of a path is a try."""
         return self.form == "recourse"
-
-    @property
-    def can_be_polished(self) -> bool:
-        """A try succeeds or fails where it ends: there is nothing to climb."""
-        return not self.tries_places
-
-    @property
-    def counts_others(self) -> bool:
-        """Return whether a packet tells the filter less beside another one."""
-        return self.tries_places
-
-    @property
-    def pays_standing(self) -> bool:
-        """The target moves on, and packets tell of it from where the robot is."""
-        return True
 
     @property
     def sensor(self) -> Sensor:

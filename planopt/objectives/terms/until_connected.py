@@ -44,26 +44,6 @@ class UntilConnectedTerm(Term):
     task: ClassVar[str | None] = "connect"
 
     @property
-    def shares_places(self) -> bool:
-        """A try at one place tells of the next."""
-        return True
-
-    @property
-    def bends_starts(self) -> bool:
-        """The path that the robot is steered along is a better start than any fan."""
-        return False
-
-    @property
-    def ends_connected(self) -> bool:
-        """The search is over then."""
-        return True
-
-    @property
-    def tries_connection(self) -> bool:
-        """Places that were tried are not tried again."""
-        return True
-
-    @property
     def steers(self) -> Steers | None:
         """The robot is steered to a place to try."""
         return "connection"

@@ -24,6 +24,7 @@ from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.to_unmeasured import way_to_unmeasured
 from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.worth.left_to_learn import learns
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 
@@ -50,9 +51,12 @@ class OneStepPlanner:
 
     def __init__(self, problem: Problem, ground: Ground, score: Score = as_ranked) -> None:
         self._problem, self._ground, self._score = problem, ground, score
-        self._measures = any(term.learns for term in problem.terms)
-        # An expression of one's own is for a whole path: it is valued as if the robot then stood.
-        self._whole = any(term.whole_horizon for term in problem.terms)
+        self._measures = learns(problem)
+        # An expression is for a whole path: it is valued as if the robot then stood.
+        self._whole = any(
+            term.structure == "full" and not (term.is_measured or term.steers or term.tries_places)
+            for term in problem.terms
+        )
         radius = (problem.step_length_m - STEP_PAD_M) * np.arange(1, RINGS + 1) / RINGS
         angle = 2.0 * math.pi * np.arange(HEADINGS) / HEADINGS
         circle = np.column_stack([np.cos(angle), np.sin(angle)])

@@ -166,8 +166,8 @@ def terms_ending(
     """
     # Shapes: connected (steps, robots).
     steps, asked = len(connected), problem.terms[0]
-    waiting = [robot.problem.terms[0].ends_connected for robot in robots]
-    if asked.ends_connected and bool(connected[-1, waiting].all()):
+    waiting = [robot.problem.terms[0].steers == "connection" for robot in robots]
+    if asked.steers == "connection" and bool(connected[-1, waiting].all()):
         return Outcome.COMPLETED, f"connected after step {steps}"
     led = [r for r in robots if any(term.steers == "goal" for term in r.problem.terms)]
     if led and all(_has_arrived(robot) for robot in led):
@@ -192,7 +192,7 @@ def terms_ending(
         return None
     if led:
         return Outcome.STEP_LIMIT, f"not arrived after planner.max_steps {steps}"
-    if asked.ends_connected:
+    if asked.steers == "connection":
         return Outcome.STEP_LIMIT, f"not connected after planner.max_steps {steps}"
     return Outcome.COMPLETED, f"all {steps} steps driven"
 
@@ -210,15 +210,15 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
     packets arrive. For other terms standing still may be the best, if plans are verified.
     """
     recent, asked = slice(-STALL_STEPS, None), robot.problem.terms[0]
-    if asked.pays_standing and connected[recent].any():
+    if asked.sensor is not None and connected[recent].any():
         return None
-    if asked.may_stand and not learns(robot.problem):
+    if asked.task == "custom" and asked.steers is None and not learns(robot.problem):
         verdicts = [plan.verdict for plan in robot.plans[recent]]
         if any(verdict is Verdict.VERIFIED for verdict in verdicts):
             return None
     beside = problem.constraints.separation_m > 0.0 or counts_others(problem)
     apart = len(problem.robots) > 1 and beside
-    alone = not apart and not asked.pays_standing and problem.planner.name != "random"
+    alone = not apart and asked.sensor is None and problem.planner.name != "random"
     return standstill(robot.problem, robot.states, robot.learnt, robot.plans[-1], alone=alone)
 
 

@@ -23,6 +23,7 @@ from planopt.objectives.local_channel import (
     local_grid,
 )
 from planopt.objectives.terms.context import Paths
+from planopt.objectives.terms.term import Term
 from planopt.objectives.told_batch import Pull, ToldBatch, WayBatch, slopes_of
 from planopt.parts import calling, returned
 from planopt.planning.worth.left_to_learn import region_along
@@ -52,7 +53,7 @@ MISSING_DB_SHARE = 10.0
 
 def can_climb(problem: Problem) -> bool:
     """Return whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
-    return all(term.has_slope for term in problem.terms)
+    return all(type(term).slope is not Term.slope for term in problem.terms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ class LocalRanking:
         for number, (told, station) in enumerate(zip(ways.told, at.anticipated, strict=True)):
             batch, pull = told.batch, Pull()
             for term in at.problem.terms:
-                if number and not term.adds_stations:
+                if number and not term.is_measured:
                     continue  # it was counted with the first
                 with calling(term, "slope", key="objective.terms"):
                     pull = pull.plus(term.slope(at, told, station), term.weight)

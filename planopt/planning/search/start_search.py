@@ -37,7 +37,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.worth.path_worth import PathWorth, rule_missing
 from planopt.planning.worth.rules.planned import Guide, planned_rule
-from planopt.planning.worth.situation import Situation, bends_starts
+from planopt.planning.worth.situation import Situation, bends_starts, shares_places
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.lattice import MOVES
@@ -137,7 +137,7 @@ def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.
     for term in problem.terms:
         with calling(term, "move_reward", key="objective.terms"):
             value += term.weight * term.move_reward(lengths_m, problem.planner.step_s)
-    if any(term.shares_places for term in problem.terms):
+    if shares_places(problem):
         value[lengths_m == 0.0] = -np.inf
     return value
 

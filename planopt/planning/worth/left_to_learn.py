@@ -21,6 +21,7 @@ from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import MeasuringRule
+from planopt.objectives.terms.term import Term
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.problems.problem import Problem
@@ -103,9 +104,14 @@ FINER = 4
 """If all nodes are measured, places between them are looked at, so many to a spacing."""
 
 
+def explores(term: Term) -> bool:
+    """Return whether a term leads a robot to unmeasured places."""
+    return term.is_measured or term.steers == "variance"
+
+
 def learns(problem: Problem) -> bool:
-    """Return whether a problem's robots are to measure: a term is worth what is not known yet."""
-    return any(term.learns for term in problem.terms)
+    """Return whether a term of the problem leads its robots to unmeasured places."""
+    return any(explores(term) for term in problem.terms)
 
 
 def left_to_learn(
@@ -184,6 +190,6 @@ def _beside(
 
 def _threshold_db2(problem: Problem) -> float | None:
     """The least variance that counts, if every term that measures has such a threshold."""
-    limits = [term.variance_threshold for term in problem.terms if term.learns]
+    limits = [term.variance_threshold for term in problem.terms if explores(term)]
     known = [limit for limit in limits if limit is not None]
     return min(known) if known and len(known) == len(limits) else None

@@ -7,6 +7,7 @@ returns is valued again by :mod:`planopt.planning.worth.path_worth` and judged b
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import cast
 
 import numpy as np
@@ -30,21 +31,15 @@ from planopt.planning.programme.margin_source import (
 from planopt.planning.worth.left_to_learn import region_along
 from planopt.planning.worth.rules.planned import RuleRows, has_step_rows, rule_rows
 from planopt.planning.worth.serving_stages import (
-    serving_of,
-    stage_powers,
+    ServingStages,
+    StagePredictor,
     stage_predictor,
 )
-from planopt.planning.worth.situation import Situation, structure_of
-from planopt.problems.problem import Problem
+from planopt.planning.worth.situation import Situation, shares_places, structure_of
 from planopt.targets.rounding import Derivatives
 
 JOINT_NEIGHBOURS = 128
 """Measurements shared by the places of a path in terms that couple them."""
-
-
-def needs_stages(problem: Problem) -> bool:
-    """Return whether a term, or the bound on connectivity, needs predictions of stages."""
-    return problem.constraints.asks_connection or any(term.needs_power for term in problem.terms)
 
 
 def local_worth(
@@ -53,13 +48,12 @@ def local_worth(
     """Worth about a start path (N, 2), and what a solver must bound by `rows`."""
     problem, posterior = situation.problem, situation.posterior
     structure = structure_of(problem)
-    predict_stages = (
-        stage_predictor(
-            posterior, situation.circumstances.broad, path_m, problem.planner.neighbours
-        )
-        if needs_stages(problem)
-        else None
-    )
+
+    @cache
+    def predictor() -> StagePredictor | ServingStages:
+        broad = situation.circumstances.broad
+        return stage_predictor(posterior, broad, path_m, problem.planner.neighbours)
+
     joint = _joint_channels(situation, situation.stations, path_m)
     told = joint
     if situation.anticipated != situation.stations:
@@ -71,22 +65,23 @@ def local_worth(
     steering = situation.steering
     ahead = None if steering is None else steering.next_turns(path_m)
     tried = None
-    if any(term.tries_connection for term in problem.terms):
+    if any(term.steers == "connection" for term in problem.terms):
         tried = situation.tries.takes(path_m)
     rows = rows if rows is not None else rule_rows(situation, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)
 
     def evaluate(places_m: NDArray[np.float64]) -> Evaluation:
-        each = () if predict_stages is None else stage_powers(predict_stages, places_m)
-        power = None if predict_stages is None else serving_of(predict_stages, each)
-        margins, total = None, None
-        if bounded and power is not None:
-            margins = margins_of(*power, rows.threshold_dbm, z)
-        if rows.weight is not None and power is not None:
-            total = _total(connectivity_derivatives(*power, rows.threshold_dbm), rows.weight)
         gates = None if rule is None else rule.gates(places_m[None])
-        near = NearPath(situation, places_m, power, each, joint, told, gates, ahead, tried, path_m)
+        near = NearPath(
+            situation, places_m, lambda: predictor()(places_m), joint, told, gates, ahead, tried
+        )
+        margins, total = None, None
+        if bounded:
+            margins = margins_of(*near.stage_power, rows.threshold_dbm, z)
+        if rows.weight is not None:
+            chance = connectivity_derivatives(*near.stage_power, rows.threshold_dbm)
+            total = _total(chance, rows.weight)
         parts = [_weighted(term.weight, _derivatives(term, near)) for term in problem.terms]
         return Evaluation(_sum(parts, len(places_m), structure), margins, total)
 
@@ -111,7 +106,7 @@ def _joint_channels(
 ) -> list[NearStation]:
     """Return the channel of each station, where a term couples the places; else none."""
     problem = situation.problem
-    if not any(term.shares_places for term in problem.terms):
+    if not shares_places(problem):
         return []
     region = None
     if any(term.averages_map for term in problem.terms):

@@ -117,17 +117,10 @@ class ServingStages:
         about = [Prediction(mean.value, deviation.value) for mean, deviation in powers]
         self._scale_db = serving.law(about).deviation_db
 
-    def each(self, positions_m: NDArray[np.float64]) -> list[StagePower]:
-        """Mean and deviation of each station's power of stage k at ``positions_m[k]``, (N, 2)."""
-        return [predict(positions_m) for predict in self._stations]
-
-    def law(self, powers: Sequence[StagePower]) -> StagePower:
-        """Mean and deviation of the serving power, from those of each station's."""
-        return serving_derivatives(powers, self._thresholds_dbm, self._scale_db)
-
     def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
-        """Mean and deviation of the serving power."""
-        return self.law(self.each(positions_m))
+        """Mean and deviation of the serving power of stage k at ``positions_m[k]``, (N, 2)."""
+        powers = [predict(positions_m) for predict in self._stations]
+        return serving_derivatives(powers, self._thresholds_dbm, self._scale_db)
 
 
 def serving_derivatives(
@@ -181,17 +174,3 @@ def stage_predictor(
     if isinstance(broad, Serving):
         return ServingStages(broad, path_m, neighbours)
     return StagePredictor(neighbour_model(posterior, path_m, neighbours))
-
-
-def stage_powers(
-    predict: StagePredictor | ServingStages, positions_m: NDArray[np.float64]
-) -> list[StagePower]:
-    """Mean and deviation of each station's power of stage k at ``positions_m[k]``, (N, 2)."""
-    return (
-        predict.each(positions_m) if isinstance(predict, ServingStages) else [predict(positions_m)]
-    )
-
-
-def serving_of(predict: StagePredictor | ServingStages, powers: Sequence[StagePower]) -> StagePower:
-    """Return the power that connectivity rests on, from :func:`stage_powers`."""
-    return predict.law(powers) if isinstance(predict, ServingStages) else powers[0]

@@ -33,7 +33,7 @@ from planopt.objectives.terms.term import Structure
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import Serving, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.worth.left_to_learn import region_near
+from planopt.planning.worth.left_to_learn import explores, region_near
 from planopt.planning.worth.steering_way import SteeringWay
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
@@ -98,8 +98,13 @@ def places_of_others(driven_m: Sequence[NDArray[np.float64]], number: int) -> ND
 def counts_others(problem: Problem) -> bool:
     """Return whether robots are told what others of the team measure, and a term counts it."""
     return problem.planner.coordination == "joint" and any(
-        term.counts_others for term in problem.terms
+        explores(term) or term.tries_places for term in problem.terms
     )
+
+
+def shares_places(problem: Problem) -> bool:
+    """Return whether a measurement or try at one place changes the value of places near it."""
+    return any(term.is_measured or term.steers == "connection" for term in problem.terms)
 
 
 def structure_of(problem: Problem) -> Structure:
@@ -114,14 +119,13 @@ def structure_of(problem: Problem) -> Structure:
 
 
 def bends_starts(problem: Problem, *, steered: bool = True) -> bool:
-    """Return whether a term couples the places of a path and no lattice search stands in.
+    """Return whether paths in all directions are tried besides those of the lattice.
 
-    Then paths in all directions are tried besides those of the lattice, and more are followed. A
-    term that steers the robot may do without them, but not where it is steered nowhere.
+    That is so for terms that couple the places of a path, unless they have paths of their own: to
+    places tried, or along the path that the robot is `steered` along.
     """
     return any(
-        term.structure == "full"
-        and (term.bends_starts or (not steered and term.steers is not None))
+        term.structure == "full" and not term.tries_places and not (steered and term.steers)
         for term in problem.terms
     )
 

@@ -256,7 +256,7 @@ def test_a_run_that_goes_on_is_rejected(tmp_path, monkeypatch) -> None:
         return (Outcome.COMPLETED, "connected after step 4") if len(connected) == 4 else None
 
     with monkeypatch.context() as longer:
-        longer.setattr("planopt.planning.loop.closed_loop.run_ending", late)
+        longer.setattr("planopt.planning.loop.drive.run_ending", late)
         run = simulate(with_threshold(-45.0, max_steps=4), seed=1)
     save_run(run, tmp_path)
     reasons = check(tmp_path).reasons

@@ -11,26 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from planopt.commands.log_fit import (
-    CensoredOption,
-    ColumnsOption,
-    FloorOption,
-    ForgettingOption,
-    LogArgument,
-    LogFit,
-    LogOptions,
-    LossOption,
-    MethodOption,
-    OriginOption,
-    PositionErrorOption,
-    ReceiverOption,
-    ResolutionOption,
-    StationMethodOption,
-    StationOption,
-    TimeOption,
-    WhereOption,
-    read_and_fit,
-)
+from planopt.commands.log_fit import LogFit, LogOptions, log_command, read_and_fit
 from planopt.commands.options import JsonOption, OutOption
 from planopt.commands.output import drawing, progress, results_folder, show, shown_number
 from planopt.errors import InputError
@@ -40,7 +21,6 @@ if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit
     from planopt.channel.validation.held_out import GroupedRatio
     from planopt.channel.validation.held_out_report import HeldOutReport, HeldOutScore
-    from planopt.commands.log_fit import LogFit
 
 HoldOutOption = Annotated[
     str | None,
@@ -228,22 +208,9 @@ UNITS = {
 }
 
 
+@log_command
 def fit(
-    log: LogArgument,
-    station: StationOption,
-    method: MethodOption = "reml",
-    station_method: StationMethodOption = None,
-    columns: ColumnsOption = None,
-    censored: CensoredOption = None,
-    floor: FloorOption = None,
-    resolution: ResolutionOption = 0.0,
-    position_error: PositionErrorOption = 0.0,
-    time: TimeOption = None,
-    forgetting: ForgettingOption = None,
-    receiver: ReceiverOption = None,
-    where: WhereOption = None,
-    origin: OriginOption = None,
-    loss: LossOption = "squares",
+    options: LogOptions,
     hold_out: HoldOutOption = None,
     threshold: ThresholdOption = None,
     out: OutOption = None,
@@ -251,26 +218,14 @@ def fit(
 ) -> int:
     """Fit path loss, shadowing and multipath."""
     require_hold_out(threshold, hold_out)
-    options = LogOptions(
-        columns,
-        censored,
-        floor,
-        resolution,
-        position_error,
-        time,
-        forgetting,
-        receiver,
-        where,
-        origin,
-    )
     with results_folder(out) as folder:
         with progress("fitting"):
-            fitted = read_and_fit(log, station, method, options, loss, station_method)
+            fitted = read_and_fit(options)
         data = fit_json(fitted)
         report = None
         if hold_out is not None:
             with progress("predicting what is held out"):
-                report = held_out(log, fitted, hold_out, threshold)
+                report = held_out(options.log, fitted, hold_out, threshold)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
             from planopt.files.result_folder import replaced_results
@@ -288,7 +243,7 @@ def fit(
                 picture_fit(fitted.measurements, fitted.found, new)
                 if report is not None:
                     picture_held_out(report, new)
-    return 0
+    return fitted.exit_code
 
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
@@ -333,7 +288,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
             }
             for offset in found.receiver_offsets
         ],
-        "warnings": list(found.warnings),
+        "warnings": list(fitted.warnings),
     }
 
 
@@ -352,7 +307,7 @@ def _in_words(data: dict[str, Any]) -> str:
     lines = [
         f"{data['method']}: {data['status']}, {data['measurements']} measurements, "
         f"{data['censored']} of them upper limits, station ({x:g}, {y:g})"
-        f"{_errors_in_words(data['station_standard_errors_m'])}"
+        f"{_errors_in_words(data['station_standard_errors_m'])} m"
     ]
     for name, unit in UNITS.items():
         error = shown_number(data["standard_errors"][name], digits=2)
@@ -374,4 +329,4 @@ def _errors_in_words(errors_m: list[float | None] | None) -> str:
     if errors_m is None:
         return ""
     x, y = (shown_number(error, digits=2) for error in errors_m)
-    return f" +- ({x}, {y}) m"
+    return f" +- ({x}, {y})"

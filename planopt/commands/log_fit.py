@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Concatenate, ParamSpec, cast, get_type_hints
 
 import typer
 
@@ -19,115 +21,125 @@ if TYPE_CHECKING:
     from planopt.channel.parameters import ChannelParameters
     from planopt.channel.station.station_position import StationMethod
 
-LogArgument = Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
-StationOption = Annotated[
-    str,
-    typer.Option(
-        "--station", metavar="X,Y[,HEIGHT]|unknown", help="Position of the base station, in metres."
-    ),
-]
-StationMethodOption = Annotated[
-    str | None,
-    typer.Option(
-        "--station-method",
-        metavar="NAME",
-        help="How an unknown station is found: joint (likelihood) or line (least squares).",
-    ),
-]
-MethodOption = Annotated[
-    str,
-    typer.Option(
-        "--method", metavar="NAME", help="Estimator: lemma1, capped, convex, nls or reml."
-    ),
-]
-LossOption = Annotated[
-    str,
-    typer.Option(
-        "--loss", metavar="NAME", help="Loss of the method convex: squares, huber or absolute."
-    ),
-]
-ColumnsOption = Annotated[
-    str | None,
-    typer.Option("--columns", metavar="x=NAME,y=NAME,power=NAME", help="Names of columns."),
-]
-CensoredOption = Annotated[
-    str | None,
-    typer.Option(
-        "--censored", metavar="COLUMN", help="Column that is 1 where the power is an upper limit."
-    ),
-]
-FloorOption = Annotated[
-    float | None,
-    typer.Option(
-        "--floor", metavar="DBM", help="Receiver sensitivity: powers at or below are upper limits."
-    ),
-]
-ResolutionOption = Annotated[
-    float, typer.Option("--resolution", metavar="DB", help="Powers are rounded to this step.")
-]
-PositionErrorOption = Annotated[
-    float,
-    typer.Option(
-        "--position-error", metavar="M", help="Standard deviation of either coordinate (GPS)."
-    ),
-]
-TimeOption = Annotated[
-    str | None,
-    typer.Option("--time", metavar="COLUMN", help="Column of measurement times, in seconds."),
-]
-ForgettingOption = Annotated[
-    float | None,
-    typer.Option(
-        "--forgetting", metavar="S", help="Shadowing changes over this time; needs --time."
-    ),
-]
-ReceiverOption = Annotated[
-    str | None,
-    typer.Option(
-        "--receiver",
-        metavar="COLUMN",
-        help="Column of receivers: each has an offset to the first in the log.",
-    ),
-]
+Own = ParamSpec("Own")
 
-WhereOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--where",
-        metavar="COLUMN=VALUE",
-        help="Only rows with this value, such as those of one transmitter; may be repeated.",
-    ),
-]
-
-OriginOption = Annotated[
-    str | None,
-    typer.Option(
-        "--origin",
-        metavar="LAT,LON",
-        help="x and y of the log are longitude and latitude; here is (0, 0), in degrees.",
-    ),
-]
+DEGENERATE = 3
+"""Exit code if the log does not determine the channel."""
 
 
-@dataclass(frozen=True)
+def _option(name: str, metavar: str, text: str) -> Any:
+    return typer.Option(name, metavar=metavar, help=text)
+
+
+@dataclass(frozen=True, kw_only=True)
 class LogOptions:
-    """The options of a log as they were given; see those."""
+    """The options of every command on a power log, as given."""
 
-    columns: str | None
-    censored: str | None
-    floor: float | None
-    resolution: float
-    position_error: float
-    time: str | None
-    forgetting: float | None
-    receiver: str | None
-    where: list[str] | None
-    origin: str | None
+    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
+    station: Annotated[
+        str,
+        _option(
+            "--station",
+            "X,Y[,HEIGHT]|unknown",
+            "Position of the base station in metres; with --origin LAT,LON[,HEIGHT].",
+        ),
+    ]
+    method: Annotated[
+        str, _option("--method", "NAME", "Estimator: lemma1, capped, convex, nls or reml.")
+    ] = "reml"
+    station_method: Annotated[
+        str | None,
+        _option(
+            "--station-method",
+            "NAME",
+            "How an unknown station is found: joint (likelihood) or line (least squares).",
+        ),
+    ] = None
+    columns: Annotated[
+        str | None, _option("--columns", "x=NAME,y=NAME,power=NAME", "Names of columns.")
+    ] = None
+    censored: Annotated[
+        str | None,
+        _option("--censored", "COLUMN", "Column that is 1 where the power is an upper limit."),
+    ] = None
+    floor: Annotated[
+        float | None,
+        _option("--floor", "DBM", "Receiver sensitivity: powers at or below are upper limits."),
+    ] = None
+    resolution: Annotated[
+        float, _option("--resolution", "DB", "Powers are rounded to this step.")
+    ] = 0.0
+    position_error: Annotated[
+        float, _option("--position-error", "M", "Standard deviation of either coordinate (GPS).")
+    ] = 0.0
+    time: Annotated[
+        str | None, _option("--time", "COLUMN", "Column of measurement times, in seconds.")
+    ] = None
+    forgetting: Annotated[
+        float | None,
+        _option("--forgetting", "S", "Shadowing changes over this time; needs --time."),
+    ] = None
+    receiver: Annotated[
+        str | None,
+        _option(
+            "--receiver", "COLUMN", "Column of receivers: each has an offset to the first one."
+        ),
+    ] = None
+    where: Annotated[
+        list[str] | None,
+        _option(
+            "--where",
+            "COLUMN=VALUE",
+            "Only rows with this value, such as those of one transmitter; may be repeated.",
+        ),
+    ] = None
+    origin: Annotated[
+        str | None,
+        _option(
+            "--origin",
+            "LAT,LON",
+            "x and y of the log are longitude and latitude; (0, 0) is here, in degrees.",
+        ),
+    ] = None
+    loss: Annotated[
+        str, _option("--loss", "NAME", "Loss of the method convex: squares, huber or absolute.")
+    ] = "squares"
+
+
+def log_command(command: Callable[Concatenate[LogOptions, Own], int]) -> Callable[..., int]:
+    """Return a command that takes the options of a log before its own."""
+    names = [field.name for field in dataclasses.fields(LogOptions)]
+
+    def run(**values: Any) -> int:
+        options = LogOptions(**{name: values.pop(name) for name in names})
+        return cast("Callable[..., int]", command)(options, **values)
+
+    hints = get_type_hints(LogOptions, include_extras=True)
+    shared = [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty
+            if field.default is dataclasses.MISSING
+            else field.default,
+            annotation=hints[field.name],
+        )
+        for field in dataclasses.fields(LogOptions)
+    ]
+    hints = get_type_hints(command, include_extras=True)
+    own = [
+        each.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[each.name])
+        for each in list(inspect.signature(command).parameters.values())[1:]
+    ]
+    run.__doc__ = command.__doc__
+    run.__annotations__ = {each.name: each.annotation for each in (*shared, *own)}
+    vars(run)["__signature__"] = inspect.Signature([*shared, *own])
+    return run
 
 
 @dataclass(frozen=True)
 class LogFit:
-    """A log and what it tells."""
+    """A log and the channel fitted to it."""
 
     measurements: Measurements  # All of the log
     found: ChannelFit  # Their fit
@@ -135,60 +147,63 @@ class LogFit:
     # Estimates the parameters from any measurements as from these
     learn: Callable[[Measurements], ChannelParameters]
     log_format: LogFormat  # How the log was read
+    warnings: tuple[str, ...]  # Of the fit, and of values that are implausible
+
+    @property
+    def exit_code(self) -> int:
+        """Return 0, or `DEGENERATE` if the log does not determine the channel."""
+        return DEGENERATE if self.found.status == "degenerate" else 0
 
 
-def read_and_fit(
-    log: Path,
-    station: str,
-    method: str,
-    options: LogOptions,
-    loss: str = "squares",
-    station_method: str | None = None,
-) -> LogFit:
-    """Read the log and fit it, everything as it was given on the command line."""
+def read_and_fit(options: LogOptions) -> LogFit:
+    """Read a log and fit the channel."""
     from planopt.channel.estimation.channel_fit import require_loss, require_method
     from planopt.channel.estimation.fit import fit_channel, fitted_parameters
     from planopt.channel.logs.log_file import at_file_line, parse_station, read_power_log
     from planopt.channel.station.station_search import fit_channel_and_station
+    from planopt.problems.plausibility import log_warnings
 
-    chosen = require_method(method, "--method")
-    require_loss(loss, chosen, "--loss")
-    rho = cast("Loss", loss)
-    site = parse_station(station)
-    way = _station_method(station_method, station_is_given=site is not None)
-    forgetting_s = _forgetting_s(options)
+    chosen = require_method(options.method, "--method")
+    require_loss(options.loss, chosen, "--loss")
+    loss = cast("Loss", options.loss)
     log_format = _log_format(options)
-    read = read_power_log(log, log_format)
+    site = parse_station(options.station, log_format.origin_deg)
+    search = _station_method(options.station_method, station_is_given=site is not None)
+    forgetting_s = _forgetting_s(options)
+    read = read_power_log(options.log, log_format)
 
     def find(measurements: Measurements, intervals: bool) -> ChannelFit:
         return fit_channel_and_station(
             measurements,
             chosen,
             forgetting_s=forgetting_s,
-            station_method=way,
-            loss=rho,
+            station_method=search,
+            loss=loss,
             intervals=intervals,
         )
 
     def fit(measurements: Measurements) -> ChannelFit:
         if site is None:
             return find(measurements, intervals=True)
-        return fit_channel(measurements, site, chosen, forgetting_s, loss=rho)
+        return fit_channel(measurements, site, chosen, forgetting_s, loss=loss)
 
     def learn(measurements: Measurements) -> ChannelParameters:
         if site is None:
             return find(measurements, intervals=False).parameters
-        return fitted_parameters(measurements, site, chosen, forgetting_s, loss=rho)
+        return fitted_parameters(measurements, site, chosen, forgetting_s, loss=loss)
 
     try:
         found = fit(read.measurements)
     except InputError as error:
-        raise at_file_line(error, log, log_format) from None
-    return LogFit(read.measurements, found, read.receivers, learn, log_format)
+        raise at_file_line(error, options.log, log_format) from None
+    warnings = (*log_warnings(read.measurements, log_format), *found.warnings)
+    return LogFit(read.measurements, found, read.receivers, learn, log_format, warnings)
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
     """Return the method by which the station is found."""
+    from typing import get_args
+
     from planopt.channel.station.station_position import StationMethod
 
     names = get_args(StationMethod)
@@ -196,7 +211,7 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
         return "joint"
     if name not in names:
         raise InputError(
-            f"{name!r} is no way to find a station",
+            f"{name!r} is no method to find a station",
             key="--station-method",
             remedy=f"use {', '.join(names)}",
         )
@@ -210,7 +225,7 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
 
 
 def _log_format(options: LogOptions) -> LogFormat:
-    """Return how the log is to be read."""
+    """Return the format of the log."""
     from planopt.channel.logs.log_format import (
         DEFAULT_COLUMNS,
         LogFormat,
@@ -241,7 +256,7 @@ def _log_format(options: LogOptions) -> LogFormat:
 
 
 def _forgetting_s(options: LogOptions) -> float:
-    """The forgetting time; infinite where none is given."""
+    """Return the forgetting time; infinite if none is given."""
     if options.forgetting is None:
         return math.inf
     if not options.forgetting > 0.0:

@@ -11,25 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from planopt.commands.fit import fit_json
-from planopt.commands.log_fit import (
-    CensoredOption,
-    ColumnsOption,
-    FloorOption,
-    ForgettingOption,
-    LogArgument,
-    LogOptions,
-    LossOption,
-    MethodOption,
-    OriginOption,
-    PositionErrorOption,
-    ReceiverOption,
-    ResolutionOption,
-    StationMethodOption,
-    StationOption,
-    TimeOption,
-    WhereOption,
-    read_and_fit,
-)
+from planopt.commands.log_fit import LogOptions, log_command, read_and_fit
 from planopt.commands.options import JsonOption
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
@@ -43,9 +25,9 @@ UNITS = {"mean_db": "dBm", "deviation_db": "dB", "connectivity": "1"}
 """The variables of a map."""
 
 
+@log_command
 def map_log(
-    log: LogArgument,
-    station: StationOption,
+    options: LogOptions,
     out: Annotated[
         Path, typer.Option("--out", metavar="FILE", help="Ends in .csv, .npz, .nc or .tif.")
     ],
@@ -69,19 +51,6 @@ def map_log(
             help="Connected from here on; default: --floor, or the least power of the log.",
         ),
     ] = None,
-    method: MethodOption = "reml",
-    station_method: StationMethodOption = None,
-    columns: ColumnsOption = None,
-    censored: CensoredOption = None,
-    floor: FloorOption = None,
-    resolution: ResolutionOption = 0.0,
-    position_error: PositionErrorOption = 0.0,
-    time: TimeOption = None,
-    forgetting: ForgettingOption = None,
-    receiver: ReceiverOption = None,
-    where: WhereOption = None,
-    origin: OriginOption = None,
-    loss: LossOption = "squares",
     picture: Annotated[
         Path | None,
         typer.Option("--picture", metavar="FILE", help="Draw it too; .png, .svg or .pdf."),
@@ -97,42 +66,30 @@ def map_log(
     from planopt.channel.posterior import condition
     from planopt.world.raster_files import check_raster_output, write_rasters
 
-    options = LogOptions(
-        columns,
-        censored,
-        floor,
-        resolution,
-        position_error,
-        time,
-        forgetting,
-        receiver,
-        where,
-        origin,
-    )
     check_raster_output(out)
     box = None if bounds is None else parse_bounds(bounds)
     with _writable(out, picture):
         with progress("mapping"), one_blas_thread():
-            fitted = read_and_fit(log, station, method, options, loss, station_method)
+            fitted = read_and_fit(options)
             measurements, found = fitted.measurements, fitted.found
             box = measured_bounds_m(measurements) if box is None else box
             maps = posterior_map(
                 condition(found.parameters, measurements),
                 box,
                 default_cell_m(box) if cell is None else cell,
-                _threshold_dbm(threshold, floor, measurements),
+                _threshold_dbm(threshold, options.floor, measurements),
             )
         with _together(out, picture) as (new_out, new_picture):
             write_rasters(new_out, {name: getattr(maps, name) for name in UNITS}, UNITS)
             if new_picture is not None:
                 from planopt.commands.pictures import picture_map
 
-                title = f"{log.name}: what {len(measurements)} measurements tell ({method} fit)"
+                title = f"{options.log.name}: {len(measurements)} measurements, {found.method} fit"
                 with progress("drawing"):
                     picture_map(maps, measurements, found, title, new_picture)
     data = {**map_json(maps, out, picture), "fit": fit_json(fitted)}
     show(json, data, _in_words(data))
-    return 0
+    return fitted.exit_code
 
 
 def parse_bounds(text: str) -> Bounds:

@@ -9,7 +9,7 @@ import typer
 
 from planopt.commands.options import JsonOption, ProblemArgument
 from planopt.commands.output import progress, show
-from planopt.errors import InputError, OutputError
+from planopt.errors import InputError, NoPlanError, OutputError
 
 if TYPE_CHECKING:
     from planopt.problems.problem import Problem
@@ -109,13 +109,18 @@ def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
         lines = found.system.words(found)
         show(json, found.tables() if json else {}, "\n".join(lines))
         return 0
-    show(json, problem_to_dict(found) if json else {}, problem_in_words(found))
+    from planopt.problems.plausibility import problem_warnings
+
+    warnings = [f"  warning     {warning}" for warning in problem_warnings(found)]
+    text = "\n".join([problem_in_words(found), *warnings])
+    show(json, problem_to_dict(found) if json else {}, text)
     return 0
 
 
 def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
     """Check a problem file, its maps and logs, and that the channel can be fitted."""
     from planopt.planning.prepare import prepare
+    from planopt.problems.plausibility import measured_warnings, problem_warnings
     from planopt.problems.systems import SystemProblem, load_any
     from planopt.studies.variants import default_seeds, settings_of
 
@@ -128,20 +133,30 @@ def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
         default_seeds(found.compare)
     with progress("reading maps and logs"):
         prepared = prepare(found, 0)
-    fits = [belief.fit for belief in (prepared.belief, *prepared.belief.further)]
-    warnings = [warning for fit in fits for warning in fit.warnings]
-    data = {
-        "problem": found.name,
-        "valid": True,
-        "measurements": fits[0].measurements,
-        "warnings": warnings,
-    }
+        warnings = [*problem_warnings(found), *_unreachable(found)]
+    beliefs = (prepared.belief, *prepared.belief.further)
+    for belief in beliefs:
+        warnings += measured_warnings(belief.posterior.measurements)
+        warnings += [f"fit of the channel, seed 0: {words}" for words in belief.fit.warnings]
+    count = sum(belief.fit.measurements for belief in beliefs)
+    data = {"problem": found.name, "valid": True, "measurements": count, "warnings": warnings}
     lines = [
-        f"{found.name}: valid, {fits[0].measurements} measurements",
-        *(f"  fit of the channel, seed 0: {warning}" for warning in warnings),
+        f"{found.name}: valid, {count} measurements",
+        *(f"  {warning}" for warning in warnings),
     ]
     show(json, data, "\n".join(lines))
     return 0
+
+
+def _unreachable(problem: Problem) -> list[str]:
+    """Return a warning if obstacles cut a goal off."""
+    from planopt.planning.scene import build_scenes
+
+    try:
+        build_scenes(problem)
+    except NoPlanError as error:
+        return [str(error)]
+    return []
 
 
 def problem_in_words(problem: Problem) -> str:

@@ -46,6 +46,9 @@ DEEP_MODES = ("I", "I;16", "I;16B", "I;16L")
 
 NO_TURN_RAD = 1e-9
 
+UNKNOWN_GREY = 205
+"""Grey that ROS mapping packages write for unknown cells."""
+
 _MODES = ("trinary", "scale", "raw")
 
 
@@ -92,8 +95,9 @@ def _read_ros_map(path: Path) -> OccupancyGrid:
         occupancy, known = (shade if negate else 1.0 - shade), opaque
     occupied = known & (occupancy > occupied_from)
     free = known & (occupancy < free_to)
+    grey = int((free & (np.round(255.0 * shade) == UNKNOWN_GREY)).sum()) if mode != "raw" else 0
     # The first row of an image is its top.
-    return OccupancyGrid(occupied[::-1], ~(occupied | free)[::-1], resolution, (x, y))
+    return OccupancyGrid(occupied[::-1], ~(occupied | free)[::-1], resolution, (x, y), grey)
 
 
 def _read_csv_grid(path: Path) -> OccupancyGrid:

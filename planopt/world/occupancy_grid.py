@@ -48,12 +48,15 @@ class OccupancyGrid:
         Side of a cell.
     origin_m
         ``(x, y)`` of the corner of cell [0, 0] with the smallest coordinates.
+    grey_free_cells
+        Number of free cells whose pixel has the grey 205 of unknown cells.
     """
 
     occupied: NDArray[np.bool_]
     unknown: NDArray[np.bool_]
     resolution_m: float
     origin_m: tuple[float, float]
+    grey_free_cells: int = 0
 
     __repr__ = short_repr
 

@@ -272,19 +272,28 @@ def at_file_line(
     return InputError(error.message, file=path, key=error.key, row=line, remedy=error.remedy)
 
 
-def parse_station(text: str) -> Station | None:
-    """Read ``X,Y`` or ``X,Y,HEIGHT`` in metres, or ``unknown`` as None."""
+def parse_station(text: str, origin_deg: tuple[float, float] | None = None) -> Station | None:
+    """Read ``X,Y[,HEIGHT]`` in metres, or ``LAT,LON[,HEIGHT]`` with an origin; None if unknown."""
     if text.strip().lower() == "unknown":
         return None
-    remedy = "write X,Y or X,Y,HEIGHT in metres, or unknown"
-    parts = text.split(",")
+    form = "X,Y[,HEIGHT] in metres" if origin_deg is None else "LAT,LON[,HEIGHT] in degrees"
+    remedy = f"write {form}, or unknown"
     try:
-        numbers = [float(part) for part in parts]
+        numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3) or not all(math.isfinite(number) for number in numbers):
         raise InputError(f"cannot read {text!r}", key="station", remedy=remedy)
-    return Station((numbers[0], numbers[1]), numbers[2] if len(numbers) == 3 else 0.0)
+    place, height_m = np.array(numbers[:2]), (*numbers, 0.0)[2]
+    if origin_deg is not None:
+        (place,) = east_north_m(place[1:], place[:1], origin_deg)
+        if np.isnan(place).any():
+            raise InputError(
+                f"{text} is more than {FARTHEST_M / 1000.0:.0f} km from --origin",
+                key="station",
+                remedy=remedy,
+            )
+    return Station((float(place[0]), float(place[1])), height_m)
 
 
 def _header(rows: Iterator[tuple[int, list[str]]], file: Path) -> tuple[int, list[str]]:

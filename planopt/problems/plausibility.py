@@ -1,0 +1,151 @@
+"""Warnings about values that are valid but implausible: a wrong sign, unit, frame or scale.
+
+A warning says what is implausible and what to do; it never refuses anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from planopt.channel.logs.log_format import LogFormat
+from planopt.channel.measurements import Measurements
+from planopt.errors import InputError
+from planopt.problems.problem import Problem
+from planopt.problems.read_toml import read_toml
+from planopt.world.occupancy_files import is_grid, read_grid
+
+DEGREE_NAMES = ("lat", "lon", "lng")
+"""Parts of column names that stand for degrees."""
+
+DEGREES_SPAN = 0.5
+"""Measurements in metres extend over more than this; a log in degrees rarely does."""
+
+THRESHOLDS_DBM = (-150.0, -10.0)
+"""Range of connection thresholds of receivers."""
+
+STRONGEST_DBM = 30.0
+"""No receiver next to an antenna measures more: a watt."""
+
+LARGEST_STEP_SHARE = 0.5
+"""Length of a step, as a share of the diagonal of the world."""
+
+FARTHEST_STATION = 20.0
+"""Distance of a station from the world, in diagonals of the world, and at least 20 km."""
+
+COARSEST_CELL_M = 5.0
+"""Side of the cells of an occupancy grid; robots map at centimetres."""
+
+JUMP_STEPS = 10.0
+"""Distance between a robot and its plan, in lengths of a step."""
+
+
+def log_warnings(measurements: Measurements, log_format: LogFormat) -> list[str]:
+    """Return warnings about a log: degrees read as metres, and powers in another unit."""
+    return [*_degrees(measurements, log_format), *_powers(measurements, "the log")]
+
+
+def problem_warnings(problem: Problem) -> list[str]:
+    """Return warnings about the values of a problem and the maps it names."""
+    return [*_scales(problem), *_stations(problem), *_grids(problem)]
+
+
+def measured_warnings(measurements: Measurements) -> list[str]:
+    """Return warnings about the powers that were measured first, or since the last step."""
+    return list(_powers(measurements, "measurements"))
+
+
+def _degrees(measurements: Measurements, log_format: LogFormat) -> Iterator[str]:
+    if log_format.origin_deg is not None or not len(measurements):
+        return
+    x, y = measurements.positions_m.T
+    names = [name.lower() for name in log_format.columns[:2]]
+    named = all(any(part in name for part in DEGREE_NAMES) for name in names)
+    within = np.abs(x).max() <= 180.0 and np.abs(y).max() <= 90.0
+    span = max(np.ptp(x), np.ptp(y))
+    if within and (named or 0.0 < span < DEGREES_SPAN):
+        yield (
+            f"columns {log_format.columns[0]} and {log_format.columns[1]} look like degrees, and "
+            f"count as metres: the log extends over {span:.3g} m (give --origin LAT,LON)"
+        )
+
+
+def _powers(measurements: Measurements, source: str) -> Iterator[str]:
+    power = measurements.power_dbm
+    if not len(power):
+        return
+    least, most = float(power.min()), float(power.max())
+    if 0.0 <= least and most <= 1.0:
+        yield (
+            f"the powers of {source}, {least:.3g} to {most:.3g}, look like milliwatts and count as "
+            "dBm (convert them: 10 log10 of the power in mW)"
+        )
+    elif np.median(power) > 0.0:
+        yield (
+            f"most powers of {source} are positive, {least:.3g} to {most:.3g} dBm: no receiver "
+            "measures this (write the minus sign)"
+        )
+    elif most > STRONGEST_DBM:
+        yield f"{source}: a power of {most:g} dBm is implausible (check its sign and unit)"
+
+
+def _diagonal_m(problem: Problem) -> float:
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    return float(np.hypot(x_max - x_min, y_max - y_min))
+
+
+def _scales(problem: Problem) -> Iterator[str]:
+    diagonal_m, step_s = _diagonal_m(problem), problem.planner.step_s
+    for number, robot in enumerate(problem.robots):
+        step_m = robot.speed_max_m_s * step_s
+        if step_m > LARGEST_STEP_SHARE * diagonal_m:
+            yield (
+                f"planner.step_s {step_s:g} s: robots[{number}] may drive {step_m:g} m in a step, "
+                f"in a world of {diagonal_m:.4g} m (seconds and metres per second are expected)"
+            )
+
+
+def _stations(problem: Problem) -> Iterator[str]:
+    low, high = np.reshape(problem.workspace.bounds_m, (2, 2))
+    farthest_m = max(FARTHEST_STATION * _diagonal_m(problem), 20_000.0)
+    for number, station in enumerate(problem.stations):
+        key = f"stations[{number}]"
+        place = np.array(station.position_m)
+        away_m = float(np.linalg.norm(place - np.clip(place, low, high)))
+        if away_m > farthest_m:
+            yield (
+                f"{key}.position_m is {away_m / 1000.0:,.0f} km from the world (give metres in the "
+                "frame of world.bounds_m)"
+            )
+        for name in ("threshold_dbm", "receive_threshold_dbm"):
+            value = getattr(station, name)
+            if value is not None and not THRESHOLDS_DBM[0] <= value <= THRESHOLDS_DBM[1]:
+                yield (
+                    f"{key}.{name} {value:g} dBm is implausible: thresholds lie between "
+                    f"{THRESHOLDS_DBM[0]:g} and {THRESHOLDS_DBM[1]:g} dBm (check sign and unit)"
+                )
+
+
+def _grids(problem: Problem) -> Iterator[str]:
+    """Yield warnings about the occupancy grids that a problem file names."""
+    if problem.file is None:
+        return
+    try:
+        tables = read_toml(problem.file).get("world", {}).get("obstacles", [])
+        names = [table["file"] for table in tables if is_grid(table.get("file"))]
+        grids = {name: read_grid(problem.file.parent / name) for name in names}
+    except (InputError, AttributeError, TypeError):
+        return  # a saved problem, or one whose file was changed since
+    for name, grid in grids.items():
+        share = grid.grey_free_cells / grid.occupied.size
+        if grid.grey_free_cells:
+            yield (
+                f"{name}: {share:.1%} of the cells are grey 205, which mapping tools write for "
+                "unknown, and count as free (free_thresh: 0.196 makes them unknown)"
+            )
+        if grid.resolution_m > COARSEST_CELL_M:
+            yield (
+                f"{name}: cells of {grid.resolution_m:g} m are implausibly large (resolution is "
+                "metres per cell)"
+            )

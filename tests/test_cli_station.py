@@ -9,6 +9,9 @@ import pytest
 
 from planopt.cli import main
 
+FITTED = (0, 3)
+"""Exit codes of a fit; 3 if the log does not determine the channel."""
+
 
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
@@ -25,7 +28,7 @@ def log(tmp_path: Path) -> Path:
 
 def fitted(log: Path, capsys, *options: str) -> dict:
     """The JSON object that is printed."""
-    assert main(["fit", str(log), "--json", *options]) == 0
+    assert main(["fit", str(log), "--json", *options]) in FITTED
     return json.loads(capsys.readouterr().out)
 
 
@@ -45,11 +48,11 @@ def test_standard_errors_of_the_station(log: Path, capsys) -> None:
 
 def test_in_words(log: Path, capsys) -> None:
     """The station's errors stand beside it, and nothing where it is given."""
-    assert main(["fit", str(log), "--station", "unknown"]) == 0
+    assert main(["fit", str(log), "--station", "unknown"]) in FITTED
     first = capsys.readouterr().out.splitlines()[0]
     assert re.search(r"station \([\d.]+, [\d.]+\) \+- \([\d.]+, [\d.]+\) m$", first)
-    assert main(["fit", str(log), "--station", "120,60"]) == 0
-    assert "station (120, 60)\n" in capsys.readouterr().out
+    assert main(["fit", str(log), "--station", "120,60"]) in FITTED
+    assert "station (120, 60) m\n" in capsys.readouterr().out
 
 
 def test_not_bounded_is_null(tmp_path: Path, capsys) -> None:

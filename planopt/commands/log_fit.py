@@ -131,7 +131,7 @@ def log_command(command: Callable[Concatenate[LogOptions, Own], int]) -> Callabl
         each.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[each.name])
         for each in list(inspect.signature(command).parameters.values())[1:]
     ]
-    run.__doc__ = command.__doc__
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
     run.__annotations__ = {each.name: each.annotation for each in (*shared, *own)}
     vars(run)["__signature__"] = inspect.Signature([*shared, *own])
     return run

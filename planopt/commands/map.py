@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from planopt.channel.maps.posterior_map import Bounds, PosteriorMap
     from planopt.channel.measurements import Measurements
 
-UNITS = {"mean_db": "dBm", "deviation_db": "dB", "connectivity": "1"}
+VARIABLES = ("mean_db", "deviation_db", "connectivity")
 """The variables of a map."""
 
 
@@ -80,7 +80,7 @@ def map_log(
                 _threshold_dbm(threshold, options.floor, measurements),
             )
         with _together(out, picture) as (new_out, new_picture):
-            write_rasters(new_out, {name: getattr(maps, name) for name in UNITS}, UNITS)
+            write_rasters(new_out, {name: getattr(maps, name) for name in VARIABLES})
             if new_picture is not None:
                 from planopt.commands.pictures import picture_map
 
@@ -109,7 +109,7 @@ def map_json(maps: PosteriorMap, out: Path, picture: Path | None) -> dict[str, A
     return {
         "file": str(out),
         "picture": None if picture is None else str(picture),
-        "variables": list(UNITS),
+        "variables": list(VARIABLES),
         "shape": list(raster.values.shape),
         "cell_m": raster.cell_m[0],
         "x_m": [float(raster.x_m[0]), float(raster.x_m[-1])],

@@ -17,7 +17,7 @@ from planopt.commands.options import (
     ProblemArgument,
     SeedOption,
 )
-from planopt.commands.output import drawing, progress, results_folder, show
+from planopt.commands.output import drawing, progress, results_folder, say, show
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -138,6 +138,7 @@ def _answered(
 ) -> int:
     """Load what is asked about, and answer."""
     from planopt.problems.overrides import with_overrides
+    from planopt.problems.plausibility import problem_warnings
     from planopt.problems.systems import Request, SystemProblem, load_any
 
     if animation and out is None:
@@ -172,6 +173,8 @@ def _answered(
         planner=overrides.planner,
         cost_to_go=overrides.cost_to_go,
     )
+    for words in problem_warnings(asked):
+        say(f"{asked.name}: {words}")
     return answer(Asked(asked, seed, out, json, animation))
 
 

@@ -13,8 +13,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.fields.truth import (
     Truth,
+    fitted_truth,
     measure,
     model_truth,
     power_truth,
@@ -30,11 +32,13 @@ from planopt.channel.measurements import (
     as_received,
 )
 from planopt.channel.parameters import ChannelParameters
+from planopt.channel.posterior import EXACT_LIMIT, condition
 from planopt.errors import InputError
 from planopt.parts import calling
 from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
+    FittedTruth,
     FunctionTruth,
     LoggedMeasurements,
     ModelTruth,
@@ -45,7 +49,7 @@ from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.target import Target
 from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles, inside_bounds
-from planopt.world.raster import cell_centres_m
+from planopt.world.raster import Raster, cell_centres_m
 from planopt.world.raster_files import read_raster
 
 
@@ -109,9 +113,9 @@ def draw(problem: Problem, seed: int, measurements: Sequence[Measurements] | Non
         np.random.SeedSequence(seed, spawn_key=(FURTHER_STREAMS, number))
         for number in range(1, len(problem.stations))
     ]
+    generators = [np.random.default_rng(stream) for stream in fading_seeds]
     truths = [
-        draw_truth(problem, np.random.default_rng(stream), station)
-        for station, stream in enumerate(fading_seeds)
+        draw_truth(problem, generator, station) for station, generator in enumerate(generators)
     ]
     setup = problem.channel.measurements
     if measurements is not None:
@@ -130,6 +134,11 @@ def draw(problem: Problem, seed: int, measurements: Sequence[Measurements] | Non
             )
         places = free_places(problem, setup.count, np.random.default_rng(places_seed))
         measured = [_measured(problem, truth, places) for truth in truths]
+    if isinstance(problem.channel.truth, FittedTruth):
+        truths = [
+            _fitted_truth(problem, problem.channel.truth, station, *each)
+            for station, each in enumerate(zip(measured, generators, strict=True))
+        ]
     stations = [Given(*both) for both in zip(truths, measured, strict=True)]
     return replace(stations[0], further=tuple(stations[1:]))
 
@@ -149,12 +158,32 @@ def _measured(problem: Problem, truth: Truth | None, places_m: NDArray[np.float6
     return measure(truth, places_m)
 
 
+def _fitted_truth(
+    problem: Problem,
+    setup: FittedTruth,
+    station: int,
+    log: Measurements,
+    generator: np.random.Generator,
+) -> Truth:
+    """Fit a station's log and draw the truth from the posterior."""
+    radio = problem.stations[station]
+    fit = fit_channel(log, radio.site, problem.channel.fit_method, intervals=False)
+    if len(log) > EXACT_LIMIT:
+        log = log.take(np.sort(generator.choice(len(log), EXACT_LIMIT, replace=False)))
+    floor = None if setup.floor_db is None else setup.floor_db + radio.transmit_power_dbm
+    posterior = condition(fit.parameters, log)
+    return fitted_truth(posterior, problem.workspace.bounds_m, setup.cell_m, floor, generator)
+
+
 def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 0) -> Truth | None:
-    """Make the simulator's truth of one station, or None if the problem has none."""
+    """Draw the truth of one station; None if the problem has none, or one drawn from a log."""
     setup, radio = problem.channel.truth, problem.stations[station]
     if isinstance(setup, RasterTruth):
         setup = raster_truth_of(setup, radio)
         gain = read_raster(setup.file, setup.variable)
+        _require_quantity(setup, gain)
+        if setup.quantity == "power":
+            gain = replace(gain, values=gain.values - radio.transmit_power_dbm)
         # A comparison with NaN is false: no value is no fault.
         if (np.abs(gain.values) > LARGEST_GAIN_DB).any():
             raise InputError(
@@ -188,6 +217,24 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
     if isinstance(setup, ArrayTruth | FunctionTruth):
         return _given_truth(problem, setup, station)
     return None
+
+
+def _require_quantity(setup: RasterTruth, raster: Raster) -> None:
+    """Refuse a map whose file says that it has another quantity."""
+    other = {"gain": "dBm", "power": "dB"}[setup.quantity]
+    spread = raster.quantity.startswith("standard deviation")
+    if raster.unit not in (other, "1") and not spread:
+        return
+    remedy = "name a variable that has path gain in dB or received power in dBm"
+    if raster.unit == other and not spread:
+        remedy = f'set channel.truth.quantity = "{"power" if other == "dBm" else "gain"}"'
+    raise InputError(
+        f"has {raster.quantity or 'values'} in {raster.unit}, and channel.truth.quantity is "
+        f"{setup.quantity!r}",
+        file=setup.file,
+        key=setup.variable,
+        remedy=remedy,
+    )
 
 
 def _given_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: int) -> Truth:

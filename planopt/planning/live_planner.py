@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from planopt.planning.stepping import Stepper
 from planopt.planning.team.plan_step import planning
 from planopt.problems.check_tables import check_obstacle
 from planopt.problems.overrides import require_motion, with_overrides
+from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem
 from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
@@ -161,6 +163,11 @@ class Planner:
             planner is unchanged.
         NoPlanError
             There is provably no plan from here.
+
+        Warns
+        -----
+        UserWarning
+            Powers are implausible, or the robot is many steps from where its plan led.
         """
         if len(self.problem.robots) > 1:
             raise InputError(
@@ -228,6 +235,8 @@ class Planner:
             () if each is None else measurements_by_station(self.problem, each)
             for each in ([None] * count if measurements is None else measurements)
         ]
+        for words in self._implausible(now, measured):
+            warnings.warn(words, UserWarning, stacklevel=4)
         places = [None] * count if target_m is None else target_m
         seen = np.array([self._seen(place) for place in places])
         if self._is_placed:
@@ -267,6 +276,23 @@ class Planner:
                 remedy="correct the place, or the map",
             )
         return state
+
+    def _implausible(
+        self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
+    ) -> Iterator[str]:
+        """Yield warnings about powers, and about robots far from their plans."""
+        for taken in (each for stations in measured for each in stations):
+            yield from measured_warnings(taken)
+        for number, (state, plans) in enumerate(zip(states, self._robots.plans, strict=True)):
+            if not plans or not self._is_placed:
+                continue
+            off_m = float(np.linalg.norm(state[:2] - plans[-1].next_position_m))
+            step_m = self._robots.owns[number].step_length_m
+            if off_m > JUMP_STEPS * step_m:
+                yield (
+                    f"robot {number} is {off_m:.4g} m from where its plan led, and drives "
+                    f"{step_m:.4g} m in a step (check frame and unit of its position)"
+                )
 
     def _seen(self, place: ArrayLike | None) -> NDArray[np.float64]:
         """Return where a robot sees the target, NaN where it does not."""

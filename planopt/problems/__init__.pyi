@@ -1,6 +1,7 @@
 """Public names that some problems need; each is imported from its module when it is first used."""
 
 from planopt.problems.channel_setup import ArrayTruth as ArrayTruth
+from planopt.problems.channel_setup import FittedTruth as FittedTruth
 from planopt.problems.channel_setup import FunctionTruth as FunctionTruth
 from planopt.problems.channel_setup import GivenParameters as GivenParameters
 from planopt.problems.channel_setup import LoggedMeasurements as LoggedMeasurements

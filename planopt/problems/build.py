@@ -11,6 +11,7 @@ from planopt.errors import InputError
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import (
     ChannelSetup,
+    FittedTruth,
     LoggedMeasurements,
     ModelTruth,
     RasterTruth,
@@ -21,9 +22,10 @@ from planopt.problems.schema import ProblemFile
 from planopt.problems.schema_channel import (
     ChannelTable,
     ColumnsTable,
+    FittedTruthTable,
     MeasurementsTable,
-    ModelTruthTable,
     RasterTruthTable,
+    TruthTable,
 )
 from planopt.problems.schema_world import ObstacleTable
 from planopt.world.footprints import footprint
@@ -119,7 +121,9 @@ def _channel(table: ChannelTable, folder: Path) -> ChannelSetup:
     )
 
 
-def _truth(table: RasterTruthTable | ModelTruthTable, folder: Path) -> RasterTruth | ModelTruth:
+def _truth(table: TruthTable, folder: Path) -> RasterTruth | ModelTruth | FittedTruth:
+    if isinstance(table, FittedTruthTable):
+        return FittedTruth(cell_m=table.cell_m, floor_db=table.floor_db)
     if isinstance(table, RasterTruthTable):
         multipath = None if table.rician_k is None else Rician(table.rician_k)
         if table.multipath is not None:
@@ -127,6 +131,7 @@ def _truth(table: RasterTruthTable | ModelTruthTable, folder: Path) -> RasterTru
         return RasterTruth(
             file=folder / table.file,
             variable=table.variable,
+            quantity=table.quantity,
             floor_db=table.floor_db,
             multipath=multipath,
         )

@@ -29,7 +29,9 @@ class RasterTruth:
     file
         A map that :func:`planopt.world.raster_files.read_raster` reads.
     variable
-        Name of the path gain in dB; NaN where nothing arrives.
+        Name of the path gain in dB, or of the received power in dBm; NaN where nothing arrives.
+    quantity
+        ``gain`` or ``power``: the station's transmit power is added to gains.
     floor_db
         The receiver's floor as a path gain: smaller gains are clipped to it and censored.
     multipath
@@ -38,6 +40,7 @@ class RasterTruth:
 
     file: Path
     variable: str = "path_gain_db"
+    quantity: Literal["gain", "power"] = "gain"
     floor_db: float
     multipath: Multipath | None = None
 
@@ -70,6 +73,25 @@ class ModelTruth:
     cell_m: float
     floor_db: float | None = None
     multipath: Multipath | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedTruth:
+    """The true channel drawn from its posterior, given the log of the first measurements.
+
+    Parameters are estimated from the log by ``channel.fit``; path loss, shadowing and multipath are
+    drawn with the seed.
+
+    Attributes
+    ----------
+    cell_m
+        Cell side of the drawn raster.
+    floor_db
+        As in :class:`RasterTruth`, or None for no floor.
+    """
+
+    cell_m: float
+    floor_db: float | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -139,7 +161,7 @@ class FunctionTruth:
             )
 
 
-ChannelTruth = RasterTruth | ModelTruth | ArrayTruth | FunctionTruth
+ChannelTruth = RasterTruth | ModelTruth | FittedTruth | ArrayTruth | FunctionTruth
 """Where the true channel comes from."""
 
 
@@ -266,8 +288,8 @@ class ChannelSetup:
         make_plain(self)
         if self.truth is not None:
             remedy = (
-                "give one ArrayTruth, FunctionTruth, RasterTruth or ModelTruth; one has the powers "
-                "of all stations, (stations, ...)"
+                "give one ArrayTruth, FunctionTruth, RasterTruth, ModelTruth or FittedTruth; one "
+                "has the powers of all stations, (stations, ...)"
             )
             part_of("channel.truth", self.truth, cast("type[object]", ChannelTruth), remedy)
         part_of(

@@ -18,6 +18,7 @@ from planopt.objectives.terms.term import Term
 from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
+    FittedTruth,
     FunctionTruth,
     LoggedMeasurements,
     ModelTruth,
@@ -136,8 +137,16 @@ def check_channel(problem: Problem) -> None:
                 remedy="add [channel.truth], or give the file of a log",
             )
         return
-    if isinstance(truth, ModelTruth | FunctionTruth):
+    if isinstance(truth, ModelTruth | FittedTruth | FunctionTruth):
         _check_cells(problem, truth.cell_m)
+    sampled = isinstance(measurements, SampledMeasurements) and measurements.count > 0
+    if isinstance(truth, FittedTruth) and sampled:
+        raise InputError(
+            'is "fitted", and there is no log to fit',
+            file=problem.file,
+            key="channel.truth.kind",
+            remedy="give the log as channel.measurements.file",
+        )
     for index, station in enumerate(problem.stations):
         if isinstance(truth, ArrayTruth | FunctionTruth):
             floor_dbm, remedy = truth.floor_dbm, "lower channel.truth.floor_dbm"

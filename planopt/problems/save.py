@@ -20,6 +20,7 @@ from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import (
     ArrayTruth,
     ChannelSetup,
+    FittedTruth,
     FunctionTruth,
     LoggedMeasurements,
     ModelTruth,
@@ -47,7 +48,7 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
     truth, given = problem.channel.truth, problem.channel.given
     if given is not None:
         channel["fit"]["given"] = _plain(asdict(given))
-    if isinstance(truth, RasterTruth | ModelTruth):
+    if isinstance(truth, RasterTruth | ModelTruth | FittedTruth):
         channel["truth"] = _truth(truth)
     tables: dict[str, Any] = {
         "problem": {
@@ -131,7 +132,9 @@ def _array(value: Any) -> Any:
     return list(cast("tuple[object, ...]", value)) if isinstance(value, tuple) else value
 
 
-def _truth(truth: RasterTruth | ModelTruth) -> dict[str, Any]:
+def _truth(truth: RasterTruth | ModelTruth | FittedTruth) -> dict[str, Any]:
+    if isinstance(truth, FittedTruth):
+        return {"kind": "fitted", **_plain(asdict(truth))}
     kind = "raster" if isinstance(truth, RasterTruth) else "model"
     table = {"kind": kind, **_plain(asdict(replace(truth, multipath=None)))}
     law = truth.multipath

@@ -67,6 +67,11 @@ class RasterTruthTable(Table):
     variable: str = Field(
         default=RasterTruth.variable, min_length=1, description="Name of the path gain in dB."
     )
+    quantity: Literal["gain", "power"] = Field(
+        default=RasterTruth.quantity,
+        description="gain (path gain in dB, to which transmit_power_dbm is added) or power "
+        "(received power in dBm, such as mean_db of planopt map).",
+    )
     floor_db: Decibels = Field(
         description="The receiver's floor as a path gain in dB: what is below is clipped and "
         "censored."
@@ -127,6 +132,23 @@ class ModelTruthTable(Table):
                 {"given": "none" if self.multipath is None else "both"},
             )
         return self
+
+
+class FittedTruthTable(Table):
+    """``[channel.truth]`` with ``kind = "fitted"``: drawn from the posterior of a log."""
+
+    kind: Literal["fitted"] = Field(
+        description="Drawn with the random seed from the channel fitted to the log of first "
+        "measurements."
+    )
+    cell_m: float = Field(gt=0, le=1e6, description="Cell side of the drawn map in metres.")
+    floor_db: Decibels | None = Field(
+        default=None,
+        description="The receiver's floor as a path gain in dB; left out: no floor.",
+    )
+
+
+TruthTable = RasterTruthTable | ModelTruthTable | FittedTruthTable
 
 
 class ColumnsTable(Table):
@@ -222,8 +244,8 @@ class FitTable(Table):
 class ChannelTable(Table):
     """``[channel]``: how power varies and what is known of it."""
 
-    truth: Annotated[RasterTruthTable | ModelTruthTable, Field(discriminator="kind")] | None = (
-        Field(default=None, description="The true channel, for simulation; may be left out.")
+    truth: Annotated[TruthTable, Field(discriminator="kind")] | None = Field(
+        default=None, description="The true channel, for simulation; may be left out."
     )
     measurements: MeasurementsTable
     fit: FitTable = Field(default_factory=FitTable)

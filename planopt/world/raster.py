@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,9 @@ from planopt.errors import InputError, listed
 from planopt.files.npz import npz_names, read_npz
 from planopt.short_repr import short_repr
 from planopt.world.footprints import LARGEST_COORDINATE_M
+
+QUANTITIES = "quantities"
+"""Entry of an npz file with the name, quantity and unit of each variable, as text (k, 3)."""
 
 UNEVEN_CELLS = 1e-3
 """How far, in cells, a coordinate may be off the even grid: float32 files are."""
@@ -31,6 +34,8 @@ class Raster:
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
     values: NDArray[np.float64]  # (ny, nx), row 0 at the smallest y. NaN where there is no value.
+    quantity: str = ""  # Such as "received power"; empty if not known
+    unit: str = ""
 
     __repr__ = short_repr
 
@@ -43,13 +48,18 @@ class Raster:
 def read_npz_raster(path: Path, variable: str) -> Raster:
     """Read one variable of an ``npz`` file with its axes ``x`` and ``y``."""
     x, y, values = npz_arrays(path, ("x", "y", variable))
-    return checked_raster(x, y, values, path, variable)
+    table = read_npz(path, (QUANTITIES,)).get(QUANTITIES, np.zeros((0, 3), dtype="U1"))
+    rows: list[Any] = table.tolist() if table.dtype.kind == "U" and table.ndim == 2 else []
+    known: dict[str, list[str]] = {row[0]: row[1:] for row in rows if len(row) == 3}
+    quantity, unit = known.get(variable, ("", ""))
+    return replace(checked_raster(x, y, values, path, variable), quantity=quantity, unit=unit)
 
 
 def write_npz(path: Path, rasters: Mapping[str, Raster]) -> None:
     """Write rasters of the same axes as an ``npz`` file with the axes ``x`` and ``y``."""
     first = next(iter(rasters.values()))
     arrays: dict[str, Any] = {name: raster.values for name, raster in rasters.items()}
+    arrays[QUANTITIES] = [(name, each.quantity, each.unit) for name, each in rasters.items()]
     # Given a name, NumPy would add its own ending to one in capitals.
     with path.open("wb") as file:
         np.savez_compressed(file, x=first.x_m, y=first.y_m, **arrays)

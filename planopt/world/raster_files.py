@@ -201,7 +201,7 @@ def read_raster(path: Path, variable: str) -> Raster:
     return READERS[raster_ending(path)](path, variable)
 
 
-def write_rasters(path: Path, rasters: Mapping[str, Raster], units: Mapping[str, str]) -> None:
+def write_rasters(path: Path, rasters: Mapping[str, Raster]) -> None:
     """Write rasters of the same axes into one file, whole or not at all."""
     check_raster_output(path)
     ending = raster_ending(path)
@@ -212,9 +212,9 @@ def write_rasters(path: Path, rasters: Mapping[str, Raster], units: Mapping[str,
         elif ending == ".npz":
             write_npz(temporary, rasters)
         elif ending == ".nc":
-            write_netcdf(temporary, rasters, units)
+            write_netcdf(temporary, rasters)
         else:
-            write_geotiff(temporary, rasters, units)
+            write_geotiff(temporary, rasters)
 
     write_whole(path, write)
 

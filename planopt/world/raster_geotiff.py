@@ -8,6 +8,7 @@ local plane: no reference system is written, and one in degrees is refused.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -34,7 +35,7 @@ def import_rasterio(path: Path) -> ModuleType:
     return rasterio
 
 
-def write_geotiff(path: Path, rasters: Mapping[str, Raster], units: Mapping[str, str]) -> None:
+def write_geotiff(path: Path, rasters: Mapping[str, Raster]) -> None:
     """Write rasters of the same axes as the bands of one file, compressed."""
     rasterio = import_rasterio(path)
     first = next(iter(rasters.values()))
@@ -53,9 +54,10 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], units: Mapping[str,
         compress="deflate",
     ) as file:
         file.descriptions = tuple(rasters)
-        file.units = tuple(units[name] for name in rasters)
+        file.units = tuple(raster.unit for raster in rasters.values())
         for band, raster in enumerate(rasters.values(), start=1):
             file.write(raster.values[::-1], band)
+            file.update_tags(band, quantity=raster.quantity)
 
 
 def read_geotiff(path: Path, variable: str) -> Raster:
@@ -85,6 +87,7 @@ def read_geotiff(path: Path, variable: str) -> Raster:
                 "is not numeric", file=path, key=variable, remedy="give a band of numbers"
             )
         values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
+        quantity, unit = file.tags(band).get("quantity", ""), file.units[band - 1] or ""
         transform, system = file.transform, file.crs
         in_degrees = system is not None and system.is_geographic
     if transform.b or transform.d or transform.is_identity:
@@ -103,7 +106,7 @@ def read_geotiff(path: Path, variable: str) -> Raster:
         y = transform.f + transform.e * (np.arange(rows) + 0.5)
     if transform.e < 0:
         y, values = y[::-1], values[::-1]
-    return checked_raster(x, y, values, path, variable)
+    return replace(checked_raster(x, y, values, path, variable), quantity=quantity, unit=unit)
 
 
 def _band(descriptions: tuple[str | None, ...], variable: str, path: Path) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ AXES = ("y", "x")
 MISSING = ("_FillValue", "missing_value")
 
 
-def write_netcdf(path: Path, rasters: Mapping[str, Raster], units: Mapping[str, str]) -> None:
+def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
     """Write rasters of the same axes with coordinates and units."""
     from scipy.io import netcdf_file
 
@@ -40,23 +41,33 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], units: Mapping[str, 
         for name, raster in rasters.items():
             variable = file.createVariable(name, "d", AXES)
             variable[:] = raster.values
-            variable.units = units[name]
+            variable.units, variable.long_name = raster.unit, raster.quantity
 
 
 def read_netcdf(path: Path, variable: str) -> Raster:
     """Read one variable on the dimensions ``y, x`` with their coordinates; y may descend."""
     content = read_bytes(path)
     if content.startswith(HDF5_SIGNATURE):
-        y, x, values = _newer(path, content, variable)
+        (y, x, values), attributes = _newer(path, content, variable)
     else:
-        y, x, values = _classic(path, content, variable)
+        (y, x, values), attributes = _classic(path, content, variable)
     if y.ndim == 1 and y.size > 1 and y[0] > y[-1]:
         y, values = y[::-1], values[::-1]
-    return checked_raster(x, y, values, path, variable)
+    quantity, unit = (_text(attributes.get(name)) for name in ("long_name", "units"))
+    return replace(checked_raster(x, y, values, path, variable), quantity=quantity, unit=unit)
 
 
-def _classic(path: Path, content: bytes, variable: str) -> list[NDArray[np.float64]]:
-    """y, x and the variable of a NetCDF-3 file."""
+def _text(value: object) -> str:
+    """Return the text of an attribute; nothing of any other kind."""
+    text = value.decode(errors="replace") if isinstance(value, bytes) else value
+    return text.strip("\0 ") if isinstance(text, str) else ""
+
+
+_Read = tuple[list[NDArray[np.float64]], Mapping[str, Any]]
+
+
+def _classic(path: Path, content: bytes, variable: str) -> _Read:
+    """Return y, x and the variable of a NetCDF-3 file, and the variable's attributes."""
     with foreign_reader(path, "a NetCDF file"):
         held = classic_variables(content)
         _require_map(path, {name: one.dimensions for name, one in held.items()}, variable)
@@ -65,11 +76,11 @@ def _classic(path: Path, content: bytes, variable: str) -> list[NDArray[np.float
             one = held[name]
             require_array_size(path, name, *one.shape)
             found.append(_floats(classic_values(content, one), one.attributes, path, name))
-        return found
+        return found, held[variable].attributes
 
 
-def _newer(path: Path, content: bytes, variable: str) -> list[NDArray[np.float64]]:
-    """y, x and the variable of a NetCDF-4 file."""
+def _newer(path: Path, content: bytes, variable: str) -> _Read:
+    """Return y, x and the variable of a NetCDF-4 file, and the variable's attributes."""
     try:
         import h5netcdf
         import h5py
@@ -84,9 +95,10 @@ def _newer(path: Path, content: bytes, variable: str) -> list[NDArray[np.float64
         with h5netcdf.File(hdf5, "r") as file:
             held = file.variables
             _require_map(path, {name: held[name].dimensions for name in held}, variable)
-            return [
+            found = [
                 _floats(held[name][...], held[name].attrs, path, name) for name in (*AXES, variable)
             ]
+            return found, dict(held[variable].attrs)
 
 
 def _require_own_data(path: Path, hdf5: Any) -> None:

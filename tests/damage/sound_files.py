@@ -108,7 +108,7 @@ def sound_files(root: Path) -> list[Sound]:
     for ending in (".npz", ".csv", ".nc", ".tif"):
         text = PROBLEM.format(obstacles="", truth=MAP.format(ending=ending))
         folder = add(f"map{ending}", text, [f"map{ending}"])
-        write_rasters(folder / f"map{ending}", {"path_gain_db": _raster()}, {"path_gain_db": "dB"})
+        write_rasters(folder / f"map{ending}", {"path_gain_db": _raster()})
     text = PROBLEM.format(obstacles="", truth=MAP.format(ending=".nc"))
     _write_netcdf_4(add("map4.nc", text, ["map.nc"]) / "map.nc")
     for name, content in _obstacle_files().items():

@@ -118,7 +118,7 @@ def test_raster_truth_of_another_format(problem, tmp_path, ending):
     x, y = np.arange(0.5, 120.0), np.arange(0.5, 100.0)
     gain = Raster(x, y, -90.0 + 0.1 * x[None] + 0.0 * y[:, None])
     path = tmp_path / f"map.{ending}"
-    write_rasters(path, {"gain": gain}, {"gain": "dB"})
+    write_rasters(path, {"gain": gain})
     values = []
     for law in (None, Nakagami(2.0)):
         setup = RasterTruth(file=path, variable="gain", floor_db=-500.0, multipath=law)

@@ -35,7 +35,7 @@ def test_sidecars_of_a_tif_are_not_read(tmp_path: Path) -> None:
     """GDAL would take band names and values from neighbours of the file."""
     pytest.importorskip("rasterio")
     path = tmp_path / "map.tif"
-    write_rasters(path, {"gain": RASTER}, {"gain": "dB"})
+    write_rasters(path, {"gain": RASTER})
     (tmp_path / "map.tif.aux.xml").write_text(
         "<PAMDataset><GeoTransform>0,9,0,0,0,-9</GeoTransform><PAMRasterBand band='1'>"
         "<Description>other</Description></PAMRasterBand></PAMDataset>"
@@ -75,7 +75,7 @@ def test_a_tif_whose_description_is_no_text(tmp_path: Path) -> None:
     """It is refused, not decoded."""
     pytest.importorskip("rasterio")
     path = tmp_path / "map.tif"
-    write_rasters(path, {"gain": RASTER}, {"gain": "dB"})
+    write_rasters(path, {"gain": RASTER})
     path.write_bytes(path.read_bytes().replace(b"gain", b"g\x93in"))
     with pytest.raises(InputError, match=r"map\.tif: is damaged, .*again\)$"):
         read_raster(path, "gain")
@@ -85,7 +85,7 @@ def test_a_tif_whose_faults_are_no_text(tmp_path: Path, capfd: pytest.CaptureFix
     """GDAL's message quotes the file, and rasterio cannot decode it: Python would print that."""
     pytest.importorskip("rasterio")
     path = tmp_path / "map.tif"
-    write_rasters(path, {"gain": RASTER}, {"gain": "dB"})
+    write_rasters(path, {"gain": RASTER})
     path.write_bytes(path.read_bytes().replace(b"<Item ", b"<It\x80m "))
     with contextlib.suppress(InputError):
         read_raster(path, "gain")
@@ -165,11 +165,11 @@ def test_values_that_are_infinite(ending: str, tmp_path: Path) -> None:
     values = RASTER.values.copy()
     values[1, 2] = -np.inf
     path = tmp_path / f"map{ending}"
-    write_rasters(path, {"gain": Raster(RASTER.x_m, RASTER.y_m, values)}, {"gain": "dB"})
+    write_rasters(path, {"gain": Raster(RASTER.x_m, RASTER.y_m, values)})
     found = read_raster(path, "gain").values
     assert np.isnan(found[1, 2]) and np.isnan(found).sum() == 1
     values[1, 2] = np.inf
-    write_rasters(path, {"gain": Raster(RASTER.x_m, RASTER.y_m, values)}, {"gain": "dB"})
+    write_rasters(path, {"gain": Raster(RASTER.x_m, RASTER.y_m, values)})
     with pytest.raises(InputError, match=r"key gain: is infinite at \(2, 1\) m"):
         read_raster(path, "gain")
 

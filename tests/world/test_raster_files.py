@@ -11,9 +11,10 @@ from planopt.world.raster import Raster
 from planopt.world.raster_files import check_raster_output, read_raster, write_rasters
 
 X, Y = np.array([1.0, 3.0, 5.0]), np.array([-4.0, -1.5])
-MEAN = Raster(X, Y, np.array([[-61.25, np.nan, -70.0], [-80.5, -90.125, 1e-7]]))
-CHANCE = Raster(X, Y, np.arange(6.0).reshape(2, 3) / 7)
-UNITS = {"mean_db": "dBm", "connectivity": "1"}
+MEAN = Raster(
+    X, Y, np.array([[-61.25, np.nan, -70.0], [-80.5, -90.125, 1e-7]]), "received power", "dBm"
+)
+CHANCE = Raster(X, Y, np.arange(6.0).reshape(2, 3) / 7, "probability", "1")
 ENDINGS = [".csv", ".npz", ".nc", ".tif", ".TIFF", ".NPZ"]
 
 
@@ -21,7 +22,7 @@ def write(path: Path) -> Path:
     """Both rasters in one file."""
     if path.suffix.lower() in (".tif", ".tiff"):
         pytest.importorskip("rasterio")
-    write_rasters(path, {"mean_db": MEAN, "connectivity": CHANCE}, UNITS)
+    write_rasters(path, {"mean_db": MEAN, "connectivity": CHANCE})
     return path
 
 
@@ -34,6 +35,8 @@ def test_round_trip(tmp_path: Path, ending: str) -> None:
         np.testing.assert_allclose(found.values, raster.values, rtol=1e-11)
         np.testing.assert_allclose(found.x_m, X, rtol=1e-12)
         np.testing.assert_allclose(found.y_m, Y, rtol=1e-12)
+        meaning = ("", "") if ending == ".csv" else (raster.quantity, raster.unit)
+        assert (found.quantity, found.unit) == meaning
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
@@ -69,7 +72,7 @@ def test_unknown_endings(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"\.csv, \.npz, \.nc, \.tif"):
             read_raster(tmp_path / name, "gain")
         with pytest.raises(InputError, match=r"\.csv, \.npz, \.nc, \.tif"):
-            write_rasters(tmp_path / name, {"gain": MEAN}, {"gain": "dB"})
+            write_rasters(tmp_path / name, {"gain": MEAN})
     assert not list(tmp_path.iterdir())
 
 
@@ -94,7 +97,7 @@ def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
     """An OutputError, and no part of a file."""
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
-        write_rasters(tmp_path / "file" / "map.csv", {"gain": MEAN}, {"gain": "dB"})
+        write_rasters(tmp_path / "file" / "map.csv", {"gain": MEAN})
 
 
 def test_csv_rows_in_any_order(tmp_path: Path) -> None:

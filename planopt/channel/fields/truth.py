@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.fields.field import shadow_field_db
+from planopt.channel.fields.field import conditional_field, shadow_field_db
 from planopt.channel.measurements import MAX_POWER_DB, Measurements
 from planopt.channel.multipath.multipath_models import Lognormal, Multipath, multipath_field_db
 from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.places import require_places
+from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 from planopt.world.raster import Raster, cell_centres_m, checked_raster, nearest_cells
@@ -106,10 +107,30 @@ def model_truth(
         shape, cell_m, parameters.shadow_std_db, parameters.decorrelation_m, generator
     ).values_db
     law = Lognormal(parameters.multipath_std_db) if multipath is None else multipath
-    faded = power + multipath_field_db(shape, law, generator)
+    return _faded(Raster(x, y, power), law, floor_dbm, generator)
+
+
+def fitted_truth(
+    posterior: ChannelPosterior,
+    bounds_m: tuple[float, float, float, float],
+    cell_m: float,
+    floor_dbm: float | None,
+    generator: np.random.Generator,
+) -> Truth:
+    """Draw the truth from the posterior of measurements; parameters as of :func:`model_truth`."""
+    mean = conditional_field(posterior, bounds_m, cell_m, generator)
+    return _faded(mean, Lognormal(posterior.parameters.multipath_std_db), floor_dbm, generator)
+
+
+def _faded(
+    mean: Raster, law: Multipath, floor_dbm: float | None, generator: np.random.Generator
+) -> Truth:
+    """Add multipath to a raster of powers, and apply the receiver's floor."""
+    power = mean.values
+    faded = power + multipath_field_db(power.shape, law, generator)
     if floor_dbm is not None:
         power, faded = np.maximum(power, floor_dbm), np.maximum(faded, floor_dbm)
-    return Truth(Raster(x, y, faded), floor_dbm, power)
+    return Truth(Raster(mean.x_m, mean.y_m, faded), floor_dbm, power)
 
 
 def power_truth(

@@ -81,14 +81,14 @@ class PosteriorMap:
             ) from None
         axes = ("y_m", "x_m")
         layers = {
-            "mean_dbm": (self.mean_db, "dBm", "predicted received power"),
-            "deviation_db": (self.deviation_db, "dB", "standard deviation of the prediction"),
-            "connectivity": (self.connectivity, "1", "probability of connection"),
+            "mean_dbm": self.mean_db,
+            "deviation_db": self.deviation_db,
+            "connectivity": self.connectivity,
         }
         return xarray.Dataset(
             {
-                name: (axes, raster.values, {"units": units, "long_name": words})
-                for name, (raster, units, words) in layers.items()
+                name: (axes, each.values, {"units": each.unit, "long_name": each.quantity})
+                for name, each in layers.items()
             },
             coords={
                 "x_m": ("x_m", self.mean_db.x_m, {"units": "m"}),
@@ -155,9 +155,15 @@ def posterior_map(
     mean = prediction.mean_db.reshape(y.size, x.size)
     deviation = prediction.deviation_db.reshape(y.size, x.size)
     return PosteriorMap(
-        Raster(x, y, mean),
-        Raster(x, y, deviation),
-        Raster(x, y, connection_probability(mean, deviation, threshold_dbm)),
+        Raster(x, y, mean, "predicted received power", "dBm"),
+        Raster(x, y, deviation, "standard deviation of the prediction", "dB"),
+        Raster(
+            x,
+            y,
+            connection_probability(mean, deviation, threshold_dbm),
+            "probability of connection",
+            "1",
+        ),
         threshold_dbm,
         "exact" if exact else f"neighbours:{NEIGHBOURS}",
     )

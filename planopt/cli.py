@@ -7,6 +7,7 @@ Errors are one line on standard error, and with ``--json`` one JSON object on st
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 from collections.abc import Sequence
@@ -20,10 +21,11 @@ from planopt.commands.compare import compare
 from planopt.commands.fit import fit
 from planopt.commands.interrupts import stopping
 from planopt.commands.map import map_log
+from planopt.commands.output import print_out, standard_output
 from planopt.commands.problem_files import init, list_problems, schema, show_problem, validate
 from planopt.commands.simulate import simulate
 from planopt.commands.solve import solve
-from planopt.errors import InputError, PlanoptError, require_text
+from planopt.errors import InputError, OutputError, PlanoptError, require_text
 from planopt.files.whole import strict_text
 
 BAD_INPUT = 2
@@ -71,19 +73,20 @@ def _planopt(  # pyright: ignore[reportUnusedFunction]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command."""
+    """Run a command and return its exit code."""
     given = sys.argv[1:] if arguments is None else arguments
     try:
         for argument in given:
             require_text(argument, "the argument")
-        with stopping() as received:
+        with standard_output(), stopping() as received:
             try:
                 code = int(app(arguments, prog_name="planopt", standalone_mode=False))
             except KeyboardInterrupt:
                 code = INTERRUPTED
-        # Typer makes this code of any interrupt.
-        terminated = code == INTERRUPTED and signal.SIGTERM in received
-        return TERMINATED if terminated else code
+        # Typer makes this code of any interrupt; one within a callback may have been lost.
+        if received:
+            return TERMINATED if signal.SIGTERM in received else INTERRUPTED
+        return code
     except PlanoptError as error:
         message, found = str(error), error
     except Exception as error:
@@ -94,7 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         message, found = f"{str(format_message()).rstrip('.')} (see planopt --help)", error
     message = " ".join(message.split())
     if "--json" in given:
-        print(strict_text(error_json(message, found)), end="")
+        with contextlib.suppress(OutputError):
+            print_out(strict_text(error_json(message, found)))
     print(f"planopt: {message}", file=sys.stderr)
     return BAD_INPUT
 

@@ -10,6 +10,7 @@ import pytest
 
 from planopt import load
 from planopt.cli import main
+from planopt.errors import OutputError
 from planopt.problems.library import list_problems
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.studies.bench.cases import library_names
@@ -49,6 +50,18 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys) -> None:
     assert main(["init", str(courier)]) == 2
     assert courier.read_text() == "mine"
     capsys.readouterr()
+
+
+def test_init_that_fails_leaves_nothing(tmp_path: Path, capsys, monkeypatch) -> None:
+    """Folders that were made for the files go again, as on a full disk."""
+
+    def full(path: Path, write: object) -> None:
+        raise OutputError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr("planopt.files.whole.write_whole", full)
+    assert main(["init", str(tmp_path / "new" / "p.toml"), "--from", "munich_courier"]) == 2
+    assert "No space left" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -145,6 +146,39 @@ def test_both_signals_are_told_to_every_block() -> None:
                 signal.raise_signal(number)
             assert outer == [number]
     assert before == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+
+def test_a_signal_that_a_callback_swallowed() -> None:
+    """Python ignores exceptions in callbacks of imports; the next block with progress ends."""
+    with stopping() as received:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt), interruptible():
+            raise AssertionError("not entered")
+        assert received == [signal.SIGTERM]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux")
+@pytest.mark.parametrize("arguments", [["list"], ["--help"], ["show", "nothing", "--json"]])
+def test_standard_output_is_full(arguments: list[str]) -> None:
+    """One line on standard error, and the exit code of an error."""
+    command = [sys.executable, "-c", "import sys; from planopt.cli import main; sys.exit(main())"]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(
+            [*command, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    assert ended.stderr.startswith("planopt: ")
+
+
+def test_standard_output_is_closed() -> None:
+    """A reader that goes away is no reason for a traceback."""
+    with started("show", "open_field", "--json") as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        errors = process.stderr.read()
+    assert process.returncode == 2
+    assert errors == "planopt: standard output cannot be written: Broken pipe\n"
 
 
 def test_a_second_termination_does_not_disturb_the_first() -> None:

@@ -9,47 +9,62 @@ import contextlib
 import signal
 import threading
 from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from types import FrameType
+from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 """Signals that ask a process to stop."""
 
 
-@contextlib.contextmanager
-def stopping() -> Generator[list[int]]:
-    """Let every signal of `SIGNALS` raise KeyboardInterrupt within, and say which came.
+@dataclass(frozen=True)
+class _Handler:
+    """Records a signal, tells the handler that was there before, and raises KeyboardInterrupt."""
 
-    A handler that was there before is called as well, so that a block within another tells the
-    outer one. Only the main thread of a process has handlers; elsewhere nothing changes.
-    """
-    received: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    before = {number: signal.getsignal(number) for number in SIGNALS}
+    before: dict[signal.Signals, Any]
+    received: list[int]
 
-    def handle(number: int, frame: FrameType | None) -> None:
-        # Asked again to terminate while it is doing so, a process goes on cleaning up.
-        again = number == signal.SIGTERM and number in received
-        received.append(number)
-        outer = before[signal.Signals(number)]
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        # A second SIGTERM does not disturb the cleanup after the first.
+        again = number == signal.SIGTERM and number in self.received
+        self.received.append(number)
+        outer = self.before[signal.Signals(number)]
         if callable(outer) and outer is not signal.default_int_handler:
             outer(number, frame)
         if not again:
             raise KeyboardInterrupt
 
+
+@contextlib.contextmanager
+def stopping() -> Generator[list[int]]:
+    """Raise KeyboardInterrupt on any of `SIGNALS` within the block; yield the signals received.
+
+    Only the main thread of a process has handlers; elsewhere nothing changes.
+    """
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    handler = _Handler({number: signal.getsignal(number) for number in SIGNALS}, received)
     for number in SIGNALS:
-        signal.signal(number, handle)
+        signal.signal(number, handler)
     try:
         yield received
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, before in handler.before.items():
+            signal.signal(number, before)
 
 
 @contextlib.contextmanager
 def interruptible() -> Generator[Callable[[], None]]:
-    """Let nothing swallow an interrupt: CasADi answers one by ending the solve that it is in."""
+    """Yield a function that raises an interrupt that was swallowed, such as by a CasADi callback.
+
+    An interrupt that an enclosing block received and lost, as in a callback of an import, is raised
+    at once.
+    """
+    outer = signal.getsignal(signal.SIGTERM)
+    if isinstance(outer, _Handler) and outer.received:
+        raise KeyboardInterrupt
     with stopping() as received:
 
         def stop_if_interrupted() -> None:

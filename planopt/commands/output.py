@@ -6,6 +6,8 @@ Errors are raised; :func:`planopt.cli.main` prints them.
 from __future__ import annotations
 
 import contextlib
+import os
+import sys
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from typing import Any
 import typer
 
 from planopt.commands.interrupts import interruptible
+from planopt.errors import OutputError
 from planopt.files.result_folder import ResultFiles, added_results
 
 NO_PLAN = 4
@@ -27,12 +30,34 @@ def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
     if as_json:
         from planopt.files.whole import strict_text
 
-        typer.echo(strict_text(data), nl=False)
+        print_out(strict_text(data))
     else:
         from planopt.errors import escaped
 
         # Names and messages may come from any file, and a terminal obeys what it is sent.
-        typer.echo("\n".join(escaped(line) for line in text.split("\n")))
+        print_out("\n".join(escaped(line) for line in text.split("\n")) + "\n")
+
+
+def print_out(text: str) -> None:
+    """Write text to standard output at once."""
+    with standard_output():
+        typer.echo(text, nl=False)
+
+
+@contextlib.contextmanager
+def standard_output() -> Generator[None]:
+    """Flush what the block prints; raise an OutputError if standard output is closed or full."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        # Python flushes standard output again when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise OutputError(
+            f"standard output cannot be written: {error.strerror or error}"
+        ) from error
 
 
 def say(text: str) -> None:
@@ -97,6 +122,25 @@ def explained(relaxations: Iterable[object]) -> list[str]:
 @contextlib.contextmanager
 def progress(description: str, total: int | None = None) -> Generator[Callable[[], None]]:
     """Show progress on stderr if it is a terminal; call the result for each part."""
+    with interruptible() as stop_if_interrupted:
+        with _bar(description, total) if sys.stderr.isatty() else _no_bar() as bar_advance:
+
+            def advance() -> None:
+                stop_if_interrupted()
+                bar_advance()
+
+            yield advance
+        stop_if_interrupted()
+
+
+@contextlib.contextmanager
+def _no_bar() -> Generator[Callable[[], None]]:
+    yield lambda: None
+
+
+@contextlib.contextmanager
+def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
+    """Draw a bar on stderr while the block runs; yield the function that advances it."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -107,7 +151,6 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
         TimeRemainingColumn,
     )
 
-    console = Console(stderr=True)
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
@@ -116,18 +159,9 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
         TimeElapsedColumn(),
         *(() if total is None else (TextColumn("left:"), TimeRemainingColumn())),
     )
-    with (
-        interruptible() as stop_if_interrupted,
-        Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar,
-    ):
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=total)
-
-        def advance() -> None:
-            stop_if_interrupted()
-            bar.advance(task)
-
-        yield advance
-        stop_if_interrupted()
+        yield lambda: bar.advance(task)
 
 
 @contextlib.contextmanager

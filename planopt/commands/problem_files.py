@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from planopt.commands.options import JsonOption, ProblemArgument
-from planopt.commands.output import progress, show
+from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError, NoPlanError, OutputError
 
 if TYPE_CHECKING:
@@ -90,9 +91,12 @@ def init(
     for path in written:
         if path.exists():
             raise OutputError(f"{path}: is there already (choose another folder or name)")
-    # The problem comes last: where it is, its files are.
-    for path in reversed(written):
-        write_whole(path, lambda temporary, path=path: _write(temporary, contents[path]))
+    with contextlib.ExitStack() as stack:
+        for folder in sorted({path.parent for path in written}):
+            stack.enter_context(results_folder(folder))
+        # The problem is written last, after the files that it names.
+        for path in reversed(written):
+            write_whole(path, lambda temporary, path=path: _write(temporary, contents[path]))
     data = {"problem": str(file), "files": [str(path) for path in contents]}
     text = [f"{path}: written" for path in written]
     show(json, data, "\n".join([*text, f"next: planopt show {file}, planopt solve {file}"]))

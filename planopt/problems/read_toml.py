@@ -68,4 +68,6 @@ def _parse_error(message: str, text: str, path: Path) -> InputError:
         message = message[: found.start()]
         row = int(found[1]) if found[1] else len(text.splitlines())
         remedy = f"at column {found[2]}" if found[2] else "at the end of the file"
+    elif "int_max_str_digits" in message:
+        message, remedy = "an integer has thousands of digits", "write a number of a few digits"
     return InputError(f"is not TOML: {message}", file=path, row=row, remedy=remedy)

@@ -302,6 +302,13 @@ def _header(rows: Iterator[tuple[int, list[str]]], file: Path) -> tuple[int, lis
     if first is None:
         raise InputError("the file is empty", file=file, remedy="a header and rows are needed")
     line, header = first
+    if len(header) == 1:
+        raise InputError(
+            "the first line has one column",
+            file=file,
+            row=line,
+            remedy="save the log as CSV: names of columns, then rows, separated by commas",
+        )
     return line, [name.strip() for name in header]
 
 

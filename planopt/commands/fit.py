@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from planopt.commands.log_fit import LogFit, LogOptions, log_command, read_and_fit
-from planopt.commands.options import JsonOption, OutOption
+from planopt.commands.log_fit import LogFit, LogOptions, read_and_fit
+from planopt.commands.options import JsonOption, OutOption, with_options
 from planopt.commands.output import drawing, progress, results_folder, show, shown_number
 from planopt.errors import InputError
 from planopt.files.result_folder import ResultFiles
@@ -208,7 +208,7 @@ UNITS = {
 }
 
 
-@log_command
+@with_options(LogOptions)
 def fit(
     options: LogOptions,
     hold_out: HoldOutOption = None,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Concatenate, ParamSpec, cast, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -20,8 +18,6 @@ if TYPE_CHECKING:
     from planopt.channel.measurements import Measurements
     from planopt.channel.parameters import ChannelParameters
     from planopt.channel.station.station_position import StationMethod
-
-Own = ParamSpec("Own")
 
 DEGENERATE = 3
 """Exit code if the log does not determine the channel."""
@@ -104,37 +100,6 @@ class LogOptions:
     loss: Annotated[
         str, _option("--loss", "NAME", "Loss of the method convex: squares, huber or absolute.")
     ] = "squares"
-
-
-def log_command(command: Callable[Concatenate[LogOptions, Own], int]) -> Callable[..., int]:
-    """Return a command that takes the options of a log before its own."""
-    names = [field.name for field in dataclasses.fields(LogOptions)]
-
-    def run(**values: Any) -> int:
-        options = LogOptions(**{name: values.pop(name) for name in names})
-        return cast("Callable[..., int]", command)(options, **values)
-
-    hints = get_type_hints(LogOptions, include_extras=True)
-    shared = [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty
-            if field.default is dataclasses.MISSING
-            else field.default,
-            annotation=hints[field.name],
-        )
-        for field in dataclasses.fields(LogOptions)
-    ]
-    hints = get_type_hints(command, include_extras=True)
-    own = [
-        each.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[each.name])
-        for each in list(inspect.signature(command).parameters.values())[1:]
-    ]
-    run.__name__, run.__doc__ = command.__name__, command.__doc__
-    run.__annotations__ = {each.name: each.annotation for each in (*shared, *own)}
-    vars(run)["__signature__"] = inspect.Signature([*shared, *own])
-    return run
 
 
 @dataclass(frozen=True)

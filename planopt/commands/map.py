@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from planopt.commands.fit import fit_json
-from planopt.commands.log_fit import LogOptions, log_command, read_and_fit
-from planopt.commands.options import JsonOption
+from planopt.commands.log_fit import LogOptions, read_and_fit
+from planopt.commands.options import JsonOption, with_options
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
 from planopt.files.result_folder import ResultFiles, replaced_results
@@ -25,7 +25,7 @@ VARIABLES = ("mean_db", "deviation_db", "connectivity")
 """The variables of a map."""
 
 
-@log_command
+@with_options(LogOptions)
 def map_log(
     options: LogOptions,
     out: Annotated[

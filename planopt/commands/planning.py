@@ -7,16 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planopt.commands.options import (
-    AnimationOption,
-    CostToGoOption,
-    HorizonOption,
-    JsonOption,
-    OutOption,
-    PlannerOption,
-    ProblemArgument,
-    SeedOption,
-)
+from planopt.commands.options import AnimationOption, Own, PlanningOptions, with_options
 from planopt.commands.output import drawing, progress, results_folder, say, show
 from planopt.errors import InputError
 
@@ -81,71 +72,37 @@ class Asked:
 
 
 def planning_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
-    """A command of the name and help of `answer`, which gives its exit code."""
+    """Return a command with the name and help of `answer`, which returns the exit code."""
 
-    def command(
-        problem: ProblemArgument,
-        horizon: HorizonOption = None,
-        planner: PlannerOption = None,
-        cost_to_go: CostToGoOption = None,
-        seed: SeedOption = 0,
-        out: OutOption = None,
-        json: JsonOption = False,
-    ) -> int:
-        overrides = Overrides(horizon, planner, cost_to_go)
-        return _answered(answer, problem, overrides, seed, out, json=json)
+    def command(options: PlanningOptions) -> int:
+        return _answered(answer, options)
 
-    return _named(command, answer)
+    return with_options(PlanningOptions)(_named(command, answer))
 
 
 def driving_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
-    """A planning command that drives a run, which can be animated."""
+    """Return a planning command for a run, which can be animated."""
 
-    def command(
-        problem: ProblemArgument,
-        horizon: HorizonOption = None,
-        planner: PlannerOption = None,
-        cost_to_go: CostToGoOption = None,
-        seed: SeedOption = 0,
-        out: OutOption = None,
-        animation: AnimationOption = False,
-        json: JsonOption = False,
-    ) -> int:
-        overrides = Overrides(horizon, planner, cost_to_go)
-        return _answered(answer, problem, overrides, seed, out, json=json, animation=animation)
+    def command(options: PlanningOptions, animation: AnimationOption = False) -> int:
+        return _answered(answer, options, animation)
 
-    return _named(command, answer)
-
-
-@dataclass(frozen=True)
-class Overrides:
-    """Settings of the problem that the command line replaces; None for the problem's own."""
-
-    horizon: int | None
-    planner: str | None
-    cost_to_go: str | None
+    return with_options(PlanningOptions)(_named(command, answer))
 
 
 def _answered(
-    answer: Callable[[Asked], int],
-    problem: str,
-    overrides: Overrides,
-    seed: int,
-    out: Path | None,
-    *,
-    json: bool,
-    animation: bool = False,
+    answer: Callable[[Asked], int], options: PlanningOptions, animation: bool = False
 ) -> int:
-    """Load what is asked about, and answer."""
+    """Load the problem, and answer."""
     from planopt.problems.overrides import with_overrides
     from planopt.problems.plausibility import problem_warnings
     from planopt.problems.systems import Request, SystemProblem, load_any
 
-    if animation and out is None:
+    horizon, planner, cost_to_go = options.horizon, options.planner, options.cost_to_go
+    if animation and options.out is None:
         raise InputError(
             "an animation is saved in a folder", key="--animation", remedy="give --out"
         )
-    found = load_any(problem)
+    found = load_any(options.problem)
     if isinstance(found, SystemProblem):
         from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
 
@@ -153,32 +110,26 @@ def _answered(
             found,
             answer.__name__,
             Request(
-                seed,
-                () if overrides.horizon is None else (overrides.horizon,),
-                () if overrides.planner is None else (overrides.planner,),
+                options.seed,
+                () if horizon is None else (horizon,),
+                () if planner is None else (planner,),
                 animation=animation,
             ),
-            out=out,
-            json=json,
+            out=options.out,
+            json=options.json,
             replaced=PLAN_OR_RUN,
             file=PLAN_FILE if answer.__name__ == "solve" else RUN_FILE,
             not_for_it={
-                "--cost-to-go": overrides.cost_to_go,
+                "--cost-to-go": cost_to_go,
                 "--animation": "run.gif" if animation and not found.system.animates else None,
             },
         )
-    asked = with_overrides(
-        found,
-        horizon=overrides.horizon,
-        planner=overrides.planner,
-        cost_to_go=overrides.cost_to_go,
-    )
+    asked = with_overrides(found, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     for words in problem_warnings(asked):
         say(f"{asked.name}: {words}")
-    return answer(Asked(asked, seed, out, json, animation))
+    return answer(Asked(asked, options.seed, options.out, options.json, animation))
 
 
-def _named(command: Callable[..., int], answer: Callable[[Asked], int]) -> Callable[..., int]:
-    # Not functools.wraps: the signature that Typer reads is the command's.
+def _named(command: Callable[Own, int], answer: Callable[[Asked], int]) -> Callable[Own, int]:
     command.__name__, command.__doc__ = answer.__name__, answer.__doc__
     return command

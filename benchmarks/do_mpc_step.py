@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planopt.channel.factor import whiten
 from planopt.channel.parameters import regressors
 from planopt.channel.prediction import bound_quantile
-from planopt.objectives.local_channel import CUSP_ROUNDING
+from planopt.objectives.rounded_kernel import CUSP_ROUNDING
 from planopt.planning.programme.ipopt import OPTIONS
 from planopt.planning.worth.situation import Situation
 

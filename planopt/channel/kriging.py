@@ -1,7 +1,7 @@
 """Kriging: mean and standard deviation of the power at places, from a posterior.
 
 With a factor every measurement counts. Without one the nearest do
-(:mod:`planopt.channel.nearest.nearby`).
+(:mod:`planopt.channel.nearest.local_channel`).
 """
 
 from __future__ import annotations
@@ -11,19 +11,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.estimation.vecchia import EARLIER_NEIGHBOURS, regress_on_neighbours
 from planopt.channel.factor import whiten
 from planopt.channel.maps.many_places import PLACES_AT_ONCE, RowWhitener
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
     measured_path_loss_variance_db2,
+    own_covariance_db2,
     own_variance_db2,
     path_loss_variance_db2,
     place_origins,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, nearby_terms
+from planopt.channel.nearest.local_channel import NEIGHBOURS_BEYOND, nearby_terms
+from planopt.channel.nearest.vecchia import EARLIER_NEIGHBOURS
 from planopt.channel.parameters import regressors
 from planopt.channel.places import require_places
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
@@ -111,16 +112,15 @@ def predict_noiseless(posterior: ChannelPosterior, more: Measurements) -> Predic
         trend = gamma - whitened.T @ posterior.whitened_regressors
     else:
         near, _ = posterior.index.nearest(more.positions_m, EARLIER_NEIGHBOURS)
-        found = regress_on_neighbours(
-            parameters,
-            origins.at(np.arange(len(more))[:, None]),
-            posterior.origins.at(near),
-            posterior.noise_variance_db2[near],
-            np.zeros(near.shape, dtype=bool),
-        )
+        neighbours = posterior.origins.at(near)
+        covariance = own_covariance_db2(neighbours, parameters)
+        np.einsum("kii->ki", covariance)[...] += posterior.noise_variance_db2[near]
+        own = origins.at(np.arange(len(more))[:, None])
+        across = covariance_db2(own, neighbours, parameters)
+        weights = np.linalg.solve(covariance, across.swapaxes(1, 2))[:, :, 0]
         beside = regressors(posterior.measurements.positions_m[near], parameters.station)
-        latent = found.variance_db2
-        data = np.einsum("km,km->k", found.weights, posterior.values_db[near])
-        trend = gamma - np.einsum("km,kmi->ki", found.weights, beside)
+        latent = own_variance_db2(origins, parameters) - np.vecdot(weights, across[:, 0])
+        data = np.vecdot(weights, posterior.values_db[near])
+        trend = gamma - np.einsum("km,kmi->ki", weights, beside)
     variance = np.maximum(latent, 0.0) + measured_path_loss_variance_db2(more, parameters)
     return combine(KrigingTerms(data, trend, variance), posterior.theta, posterior.theta_covariance)

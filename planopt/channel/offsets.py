@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.factor import whiten
 from planopt.channel.measurement_covariance import RECEIVER_OFFSET_STD_DB
-from planopt.channel.nearest.neighbour_information import NeighbourInformation
+from planopt.channel.nearest.vecchia import VecchiaInformation
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
@@ -69,7 +69,7 @@ def offsets_given_theta(posterior: ChannelPosterior) -> OffsetsGivenTheta:
 
 
 def _from_information(
-    posterior: ChannelPosterior, information: NeighbourInformation
+    posterior: ChannelPosterior, information: VecchiaInformation
 ) -> OffsetsGivenTheta:
     """The same without a factor: s^2 Z' U^-1 = V Z' U0^-1, with V the offsets' covariance."""
     covariance = information.offset_covariance_db2()

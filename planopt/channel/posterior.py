@@ -38,13 +38,10 @@ from planopt.channel.measurement_covariance import (
     measured_path_loss_variance_db2,
 )
 from planopt.channel.measurements import Measurements, Table, as_measurements, join
-from planopt.channel.nearest.near_factors import NearFactors, neighbour_sites
-from planopt.channel.nearest.neighbour_information import (
-    NeighbourInformation,
-    extended_information,
-    neighbour_information,
-)
+from planopt.channel.nearest.local_channel import nearest_to_path
 from planopt.channel.nearest.place_index import PlaceIndex
+from planopt.channel.nearest.vecchia import VecchiaInformation, vecchia_information
+from planopt.channel.nearest.window_sites import neighbour_sites
 from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.places import require_finite
 from planopt.channel.prediction import Prediction, connection_probability
@@ -121,15 +118,16 @@ def with_rows(grown: ChannelPosterior, before: ChannelPosterior) -> ChannelPoste
 
 
 def without_factor(grown: ChannelPosterior, before: ChannelPosterior) -> ChannelPosterior:
-    """Count measurements by their neighbours, all of them where there was a factor.
+    """Sum the information of all measurements by Vecchia's approximation.
 
     `grown` and `before` as for :func:`with_rows`.
     """
-    given = (grown.parameters, grown.measurements, grown.values_db, grown.noise_variance_db2)
-    information = (
-        neighbour_information(*given)
-        if before.information is None
-        else extended_information(before.information, before.index, *given)
+    information = vecchia_information(
+        grown.parameters,
+        grown.measurements,
+        grown.values_db,
+        grown.noise_variance_db2,
+        None if before.information is None else (before.information, before.index),
     )
     conditioned = replace(
         grown,
@@ -159,7 +157,7 @@ def _with_theta(posterior: ChannelPosterior, products: NDArray[np.float64]) -> C
 
 MOST_JOINT_SITES = 300
 """Beyond so many censored or coarsely rounded measurements their sites are matched window by window
-(:mod:`planopt.channel.nearest.near_factors`): jointly a sweep costs the cube of their number, at
+(:mod:`planopt.channel.nearest.window_sites`): jointly a sweep costs the cube of their number, at
 750 ten times as much."""
 
 ThetaRule = Literal["estimated", "known", "least_squares"]
@@ -208,10 +206,6 @@ class ChannelPosterior:
         there is none, and then whitened columns are empty.
     information
         What stands for the factor where there is none.
-    near
-        Where there is none: factors of measurements near the places last asked for, shared with
-        the posteriors that extend this one. One that extends nothing has none, so that what is
-        predicted from it does not depend on what was asked before.
     """
 
     parameters: ChannelParameters
@@ -227,8 +221,7 @@ class ChannelPosterior:
     index: PlaceIndex = field(repr=False)
     exact_limit: int = EXACT_LIMIT
     buffer: FactorBuffer | None = field(default=None, repr=False)
-    information: NeighbourInformation | None = field(default=None, repr=False)
-    near: NearFactors | None = field(default=None, repr=False)
+    information: VecchiaInformation | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 
@@ -387,9 +380,33 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
         )
         posterior = _append(posterior, part, sites)
         start = stop
-    if posterior.has_factor or posterior.near is not None:
+    return posterior
+
+
+SHARED_NEIGHBOURS = 512
+"""Number of measurements that a path shares in joint laws where there is no factor of all."""
+
+
+def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> ChannelPosterior:
+    """Return `posterior` if it has a factor, else one from those nearest to a path (h, 2).
+
+    Theta and its covariance stay those of all measurements.
+    """
+    if posterior.has_factor:
         return posterior
-    return replace(posterior, near=NearFactors())
+    used = np.sort(nearest_to_path(posterior, path_m, SHARED_NEIGHBOURS))
+    near = condition(
+        posterior.parameters,
+        posterior.measurements.take(used),
+        theta=posterior.theta_rule,
+        exact_limit=len(used),
+    )
+    return replace(
+        near,
+        theta=posterior.theta,
+        theta_covariance=posterior.theta_covariance,
+        now_s=posterior.now_s,
+    )
 
 
 def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:

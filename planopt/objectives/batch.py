@@ -16,9 +16,8 @@ from planopt.channel.joint import joint_terms
 from planopt.channel.measurement_covariance import covariance_db2, place_origins
 from planopt.channel.parameters import regressors
 from planopt.channel.places import require_places
-from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.errors import InputError
-from planopt.objectives.local_channel import factored_near
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,7 @@ def batch_of(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> Batch:
     """The terms for measuring at `path_m` (h, 2); O(kappa^2 h).
 
     From all measurements, or from those near where they are very many
-    (:func:`planopt.objectives.local_channel.factored_near`).
+    (:func:`planopt.channel.posterior.factored_near`).
     """
     places = require_places(path_m)
     near = factored_near(posterior, places)

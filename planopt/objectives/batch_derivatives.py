@@ -22,9 +22,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters
-from planopt.objectives.local_channel import LocalChannel, rounded_kernel, rounded_log_distance
 from planopt.objectives.measuring import Gates
+from planopt.objectives.rounded_kernel import rounded_kernel, rounded_log_distance
 
 
 @dataclass(frozen=True, eq=False)

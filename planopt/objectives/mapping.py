@@ -3,7 +3,7 @@
 `universal` says which variance counts: that as if theta were known (Lemma 2 of [GM11]), or that
 with the uncertainty of theta (exact). Where theta is known they are the same.
 
-Derivatives are those of the local channel (:mod:`planopt.objectives.local_channel`). Besides its
+Derivatives are those of the local channel (:mod:`planopt.objectives.rounded_kernel`). Besides its
 kernel, two kinks are rounded: the threshold, within `THRESHOLD_ROUNDING` of the channel's variance,
 and the length of a leg, within the kernel's rounding. Beyond these widths the value is that of
 the local channel.
@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import solve_lower
 from planopt.channel.kriging import kriging_terms
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import leg_lengths_m, require_places
-from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import combine
 from planopt.channel.semidefinite import semidefinite_factor
 from planopt.errors import InputError
@@ -40,8 +41,8 @@ from planopt.objectives.batch_derivatives import (
     curvature_of,
     gated_batch,
 )
-from planopt.objectives.local_channel import CUSP_ROUNDING, LocalChannel, factored_near
 from planopt.objectives.measuring import Gates
+from planopt.objectives.rounded_kernel import CUSP_ROUNDING
 from planopt.plain_values import require_weights
 from planopt.targets.rounding import rounded_length, rounded_positive_part
 

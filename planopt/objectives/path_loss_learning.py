@@ -10,7 +10,7 @@ plan, so that every criterion is finite from no measurement on.
 
 Derivatives, here also of the information and the spatial average of
 :mod:`planopt.objectives.mapping`, differ from the values in two ways: cusps are rounded and only
-the measurements of the local channel are used (:mod:`planopt.objectives.local_channel`). The path
+the measurements of the local channel are used (:mod:`planopt.objectives.rounded_kernel`). The path
 that a solver returns is to be valued again with the exact posterior. Places that bring no
 measurement, or nearly none, count by their gates (:mod:`planopt.objectives.batch_derivatives`).
 """
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import inverse, log_determinant, solve_lower
 from planopt.channel.kriging import kriging_terms
+from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
@@ -41,8 +42,8 @@ from planopt.objectives.batch_derivatives import (
     gated_batch,
     gated_rows,
 )
-from planopt.objectives.local_channel import LocalChannel, LocalGrid, rounded_kernel
 from planopt.objectives.measuring import Gates
+from planopt.objectives.rounded_kernel import rounded_kernel
 from planopt.plain_values import require_weights
 
 Kind = Literal["T", "D", "A", "V"]

@@ -19,16 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.measurement_covariance import decayed_db2, shadow_covariance_db2
+from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 from planopt.objectives.batch_derivatives import blind_variance_db2
-from planopt.objectives.local_channel import (
-    CUSP_ROUNDING,
-    LocalChannel,
-    LocalGrid,
-    rounded_log_distance,
-)
 from planopt.objectives.measuring import Gates
+from planopt.objectives.rounded_kernel import CUSP_ROUNDING, rounded_log_distance
 
 Real = TypeVar("Real", np.float32, np.float64)
 

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from planopt.channel.connection.first_passage import first_passage
 from planopt.channel.joint import joint_prediction
 from planopt.channel.places import leg_lengths_m, require_places
-from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import score_probability
-from planopt.objectives.local_channel import factored_near
 
 WAITING = 0.1
 """What a metre counts that a step could be longer. Were it nothing, a robot could as well wait as

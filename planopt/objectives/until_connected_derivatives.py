@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.places import require_places
 from planopt.objectives.batch_derivatives import (
     BatchDerivatives,
@@ -21,7 +22,6 @@ from planopt.objectives.batch_derivatives import (
     batch_derivatives,
     curvature_of,
 )
-from planopt.objectives.local_channel import LocalChannel
 from planopt.objectives.passage_programme import passage_programme, slopes_and_bends
 from planopt.objectives.terms.motion_energy import legs_curvature
 from planopt.objectives.until_connected import NOT_TRIED_DB, WAITING, Search, counted_legs_m

@@ -77,7 +77,7 @@ class Certificate:
     kkt_residual
         Unscaled KKT residual of the polished point; None where nothing was polished.
     posterior
-        ``exact`` or ``neighbours:512``.
+        ``exact`` or ``neighbours:192``.
     relaxed_steps
         Steps (1 is the first) at which the bound is not met.
     relaxation_db

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from local_kriging import predict_locally
 from varied_measurements import (
     DRIFTING,
     STEADY,
@@ -26,8 +25,7 @@ from planopt.channel.measurement_covariance import (
     own_variance_db2,
     place_origins,
 )
-from planopt.channel.nearest.nearby import predict_nearby
-from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.nearest.local_channel import LocalChannel, predict_nearby
 from planopt.channel.posterior import at_time, condition, extend
 from planopt.errors import InputError
 
@@ -139,7 +137,7 @@ def test_all_predictors_agree(parameters):
     expected = predict(posterior, PLACES)
     many = predict(posterior, np.tile(PLACES, (30, 1)))
     joint = joint_prediction(posterior, PLACES)
-    local = predict_locally(neighbour_model(posterior, PLACES, 80), PLACES)
+    local = LocalChannel.around(posterior, PLACES, 80).predict(PLACES)
     nearby = predict_nearby(posterior, PLACES, 70)
     for mean, deviation in (
         (many.mean_db[:40], many.deviation_db[:40]),
@@ -159,11 +157,11 @@ def test_offsets_come_from_all_measurements():
     posterior = condition(STEADY, data)
     places = PLACES[PLACES[:, 0] < 18.0]
     exact = predict(posterior, places)
-    local = predict_locally(neighbour_model(posterior, places, 30), places)
+    local = LocalChannel.around_each(posterior, places, 30).predict(places[:, None])
     nearby = predict_nearby(posterior, places, 30)
     for found in (local, nearby):
-        assert np.abs(found.mean_db - exact.mean_db).max() < 0.3
-        assert np.abs(found.deviation_db - exact.deviation_db).max() < 0.1
+        assert np.abs(found.mean_db.ravel() - exact.mean_db).max() < 0.3
+        assert np.abs(found.deviation_db.ravel() - exact.deviation_db).max() < 0.1
 
 
 @pytest.mark.parametrize("receivers", [1, 3])

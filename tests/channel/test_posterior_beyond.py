@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from local_kriging import predict_locally
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
 from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.measurements import Measurements, join
-from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.offsets import receiver_offsets
 from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import EXACT_LIMIT, at_time, condition
@@ -151,9 +150,7 @@ def test_lattice_and_neighbours_need_no_factor():
         lattice.refresh(posterior.extend(measured(1, seed=4)))
         lattices.append(lattice)
     assert_same(*lattices)
-    assert_same(
-        *(predict_locally(neighbour_model(one, PLACES, 40), PLACES) for one in (exact, found))
-    )
+    assert_same(*(LocalChannel.around(one, PLACES, 40).predict(PLACES) for one in (exact, found)))
     whole = [TileMap(x, x, np.ones((21, 21), dtype=bool), neighbours=600) for _ in range(2)]
     for lattice, posterior in zip(whole, (exact, found), strict=True):
         lattice.refresh(posterior)

@@ -7,8 +7,8 @@ import pytest
 from path_scene import CHANNEL, NOTHING, PATH, START, drawn
 
 from planopt.channel.measurements import join
+from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import condition
-from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.mapping import (
     Region,
     Uncertainty,
@@ -56,7 +56,7 @@ def average(universal):
     """The same of the spatial average."""
     return (
         lambda posterior, channel, path: average_reduction_derivatives(
-            channel, local_grid(channel, GRID, WEIGHT), path, universal
+            channel, LocalGrid.of(channel, GRID, WEIGHT), path, universal
         ),
         lambda posterior, path: average_reduction(posterior, path, Region(GRID, WEIGHT, universal)),
     )
@@ -90,14 +90,14 @@ OBJECTIVES = {
 
 def evaluate(name, path, posterior=POSTERIOR, count=12):
     """Value and derivatives from the measurements near `PATH`."""
-    return OBJECTIVES[name][0](posterior, local_channel(posterior, PATH, count), path)
+    return OBJECTIVES[name][0](posterior, LocalChannel.around(posterior, PATH, count), path)
 
 
 @pytest.mark.parametrize("path", [PATH, PATH[:1], AWKWARD], ids=["path", "one step", "awkward"])
 @pytest.mark.parametrize("name", OBJECTIVES)
 def test_derivatives_are_those_of_central_differences(name, path):
     """Gradient from values, Hessian from gradients, to 1e-6 of the largest; symmetric."""
-    channel = local_channel(POSTERIOR, PATH, 12)
+    channel = LocalChannel.around(POSTERIOR, PATH, 12)
     function = OBJECTIVES[name][0]
     found, h = function(POSTERIOR, channel, path), 1e-5
     gradient, hessian = np.empty(path.size), np.empty((path.size, path.size))
@@ -119,8 +119,8 @@ def test_derivatives_are_those_of_central_differences(name, path):
 @pytest.mark.parametrize("name", OBJECTIVES)
 def test_with_tiny_roundings_the_value_is_exact(name, count, monkeypatch):
     """All measurements used and roundings a billionth: the objective itself, to 1e-7."""
-    monkeypatch.setattr("planopt.objectives.local_channel.CUSP_ROUNDING", 1e-9)
-    monkeypatch.setattr("planopt.objectives.local_channel.MIN_DISTANCE_M", 0.0)
+    monkeypatch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 1e-9)
+    monkeypatch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
     monkeypatch.setattr("planopt.objectives.mapping.CUSP_ROUNDING", 1e-9)
     monkeypatch.setattr("planopt.objectives.mapping.THRESHOLD_ROUNDING", 1e-9)
     posterior = condition(CHANNEL, drawn(count) if count else NOTHING)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, START, drawn
 
+from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import condition
-from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.mapping import Uncertainty, path_uncertainty_derivatives
 from planopt.objectives.measuring import (
     CLOSED_SPACINGS,
@@ -165,7 +165,7 @@ def information(channel, way, gates):
 
 def average(channel, way, gates):
     """Variance removed over a grid."""
-    grid = local_grid(channel, GRID, np.full(len(GRID), 1.0 / len(GRID)))
+    grid = LocalGrid.of(channel, GRID, np.full(len(GRID), 1.0 / len(GRID)))
     return average_reduction_derivatives(channel, grid, way, gates=gates)
 
 
@@ -193,7 +193,7 @@ OBJECTIVES = {
 def test_gated_objectives_have_the_derivatives_of_their_values(name, seed):
     """Gradient from values and Hessian from gradients, through S, B and the gates."""
     rule, way, _ = partly_open(seed)
-    channel = local_channel(POSTERIOR, way, 30)
+    channel = LocalChannel.around(POSTERIOR, way, 30)
 
     def at(places):
         return OBJECTIVES[name](channel, places, rule.gates(places[None]))
@@ -218,7 +218,7 @@ def test_closed_places_are_left_out_and_open_ones_counted_whole(name):
     gates = rule.gates(way[None])
     assert isinstance(gates, Gates)
     np.testing.assert_array_equal(gates.value[0], [1.0, 1.0, 0.0, 0.0, 0.0])
-    channel = local_channel(POSTERIOR, way, 30)
+    channel = LocalChannel.around(POSTERIOR, way, 30)
     found = OBJECTIVES[name](channel, way, gates)
     alone = OBJECTIVES[name](channel, way[:2], None)
     # The threshold's rounding gives 3/16 of its width for each place that brings nothing.

@@ -5,8 +5,7 @@ import pytest
 from path_scene import CHANNEL, PATH, START, drawn
 
 from planopt.channel.kriging import predict
-from planopt.channel.posterior import condition
-from planopt.objectives.local_channel import factored_near
+from planopt.channel.posterior import condition, factored_near
 from planopt.objectives.mapping import Region, average_reduction, path_information
 from planopt.objectives.path_loss_learning import Criterion, path_loss_value
 from planopt.objectives.until_connected import Search, expected_distance_m

@@ -11,9 +11,9 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 
 from planopt import simulate
 from planopt.channel.fields.truth import true_power_dbm
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
-from planopt.objectives.local_channel import local_channel
 from planopt.planning.baselines.foresight import best_nodes, clairvoyant_paths, oracle_paths
 from planopt.planning.baselines.strategies import StrategyPlanner, remembered_reward
 from planopt.planning.plan import Verdict
@@ -125,7 +125,7 @@ def test_nothing_measured_leaves_the_terminal_alone(capfd):
     situation, _ = situation_of(problem)
     nothing = situation.posterior.measurements.take(slice(0, 0))
     posterior = condition(situation.posterior.parameters, nothing, theta="known")
-    assert local_channel(posterior, np.ones((3, 2)), 8).precision.shape == (0, 0)
+    assert LocalChannel.around(posterior, np.ones((3, 2)), 8).precision.shape == (0, 0)
     assert capfd.readouterr() == ("", "")
 
 

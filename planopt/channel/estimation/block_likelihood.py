@@ -44,17 +44,19 @@ from planopt.channel.measurement_covariance import (
     own_distance_m,
 )
 from planopt.channel.measurements import Measurements
+from planopt.channel.nearest.window_sites import (
+    SITE_BESIDE,
+    IntervalRows,
+    WindowSites,
+    window_sites,
+)
 from planopt.channel.nearest.windows import (
     BESIDE,
     BLOCK,
-    SITE_BESIDE,
-    IntervalRows,
     Window,
-    WindowSites,
     earlier_windows,
     place_blocks,
     surrounding_windows,
-    window_sites,
 )
 from planopt.channel.parameters import ChannelParameters, MeanModel
 

@@ -19,7 +19,7 @@ from planopt.channel.measurement_covariance import (
     own_variance_db2,
     place_origins,
 )
-from planopt.channel.nearest.neighbours import local_precision, local_terms
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
@@ -186,20 +186,18 @@ class TileMap:
             self._indices = np.zeros((count, size), dtype=np.intp)
             self._precision = np.zeros((count, size, size))
             self._across = np.zeros((count, places, size))
-        origins, parameters = posterior.origins, posterior.parameters
         indices, self._reach_m2[tiles] = posterior.index.nearest(
             self._centres_m[tiles], self._neighbours
         )
+        channel = LocalChannel.of(posterior, indices, offsets)
         places = self._places_m[tiles]
-        now = place_origins(places, posterior.now_s, parameters)
-        across = covariance_db2(now, origins.at(indices), parameters)
-        precision, weighted = local_precision(posterior, offsets, indices)
-        terms = local_terms(parameters, places, across, precision, weighted)
+        across = channel.rows_db2(places)
+        terms = channel.terms(places, across)
         self._terms.data_db[tiles] = terms.data_db
         self._terms.trend[tiles] = terms.trend
         self._terms.variance_db2[tiles] = terms.variance_db2
         self._indices[tiles] = indices
-        self._precision[tiles] = precision
+        self._precision[tiles] = channel.inverse
         self._across[tiles] = across
         self._replacements[tiles] = 0
 

@@ -14,12 +14,12 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.batch import KnownPlaces
 from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.known_links import KnownLinks
-from planopt.objectives.local_channel import LocalChannel, LocalGrid
 from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import Gates, MeasuringRule
 from planopt.objectives.station_filter import Held

@@ -137,7 +137,7 @@ def _is_kept(case: Case, problem: Problem) -> bool:
     if len(case.posteriors) > 1:
         # The law that replaces several powers depends on thresholds and on p_min.
         broad = broad_prediction(problem, case.posteriors)
-        power, _ = certified_prediction(first, plan.positions_m[1:], broad, keep=False)
+        power, _ = certified_prediction(first, plan.positions_m[1:], broad)
     if not rule.by_step:
         result = whole_plan_result(
             PathCase(problem, BEGINNING, first, plan.positions_m, power, broad)

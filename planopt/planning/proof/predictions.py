@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connection.serving_power import any_probability, serving_prediction
 from planopt.channel.kriging import predict
-from planopt.channel.nearest.near_factors import NearFactors
-from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND, predict_nearby
+from planopt.channel.nearest.local_channel import NEIGHBOURS_BEYOND, predict_nearby
 from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise, mixture
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
@@ -44,11 +43,6 @@ class Serving:
         return any_probability(each, self.thresholds_dbm, slack_db)
 
 
-KEPT_ERROR_DB = 1e-3
-"""Predictions from groups of neighbours that were kept, and have grown, are off those from groups
-made anew by less. In two runs from 6,000 measurements on, checked from disk, no difference was as
-large; those looked at were 1.0e-4 to 1.4e-4 dB."""
-
 SEARCH_EXACT_LIMIT = 1000
 """Up to this many measurements searches use the full posterior too."""
 SEARCH_NEIGHBOURS = 128
@@ -68,16 +62,10 @@ def certified_prediction(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
     broad: Broad | None = None,
-    *,
-    keep: bool = True,
 ) -> tuple[Prediction, str]:
-    """Prediction that certificates rest on, and its name in them; by `broad` where there is one.
-
-    With `keep` the groups of neighbours may be those of an earlier step, grown; else they are made
-    anew, in the same way wherever that is done.
-    """
+    """Prediction that certificates rest on, and its name in them; by `broad` where there is one."""
     if isinstance(broad, Serving):
-        found = [certified_prediction(each, positions_m, keep=keep) for each in broad.posteriors]
+        found = [certified_prediction(each, positions_m) for each in broad.posteriors]
         kind = next((kind for _, kind in found if kind != "exact"), "exact")
         return broad.law([prediction for prediction, _ in found]), kind
     if broad is not None:
@@ -85,9 +73,7 @@ def certified_prediction(
         return broad(positions_m), "exact" if exact else f"neighbours:{NEIGHBOURS_BEYOND}"
     if len(posterior.measurements) <= EXACT_LIMIT:
         return predict(posterior, positions_m), "exact"
-    if not keep or posterior.near is None:
-        posterior = replace(posterior, near=NearFactors())
-    nearby = predict_nearby(posterior, positions_m, NEIGHBOURS_BEYOND, keep=True)
+    nearby = predict_nearby(posterior, positions_m, NEIGHBOURS_BEYOND)
     return nearby, f"neighbours:{NEIGHBOURS_BEYOND}"
 
 

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
+from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.circumstances import Circumstances, obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal, judge_apart, judge_motion, swept_motion
-from planopt.planning.proof.predictions import KEPT_ERROR_DB, certified_prediction
+from planopt.planning.proof.predictions import certified_prediction
 from planopt.planning.proof.rules.proven import PathCase
 from planopt.planning.proof.rules.single_steps import judge_single_steps
 from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
@@ -115,12 +115,7 @@ def judge(
     apart = judge_apart(under.moving, swept, len(positions_m) - 1)
     reasons += apart.reasons
 
-    power, kind = certified_prediction(
-        posterior, positions_m, under.broad, keep=constraints.rule.by_step
-    )
-    if _on_the_edge(problem, power):
-        # What was kept from earlier steps must not decide: whoever judges again has not kept it.
-        power, kind = certified_prediction(posterior, positions_m, under.broad, keep=False)
+    power, kind = certified_prediction(posterior, positions_m, under.broad)
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     probability = connection_probability(mean, deviation, radio.threshold_dbm)
     result, steps = None, None
@@ -175,14 +170,3 @@ def _gets_nowhere(
         return False
     track = positions_m if drive is None else drive.states
     return bool(np.abs(track - track[0]).max() <= STANDSTILL_M)
-
-
-def _on_the_edge(problem: Problem, power: Prediction) -> bool:
-    """Return whether an error of `KEPT_ERROR_DB` could turn the bound at a step."""
-    margins = bound_margin_db(
-        power.mean_db,
-        power.deviation_db,
-        problem.stations[0].threshold_dbm,
-        problem.constraints.p_min,
-    )
-    return bool((np.abs(margins) < KEPT_ERROR_DB).any())

@@ -15,13 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.local_channel import (
-    LocalChannel,
-    LocalGrid,
-    local_channel,
-    local_grid,
-)
 from planopt.objectives.terms.context import Paths
 from planopt.objectives.terms.term import Term
 from planopt.objectives.told_batch import Pull, ToldBatch, WayBatch, slopes_of
@@ -79,7 +74,7 @@ class LocalRanking:
         self._measures = any(term.is_measured for term in situation.problem.terms)
 
         def near(posterior: ChannelPosterior) -> _Station:
-            channel = local_channel(posterior, anchors, count)
+            channel = LocalChannel.around(posterior, anchors, count)
             fine = self._grid(channel, _anchors(about_m, REGION_ANCHORS))
             coarse = None if fine is None else _thinned(fine)
             return _Station(channel, channel.precision.astype(np.float32), fine, coarse)
@@ -100,7 +95,7 @@ class LocalRanking:
             return None
         region = region_along(at.problem, at.near_region, about_m)
         every = max(1, round(len(region.weight) / CLIMBED_PLACES))
-        return local_grid(channel, region.grid_m[::every], every * region.weight[::every])
+        return LocalGrid.of(channel, region.grid_m[::every], every * region.weight[::every])
 
     def __call__(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Weighted sum of the terms of each way ``(c, N, 2)``, near its exact worth; ``(c,)``.

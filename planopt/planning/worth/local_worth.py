@@ -13,10 +13,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
-from planopt.objectives.local_channel import local_channel, local_grid
 from planopt.objectives.terms.context import NearPath, NearStation, Part
 from planopt.objectives.terms.term import Structure, Term
 from planopt.objectives.tracking import connectivity_derivatives
@@ -113,8 +113,8 @@ def _joint_channels(
         region = region_along(problem, situation.near_region, path_m)
     found: list[NearStation] = []
     for station in posteriors:
-        channel = local_channel(station, path_m, JOINT_NEIGHBOURS)
-        grid = None if region is None else local_grid(channel, region.grid_m, region.weight)
+        channel = LocalChannel.around(station, path_m, JOINT_NEIGHBOURS)
+        grid = None if region is None else LocalGrid.of(channel, region.grid_m, region.weight)
         found.append(NearStation(station, channel, grid))
     return found
 

@@ -13,7 +13,7 @@ Predicted power and deviation of every stage with exact derivatives, all stages 
 
 From the measurements nearest to each stage and with the uncertainty of theta counted.
 Two things differ from the exact posterior, both only here: the kernel's cusp at a measured position
-is rounded (:mod:`planopt.objectives.local_channel`), and fewer measurements are used. The verifier
+is rounded (:mod:`planopt.objectives.rounded_kernel`), and fewer measurements are used. The verifier
 uses neither.
 
 A solver asks some twenty times a step. Kernel values and derivatives of all stages are therefore
@@ -28,14 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connection.serving_power import LEAST_DEVIATION_DB, any_score_derivatives
-from planopt.channel.nearest.neighbours import NeighbourModel, neighbour_model
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.objectives.local_channel import (
-    fill_rounded_kernel,
-    rounded_log_distance,
-    softened_m2,
-)
+from planopt.objectives.rounded_kernel import fill_rounded_kernel, rounded_log_distance, softened_m2
 from planopt.planning.proof.predictions import Broad, Serving
 from planopt.targets.rounding import Derivatives, add_products
 
@@ -51,7 +47,7 @@ class StagePredictor:
     b' M b``, b = g - A' phi, is ``xi^2 + omega^2 - f' Q f``: one linear form and one quadratic.
     """
 
-    def __init__(self, model: NeighbourModel) -> None:
+    def __init__(self, model: LocalChannel) -> None:
         self._model = model
         n, m = model.weights.shape
         along = model.trend @ model.theta_covariance  # A M, (n, m, 2)
@@ -110,7 +106,7 @@ class ServingStages:
     def __init__(self, serving: Serving, path_m: NDArray[np.float64], neighbours: int) -> None:
         self._thresholds_dbm = serving.thresholds_dbm
         self._stations = [
-            StagePredictor(neighbour_model(posterior, path_m, neighbours))
+            StagePredictor(LocalChannel.around_each(posterior, path_m, neighbours))
             for posterior in serving.posteriors
         ]
         powers = [predict(path_m) for predict in self._stations]
@@ -173,4 +169,4 @@ def stage_predictor(
     """Return the predictor of stages about a path (N, 2), of several stations by `broad`."""
     if isinstance(broad, Serving):
         return ServingStages(broad, path_m, neighbours)
-    return StagePredictor(neighbour_model(posterior, path_m, neighbours))
+    return StagePredictor(LocalChannel.around_each(posterior, path_m, neighbours))

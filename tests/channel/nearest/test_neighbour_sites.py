@@ -5,8 +5,7 @@ import pytest
 
 from planopt.channel.intervals.censoring import gaussian_sites
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.near_factors import neighbour_sites
-from planopt.channel.nearest.windows import SITE_BESIDE
+from planopt.channel.nearest.window_sites import SITE_BESIDE, neighbour_sites
 from planopt.channel.parameters import ChannelParameters, Station, regressors
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))

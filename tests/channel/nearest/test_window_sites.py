@@ -15,12 +15,8 @@ from planopt.channel.measurement_covariance import (
     own_distance_m,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.windows import (
-    IntervalRows,
-    place_blocks,
-    surrounding_windows,
-    window_sites,
-)
+from planopt.channel.nearest.window_sites import IntervalRows, window_sites
+from planopt.channel.nearest.windows import place_blocks, surrounding_windows
 from planopt.channel.parameters import ChannelParameters, Station
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.channel.nearest.neighbours import NeighbourModel
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.planning.programme.margin_source import StageMargins, margins_of
 from planopt.planning.worth.serving_stages import StagePredictor
 
 
 def stage_margins(
-    model: NeighbourModel, positions_m: np.ndarray, threshold_dbm: float, z: float | np.ndarray
+    model: LocalChannel, positions_m: np.ndarray, threshold_dbm: float, z: float | np.ndarray
 ) -> StageMargins:
     """Margin of each stage k at ``positions_m[k]``, from the model's k-th neighbour set."""
     return margins_of(*StagePredictor(model)(positions_m), threshold_dbm, z)

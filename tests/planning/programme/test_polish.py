@@ -27,7 +27,7 @@ from stage_margins_of import stage_margins
 
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db, bound_quantile
@@ -349,7 +349,7 @@ def test_a_field_of_one_measurement(nlp):
     assert exact(3.0) > 0.0 > exact(20.0)
     end = brentq(exact, 3.0, 20.0)
     path = np.outer(np.arange(1, N + 1), [end / 4.0, 0.0])
-    model = neighbour_model(posterior, path, 4)
+    model = LocalChannel.around_each(posterior, path, 4)
     task = reach_task(
         N,
         LINES,

@@ -9,11 +9,11 @@ from stage_margins_of import stage_margins
 
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db, bound_quantile
-from planopt.objectives.local_channel import CUSP_ROUNDING
+from planopt.objectives.rounded_kernel import CUSP_ROUNDING
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))
 THRESHOLD, P_MIN = -85.0, 0.9
@@ -48,14 +48,14 @@ PLACES = CENTRES + np.array([[0.7, -0.4], [-0.9, 0.2], [0.0, 1.1], [0.3, 0.3]])
 
 def model_of(name, count=12):
     """Neighbour sets of the four stages."""
-    return neighbour_model(POSTERIORS[name], CENTRES, count)
+    return LocalChannel.around_each(POSTERIORS[name], CENTRES, count)
 
 
 def unrounded_margin(model, places):
     """The margin with next to no rounding, which a test below compares to exact kriging."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planopt.objectives.local_channel.CUSP_ROUNDING", 1e-9)
-        patch.setattr("planopt.objectives.local_channel.MIN_DISTANCE_M", 0.0)
+        patch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 1e-9)
+        patch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
         return stage_margins(model, places, THRESHOLD, Z).value
 
 
@@ -134,7 +134,7 @@ def test_derivatives_at_a_measured_place():
     """The cusp is rounded: on a measurement all is finite and the gradient has no jump."""
     posterior = POSTERIORS["theta estimated"]
     centres = posterior.measurements.positions_m[:5]
-    model = neighbour_model(posterior, centres, 12)
+    model = LocalChannel.around_each(posterior, centres, 12)
     here = stage_margins(model, centres, THRESHOLD, Z)
     assert all(np.isfinite(part).all() for part in (here.value, here.gradient, here.hessian))
     h = 1e-5
@@ -151,21 +151,22 @@ def test_derivatives_at_a_measured_place():
 def test_far_from_measurements_the_value_is_the_local_prediction(name):
     """Eight roundings from every measurement, and off the station, it is so to 0.05 dB."""
     rounding = CUSP_ROUNDING * PARAMETERS.decorrelation_m
-    away = np.linalg.norm(model_of(name).positions_m - PLACES[:, None], axis=2).min(axis=1)
+    away = np.linalg.norm(model_of(name).positions_m - PLACES[:, None], axis=2)
+    away = away.min(axis=1, initial=np.inf)
     far = away > 8.0 * rounding
     assert far.sum() >= 2
     places = PLACES[far]
-    model = neighbour_model(POSTERIORS[name], CENTRES[far], 12)
+    model = LocalChannel.around_each(POSTERIORS[name], CENTRES[far], 12)
     found = stage_margins(model, places, THRESHOLD, Z).value
     np.testing.assert_allclose(found, unrounded_margin(model, places), atol=0.05)
 
 
 def test_without_rounding_it_is_the_local_prediction(monkeypatch):
     """With both roundings gone the value is the exact universal kriging of all measurements."""
-    monkeypatch.setattr("planopt.objectives.local_channel.CUSP_ROUNDING", 0.0)
-    monkeypatch.setattr("planopt.objectives.local_channel.MIN_DISTANCE_M", 0.0)
+    monkeypatch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 0.0)
+    monkeypatch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
     for name, posterior in POSTERIORS.items():
-        model = neighbour_model(posterior, CENTRES, 40)
+        model = LocalChannel.around_each(posterior, CENTRES, 40)
         power = predict(posterior, PLACES)
         margin = bound_margin_db(power.mean_db, power.deviation_db, THRESHOLD, P_MIN)
         found = stage_margins(model, PLACES, THRESHOLD, Z).value

@@ -562,7 +562,7 @@ def test_posterior_of_neighbours_beyond_the_limit(monkeypatch):
     assert exact.posterior == "exact"
     monkeypatch.setattr(predictions, "EXACT_LIMIT", count - 1)
     every = certificate()
-    assert every.posterior == "neighbours:512"
+    assert every.posterior == "neighbours:192"
     assert np.allclose(every.relaxation_db, exact.relaxation_db, atol=1e-9)
     monkeypatch.setattr(predictions, "NEIGHBOURS_BEYOND", 20)
     fewer = certificate()
@@ -585,9 +585,9 @@ def test_searches_by_nearby_measurements(monkeypatch):
 
 
 def test_limits_are_those_of_the_design():
-    """Design 4.2: exact up to 5,000, at least 512 nearest beyond."""
+    """Design 4.2: exact up to 5,000, at least 192 nearest beyond."""
     assert predictions.EXACT_LIMIT == 5000
-    assert predictions.NEIGHBOURS_BEYOND == 512
+    assert predictions.NEIGHBOURS_BEYOND == 192
 
 
 def test_fewer_measurements_are_never_surer():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.neighbours import neighbour_model
+from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
@@ -48,7 +48,7 @@ def stages(serving: Serving) -> ServingStages:
 def predicted(serving: Serving, places: np.ndarray) -> Prediction:
     """The law of what each station's own stages predict."""
     each = [
-        StagePredictor(neighbour_model(posterior, PATH, 60))(places)
+        StagePredictor(LocalChannel.around_each(posterior, PATH, 60))(places)
         for posterior in serving.posteriors
     ]
     return serving.law([Prediction(mean.value, deviation.value) for mean, deviation in each])

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from planopt.channel.connection.joint_connectivity import JointConnectivity, joint_connectivity
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.joint import JointPrediction, joint_prediction
-from planopt.channel.nearest.nearby import NEIGHBOURS_BEYOND
-from planopt.channel.posterior import ChannelPosterior, condition
+from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.planning.certificate import RuleResult
 from planopt.planning.proof.predictions import Broad, Serving
 from planopt.planning.proof.rules.probable_data import DRAWN, drawn_powers_dbm, share_at_least
@@ -38,13 +37,7 @@ def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) ->
     Where there are too many measurements for a factor, by the nearest to the path: a true posterior
     of less data.
     """
-    if posterior.has_factor:
-        return joint_prediction(posterior, path_m)
-    near, _ = posterior.index.nearest(path_m, max(NEIGHBOURS_BEYOND // len(path_m), 1))
-    nearest = posterior.measurements.take(np.unique(near))
-    return joint_prediction(
-        condition(posterior.parameters, nearest, theta=posterior.theta_rule), path_m
-    )
+    return joint_prediction(factored_near(posterior, path_m), path_m)
 
 
 def joint_result(

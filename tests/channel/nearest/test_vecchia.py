@@ -1,0 +1,142 @@
+"""Information by Vecchia's approximation, receivers' offsets included, against dense formulas."""
+
+import numpy as np
+import pytest
+
+from planopt.channel import ChannelParameters, Measurements, Station
+from planopt.channel.measurement_covariance import (
+    RECEIVER_OFFSET_STD_DB,
+    measured_origins,
+    own_covariance_db2,
+)
+from planopt.channel.nearest.place_index import PlaceIndex
+from planopt.channel.nearest.vecchia import vecchia_information
+from planopt.channel.nearest.windows import BESIDE, BLOCK, later_windows
+from planopt.channel.parameters import regressors
+
+PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
+NOWHERE = PlaceIndex.of(np.zeros((0, 2)))
+
+
+def measured(count, receivers=(0,), seed=0, places=None):
+    """Random measurements by receivers, with their values and noise."""
+    generator = np.random.default_rng(seed)
+    data = Measurements(
+        generator.uniform(-100.0, 100.0, (count, 2)) if places is None else places,
+        generator.normal(-90.0, 6.0, count),
+        np.zeros(count, dtype=bool),
+        receiver=np.asarray(receivers)[np.arange(count) % len(receivers)],
+    )
+    return data, data.power_dbm, generator.uniform(1.0, 9.0, count)
+
+
+def dense(data, values, noise):
+    """C' U^-1 C of [y - Gamma theta_0, Gamma]; U^-1."""
+    gamma = regressors(data.positions_m, PARAMETERS.station)
+    columns = np.column_stack([values - gamma @ [-40.0, 3.0], gamma])
+    covariance = own_covariance_db2(measured_origins(data, PARAMETERS), PARAMETERS)
+    inverse = np.linalg.inv(covariance + np.diag(noise))
+    return columns.T @ inverse @ columns, inverse
+
+
+def one_by_one(given, start):
+    """Information of measurements taken in their order."""
+    return vecchia_information(PARAMETERS, *given, before=(start, NOWHERE))
+
+
+@pytest.mark.parametrize("count", [0, 1, BLOCK + 1, BESIDE + 20])
+def test_with_all_earlier_ones_it_is_exact(count):
+    """Nothing is left out while there are no more than `BESIDE` before any block."""
+    given = measured(count)
+    found = vecchia_information(PARAMETERS, *given).products
+    np.testing.assert_allclose(found, dense(*given)[0], rtol=1e-9, atol=1e-9)
+
+
+def test_close_to_exact_for_many():
+    """Products of 1,200 within 1 % of those of the factor of all."""
+    given = measured(1200)
+    found, (expected, _) = vecchia_information(PARAMETERS, *given).products, dense(*given)
+    scale = np.sqrt(np.diag(expected))
+    assert 0.0 < np.abs((found - expected) / np.outer(scale, scale)).max() < 0.01
+
+
+def test_the_order_of_a_batch_does_not_matter():
+    """Products depend on the places, not on the order of the rows."""
+    data, values, noise = measured(300)
+    order = np.random.default_rng(1).permutation(300)
+    np.testing.assert_allclose(
+        vecchia_information(PARAMETERS, data.take(order), values[order], noise[order]).products,
+        vecchia_information(PARAMETERS, data, values, noise).products,
+        rtol=1e-9,
+    )
+
+
+def test_blocks_serve_a_path_better():
+    """Of a path of dense rows the information of theta is nearer to exact than in its order."""
+    generator = np.random.default_rng(4)
+    along, row = np.arange(1500) % 50, np.arange(1500) // 50
+    along = np.where(row % 2, 49 - along, along)
+    places = np.column_stack([along, 2.0 * row]) + generator.normal(0.0, 0.1, (1500, 2))
+    data, values, _ = measured(1500, places=places)
+    given = data, values, np.full(1500, 4.0)
+    expected = np.linalg.inv(dense(*given)[0][1:, 1:])
+    errors = [
+        np.abs(np.diag(np.linalg.inv(found.products[1:, 1:])) / np.diag(expected) - 1.0).max()
+        for found in (
+            vecchia_information(PARAMETERS, *given),
+            one_by_one(given, vecchia_information(PARAMETERS, *measured(0))),
+        )
+    ]
+    assert errors[0] < 0.6 * errors[1]
+    assert errors[0] < 0.1
+
+
+@pytest.mark.parametrize("before", [0, 3, 400])
+def test_later_windows_take_the_nearest_before(before):
+    """Against sorting the distances to all before."""
+    positions = np.random.default_rng(1).uniform(0.0, 1.0, (before + 50, 2))
+    windows = later_windows(positions, PlaceIndex.of(positions[:before]), 10)
+    assert len(windows) == 50
+    for number, window in enumerate(windows, start=before):
+        distance = np.linalg.norm(positions[:number] - positions[number], axis=1)
+        assert list(window.own) == [number]
+        assert set(window.beside) == set(np.argsort(distance)[:10])
+
+
+@pytest.mark.parametrize("receivers", [[0], [0, 3, 1], [2, 5]])
+def test_offsets_are_integrated_out(receivers):
+    """[y - Gamma theta_0, Gamma] under the covariance that has the offsets' variance in it."""
+    data, values, noise = measured(60, receivers)
+    found = vecchia_information(PARAMETERS, data, values, noise)
+    expected, inverse = dense(data, values, noise)
+    np.testing.assert_allclose(found.path_loss_products(), expected, rtol=1e-9, atol=1e-9)
+    numbers = sorted({*receivers} - {0})
+    np.testing.assert_array_equal(found.receivers, numbers)
+    indicators = (data.receiver[:, None] == numbers).astype(float)
+    prior = RECEIVER_OFFSET_STD_DB**2
+    given = prior * np.eye(len(numbers)) - prior**2 * indicators.T @ inverse @ indicators
+    np.testing.assert_allclose(found.offset_covariance_db2(), given, atol=1e-8)
+
+
+def test_extended_singly_or_at_once():
+    """A batch and its measurements one by one add the same, new receivers included."""
+    data, values, noise = measured(400, [0, 0, 4])
+    new = data.receiver.copy()
+    new[370:] = np.arange(30) % 6
+    data = Measurements(data.positions_m, data.power_dbm, data.censored, receiver=new)
+
+    def first(count):
+        return data.take(slice(0, count)), values[:count], noise[:count]
+
+    def index(count):
+        return PlaceIndex.of(data.positions_m[:count])
+
+    start = vecchia_information(PARAMETERS, *first(350))
+    at_once = vecchia_information(PARAMETERS, *first(400), before=(start, index(350)))
+    singly = start
+    for count in range(351, 401):
+        singly = vecchia_information(PARAMETERS, *first(count), before=(singly, index(count - 1)))
+    np.testing.assert_array_equal(singly.receivers, [1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(at_once.receivers, singly.receivers)
+    np.testing.assert_allclose(at_once.products, singly.products, rtol=1e-10, atol=1e-10)
+    np.testing.assert_array_equal(start.receivers, [4])

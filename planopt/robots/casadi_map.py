@@ -7,7 +7,7 @@ robot is within sqrt((v t)^2 - d^2) / 2 of the straight line, in the ellipse of 
 not too long; at equal times it is no farther from even motion on that line (Stewart's theorem). A
 plan must end in a state in which the robot can rest.
 
-Components may be NumPy numbers, NumPy arrays or CasADi expressions, real or complex.
+Components may be NumPy numbers, NumPy arrays or CasADi expressions.
 """
 
 from __future__ import annotations
@@ -38,12 +38,6 @@ class ComponentFunction:
         self._function = function
         self._states = function.size1_in(0)
         self._results = function.size1_out(0)
-        x, u, dx, du = (
-            ca.SX.sym(name, function.size1_in(at))
-            for name, at in (("x", 0), ("u", 1), ("dx", 0), ("du", 1))
-        )
-        slope = ca.jtimes(function(x, u), ca.vertcat(x, u), ca.vertcat(dx, du))
-        self._directional = ca.Function("directional", [x, u, dx, du], [slope])
 
     def __call__(self, state: Components, control: Components) -> Components:
         """Return the function's components, of the kind and shape of those given, also if empty."""
@@ -53,13 +47,7 @@ class ComponentFunction:
         shape, table = both[0].shape, np.array([value.ravel() for value in both])
         if table.size == 0:  # CasADi takes no columns for one column
             return tuple(np.zeros(shape, dtype=table.dtype) for _ in range(self._results))
-        split = self._states
-        real = np.ascontiguousarray(np.real(table))
-        value = np.array(self._function(real[:split], real[split:]))
-        if np.iscomplexobj(table):
-            step = np.ascontiguousarray(np.imag(table))
-            slope = self._directional(real[:split], real[split:], step[:split], step[split:])
-            value = value + 1j * np.array(slope)
+        value = np.array(self._function(table[: self._states], table[self._states :]))
         return tuple(row.reshape(shape) for row in value)
 
 

@@ -1,7 +1,7 @@
 """The interface of a robot's dynamics that planners and the verifier use.
 
-States and inputs are tuples of components, so that NumPy numbers, NumPy arrays (of any shape, real
-or complex) and CasADi expressions pass through the same formula. Inputs are constant over a step.
+States and inputs are tuples of components, so that NumPy numbers, NumPy arrays (of any shape) and
+CasADi expressions pass through the same formula. Inputs are constant over a step.
 The single integrator needs none of this: its steps are the differences of its positions.
 """
 

@@ -5,7 +5,7 @@ arc, exactly: with the half turn z = w h / 2 its chord is v h sin(z)/z long, in 
 heading + z. It lies in the triangle of its ends and the point where the tangents at them meet,
 v h tan(z) / (2 z) ahead; a step that may turn far is cut into arcs of which each turns little.
 
-Sine, cosine and sin(z)/z of NumPy arrays (real or complex) and of CasADi expressions alike.
+Sine, cosine and sin(z)/z of NumPy arrays and of CasADi expressions alike.
 
 No branches: what stands here has derivatives everywhere, at zero too.
 """

@@ -1,3 +1,4 @@
+# pyright: basic
 """Rows that a robot's dynamics add to a programme over a path, for CasADi and for NumPy alike.
 
 Beside the positions q there are variables w: of each step the rest of the state after it and the
@@ -18,6 +19,7 @@ the last step is as another step, with lines of its own, which it keeps all the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,9 +27,6 @@ from numpy.typing import NDArray
 
 from planopt.robots.drive import Drive
 from planopt.robots.dynamics import Components, Dynamics
-
-TINY = 1e-30
-"""Step of complex differentiation: exact to round-off for any so small."""
 
 
 @dataclass(frozen=True)
@@ -154,15 +153,18 @@ def motion_row_values(
     start: NDArray[np.float64],
     line: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Values (m,) of all rows and their gradients (m, 2 N + len(w)), without CasADi.
+    """Values (m,) of all rows and their gradients (m, 2 N + len(w))."""
+    values, slopes = _row_functions(shape, len(line))(positions_m.ravel(), w, start, line)
+    return np.asarray(values).ravel(), np.asarray(slopes)
 
-    Derivatives are complex steps of the same formulas.
-    """
-    variables = np.concatenate([positions_m.ravel(), w])
-    count, places = len(variables), positions_m.size
-    stepped = variables[:, None] + 1j * TINY * np.eye(count)
-    rows = motion_rows(shape, stepped[:places], stepped[places:], tuple(start), line).stacked()
-    table = np.empty((len(rows), count), dtype=np.complex128)
-    for number, row in enumerate(rows):
-        table[number] = row
-    return np.real(table[:, 0]), np.imag(table) / TINY
+
+@lru_cache(maxsize=64)
+def _row_functions(shape: MotionShape, numbers: int) -> Any:
+    """Values and gradients of the rows as a CasADi function of (q, w, start, line)."""
+    import casadi as ca
+
+    q, w = ca.SX.sym("q", 2 * shape.horizon), ca.SX.sym("w", shape.variables)
+    start, line = ca.SX.sym("start", 2 + shape.rest), ca.SX.sym("line", numbers)
+    rows = ca.vertcat(*motion_rows(shape, q, w, tuple(ca.vertsplit(start)), line).stacked())
+    slopes = ca.densify(ca.jacobian(rows, ca.vertcat(q, w)))
+    return ca.Function("rows", [q, w, start, line], [ca.densify(rows), slopes])

@@ -21,13 +21,14 @@ after the horizon, again and again.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Pivot
-from planopt.planning.programme.motion_rows import TINY, MotionShape
+from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import MARGIN_PAD_DB
@@ -90,12 +91,21 @@ def goal_cost_gradient(
     start: NDArray[np.float64],
     charge: GoalCharge,
 ) -> NDArray[np.float64]:
-    """Gradient (2 N + len(w),) of the cost by complex steps, without CasADi."""
-    variables = np.concatenate([positions_m.ravel(), w])
-    stepped = variables[:, None] + 1j * TINY * np.eye(len(variables))
-    places = positions_m.size
-    cost = goal_cost_s(shape, stepped[:places], stepped[places:], tuple(start), charge.numbers)
-    return np.imag(cost) / TINY
+    """Gradient (2 N + len(w),) of the cost."""
+    found = _gradient_function(shape)(positions_m.ravel(), w, start, charge.numbers)
+    return np.asarray(found).ravel()
+
+
+@lru_cache(maxsize=64)
+def _gradient_function(shape: MotionShape) -> Any:
+    """Gradient of the cost as a CasADi function of (q, w, start, charge)."""
+    import casadi as ca
+
+    q, w = ca.SX.sym("q", 2 * shape.horizon), ca.SX.sym("w", shape.variables)
+    start, charge = ca.SX.sym("start", 2 + shape.rest), ca.SX.sym("charge", PARAMETERS)
+    cost = goal_cost_s(shape, q, w, tuple(ca.vertsplit(start)), charge)
+    gradient = ca.densify(ca.gradient(cost, ca.vertcat(q, w)))
+    return ca.Function("gradient", [q, w, start, charge], [gradient])
 
 
 LOOKAHEAD_STEPS = 5.0

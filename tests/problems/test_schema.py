@@ -332,7 +332,7 @@ def test_terms_are_read_in_order(tables: Tables, built: Build) -> None:
     assert again.targets == problem.targets
 
 
-OWN = {"kind": "casadi", "weight": -2.0, "steps": 5, "program": "const 0 1.5\noutput 0"}
+OWN = {"kind": "casadi", "weight": -2.0, "steps": 5, "program": "1.5"}
 ENERGY = {"kind": "motion_energy", "per_metre_j_m": 2.0}
 
 
@@ -385,10 +385,10 @@ def other(tables: Tables, task: str, terms: list[Tables]) -> None:
             {**OWN, "steps": 4},
             r"objective.terms\[0\].steps: is 4, and planner.horizon is 5",
         ),
-        ("custom", {**OWN, "program": "open 0 1"}, r"objective.terms\[0\].program: instruction 1"),
+        ("custom", {**OWN, "program": "open 0 1"}, r"objective.terms\[0\].program: line 1"),
         (
             "custom",
-            {**OWN, "program": "input 0 target_m 0 0\noutput 0"},
+            {**OWN, "program": "target_m[0, 0]"},
             r"objective.terms\[0\].program: reads target_m, and there is no target",
         ),
         (

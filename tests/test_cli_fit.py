@@ -138,6 +138,15 @@ def test_fit_draws_its_picture(log: Path, tmp_path: Path) -> None:
     assert (out / "fit.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_single_measurement_has_a_picture(tmp_path: Path) -> None:
+    """An axis without extent is widened; nothing warns."""
+    (tmp_path / "log.csv").write_text("x_m,y_m,power_dbm\n-295,-1,-82.6\n")
+    out = tmp_path / "fit"
+    arguments = ["fit", str(tmp_path / "log.csv"), "--station", "7,7", "--floor", "0"]
+    assert main([*arguments, "--out", str(out)]) == 3
+    assert (out / "fit.png").stat().st_size > 0
+
+
 BAD_LOGS = {
     "missing column": ("x_m,y_m\n1,2\n", "power_dbm"),
     "text in a number": ("x_m,y_m,power_dbm\n1,2,-60\n1,b,-60\n", "line 3"),

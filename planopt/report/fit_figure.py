@@ -182,9 +182,10 @@ def _draw_path_loss(
                 alpha=0.7,
                 label=label,
             )
-    span = np.exp(
-        np.linspace(np.log(distance.min()), np.log(distance.max()), LINE_POINTS, dtype=np.float64)
-    )
+    nearest, farthest = float(distance.min()), float(distance.max())
+    if farthest < 1.01 * nearest:
+        nearest, farthest = 0.9 * nearest, 1.1 * farthest  # an axis needs an extent
+    span = np.geomspace(nearest, farthest, LINE_POINTS)
     line = parameters.k_pl_db - 10.0 * parameters.n_pl * np.log10(span)
     spread = LINE_DEVIATIONS * np.hypot(parameters.shadow_std_db, parameters.multipath_std_db)
     panel.fill_between(

@@ -180,28 +180,6 @@ def test_repeated_places_are_data(tmp_path: Path, capsys) -> None:
     assert json.loads(capsys.readouterr().out)["measurements"] == 18
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--station", "0"],
-        ["--station", "0,a"],
-        ["--station", "0,0", "--method", "magic"],
-        ["--station", "0,0", "--method", "convex", "--loss", "cauchy"],
-        ["--station", "0,0", "--loss", "huber"],
-        ["--station", "0,0", "--columns", "x=east,z=north"],
-        ["--station", "0,0", "--columns", "x=est"],
-        ["--station", "0,0", "--floor", "low"],
-        ["--station", "0,0", *COLUMNS, "--censored", "high"],
-        [],
-    ],
-)
-def test_a_bad_option_is_one_line(log: Path, arguments: list[str], capsys) -> None:
-    """Exit code 2 and one line on stderr."""
-    assert main(["fit", str(log), *arguments]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == "" and printed.err.count("\n") == 1
-
-
 @pytest.fixture
 def shared_log(tmp_path: Path) -> Path:
     """Two robots, of which the second reads 6 dB more; rounded, dated, with errors of position."""
@@ -247,21 +225,34 @@ def test_without_them_nothing_is_told(shared_log: Path, capsys) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--forgetting", "60"], "--time COLUMN"),
-        (["--forgetting", "0", "--time", "t"], "key --forgetting"),
-        (["--forgetting", "nan", "--time", "t"], "key --forgetting"),
-        (["--resolution=-1"], "key --resolution"),
-        (["--position-error", "inf"], "key --position-error"),
-        (["--floor", "nan"], "key --floor"),
+        ([], "--station"),
+        (["--station", "0"], "key station: cannot read '0'"),
+        (["--station", "0,a"], "key station: cannot read '0,a'"),
         (["--station", "1e300,0"], "key station"),
-        (["--time", "robot"], "'ann' is not a number"),
-        (["--receiver", "name"], "column 'name' is missing"),
+        (["--station", "unknown", "--station-method", "guess"], "use line, joint"),
+        (["--station", "1,2", "--station-method", "line"], "the station is given"),
+        (["--station", "0,0", "--method", "magic"], "key --method"),
+        (["--station", "0,0", "--method", "convex", "--loss", "cauchy"], "key --loss"),
+        (["--station", "0,0", "--loss", "huber"], "key --loss"),
+        (["--station", "0,0", "--columns", "x=east,z=north"], "key columns"),
+        (["--station", "0,0", "--columns", "x=est"], "column 'est' is missing"),
+        (["--station", "0,0", "--floor", "low"], "--floor"),
+        (["--station", "0,0", "--floor", "nan"], "key --floor"),
+        (["--station", "0,0", "--censored", "high"], "column 'high' is missing"),
+        (["--station", "0,0", "--forgetting", "60"], "--time COLUMN"),
+        (["--station", "0,0", "--forgetting", "0", "--time", "t"], "key --forgetting"),
+        (["--station", "0,0", "--forgetting", "nan", "--time", "t"], "key --forgetting"),
+        (["--station", "0,0", "--resolution=-1"], "key --resolution"),
+        (["--station", "0,0", "--position-error", "inf"], "key --position-error"),
+        (["--station", "0,0", "--time", "robot"], "'ann' is not a number"),
+        (["--station", "0,0", "--receiver", "name"], "column 'name' is missing"),
     ],
 )
 def test_options_that_cannot_be_used(shared_log: Path, options, words, capsys) -> None:
-    """One error that names the option, or the log's line and column; exit code 2."""
-    assert main(["fit", str(shared_log), "--station", "0,0", *options]) == 2
-    assert words in capsys.readouterr().err
+    """One line that names the option, or the log's line and column; exit code 2."""
+    assert main(["fit", str(shared_log), *options]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and printed.err.count("\n") == 1 and words in printed.err
 
 
 def test_the_earlier_name_of_lemma1(log: Path, capsys) -> None:

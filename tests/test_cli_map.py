@@ -94,9 +94,7 @@ def test_the_floor_is_the_threshold(log: Path, capsys) -> None:
         (["--out", "new/map.npz", "--bounds", "0,0,1"], "--bounds"),
         (["--out", "new/map.npz", "--bounds", "0,0,1,b"], "--bounds"),
         (["--out", "new/map.npz", "--bounds", "5,0,1,1"], "not bounds"),
-        (["--out", "new/map.npz", "--method", "magic"], "--method"),
         (["--out", "new/map.npz", "--picture", "new/map.gif"], ".png"),
-        (["--out", "new/map.npz", "--columns", "power=rssi"], "rssi"),
         (["--out", "log.csv/map.npz"], "log.csv"),
     ],
 )
@@ -120,18 +118,6 @@ def test_unknown_station_and_loss(log: Path, capsys) -> None:
     out = log.parent / "map.npz"
     assert main(["map", str(log), *options, "--cell", "20", "--out", str(out)]) in FITTED
     assert json.loads(capsys.readouterr().out)["fit"] == fitted
-    assert main(["fit", str(log), *options[:-3], "--json"]) in FITTED
-    assert json.loads(capsys.readouterr().out) != fitted
-
-
-def test_a_bad_row_is_named(log: Path, capsys) -> None:
-    """A fault of a measurement is told by its line of the log."""
-    with log.open("a") as file:
-        file.write("\n0,0,-20\n")
-    out = log.parent / "map.npz"
-    assert main(["map", str(log), "--station", "0,0", "--out", str(out)]) == 2
-    assert "log.csv, line 52" in capsys.readouterr().err
-    assert not out.exists()
 
 
 def test_map_of_the_reference_receiver(log: Path, capsys) -> None:

@@ -67,13 +67,3 @@ def test_not_bounded_is_null(tmp_path: Path, capsys) -> None:
     assert found["status"] == "degenerate"
     assert found["station_standard_errors_m"] == [None, None]
     assert found["standard_errors"]["n_pl"] is None
-
-
-@pytest.mark.parametrize(
-    ("station", "way", "word"), [("unknown", "guess", "line, joint"), ("1,2", "line", "is given")]
-)
-def test_wrong_ways(log: Path, capsys, station: str, way: str, word: str) -> None:
-    """A way that does not exist, or none needed: exit code 2 and one line."""
-    arguments = ["fit", str(log), "--station", station, "--station-method", way]
-    assert main(arguments) == 2
-    assert word in capsys.readouterr().err

@@ -18,7 +18,7 @@ import pytest
 
 from planopt.cli import main
 from planopt.commands.interrupts import interruptible, stopping
-from planopt.files.result_folder import MIXED, STAGING
+from planopt.files.whole import STAGING
 from planopt.problems.library import library_folder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
@@ -203,10 +203,9 @@ TIMED = ("plan.json", "run.json", "plan.png", "series.png")
 
 
 def is_whole(folder: Path, references: list[Path], name: str, pictures: set[str]) -> bool:
-    """Whether a folder has one of the results, with all its pictures or a word on their lack."""
+    """Whether a folder has one of the results, with all its pictures or none, or no JSON file."""
     files = {path.name: path for path in folder.iterdir() if not path.name.startswith(".")}
-    marker = files.pop("INCOMPLETE_plan_or_run.txt", None)
-    if marker is not None and marker.read_text() == MIXED:
+    if name not in files:
         return True
     reference = references[json.loads(files[name].read_text())["seed"]]
     drawn = {other for other in files if other.endswith(".png")}
@@ -215,8 +214,11 @@ def is_whole(folder: Path, references: list[Path], name: str, pictures: set[str]
         for other, path in files.items()
         if other not in TIMED
     )
-    complete = drawn == pictures or (marker is not None and not drawn)
-    return same and complete and set(files) - drawn == {name, "steps.csv", "belief.npz"}
+    return (
+        same
+        and drawn in (pictures, set())
+        and set(files) - drawn == {name, "steps.csv", "belief.npz"}
+    )
 
 
 def killed_commands(command: str, count: int, folder: Path) -> None:
@@ -253,7 +255,7 @@ def test_killed_at_a_moment(command: str, tmp_path: Path, capsys) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_killed_at_random_moments(command: str, tmp_path: Path, capsys) -> None:
-    """The folder has the old result or the new one, or says that it is incomplete."""
+    """The folder has the old result or the new one, or no JSON file."""
     killed_commands(command, 40, tmp_path)
     capsys.readouterr()
 

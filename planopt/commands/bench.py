@@ -12,7 +12,7 @@ from planopt.commands.compare import listed
 from planopt.commands.options import JsonOption
 from planopt.commands.output import drawing, progress, results_folder, show
 from planopt.errors import InputError
-from planopt.files.result_folder import ResultFiles, replaced_results
+from planopt.files.result_folder import replaced_results
 
 if TYPE_CHECKING:
     from planopt.studies.bench.folder import Manifest
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 REPORT_FILE, PICTURE_FILE = "report.json", "report.png"
 
-REPORT = ResultFiles("report", (REPORT_FILE, PICTURE_FILE))
+REPORT = (REPORT_FILE, PICTURE_FILE)
 """The files of a report with its picture."""
 
 REGRESSED, NOT_ANSWERED = 1, 3
@@ -121,7 +121,7 @@ def report(
     known = read_references(references) if given else {}
     best = best_known(known, rows)
     data = report_json(manifest, rows, known)
-    with replaced_results(folder, REPORT, pictures_follow=figures) as new:
+    with replaced_results(folder, REPORT) as new:
         write_text(new / REPORT_FILE, strict_text(data))
     show(json, data, "" if json else bench_text(data))
     with drawing(folder, REPORT, wanted=figures) as new:

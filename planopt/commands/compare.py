@@ -144,7 +144,7 @@ def compare(
             show(json, data, f"{asked[0].name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
-            save_comparison(comparison, folder, parquet=parquet, pictures_follow=figures)
+            save_comparison(comparison, folder, parquet=parquet)
         text = "" if json else f"{comparison_text(comparison)}\n{_where_all_is(folder)}"
         show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:

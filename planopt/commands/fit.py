@@ -15,7 +15,6 @@ from planopt.commands.log_fit import LogFit, LogOptions, read_and_fit
 from planopt.commands.options import JsonOption, OutOption, with_options
 from planopt.commands.output import drawing, progress, results_folder, show, shown_number
 from planopt.errors import InputError
-from planopt.files.result_folder import ResultFiles
 
 if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit
@@ -196,7 +195,7 @@ def _words(ratio: dict[str, Any], form: str) -> str:
 
 
 FIT_FILE = "fit.json"
-FIT = ResultFiles("fit", (FIT_FILE, "fit.png", "held_out.png", "reliability.png"))
+FIT = (FIT_FILE, "fit.png", "held_out.png", "reliability.png")
 """The files of a fit with its pictures."""
 
 UNITS = {
@@ -231,7 +230,7 @@ def fit(
             from planopt.files.result_folder import replaced_results
             from planopt.files.whole import strict_text, write_text
 
-            with replaced_results(folder, FIT, pictures_follow=True) as new:
+            with replaced_results(folder, FIT) as new:
                 write_text(new / FIT_FILE, strict_text(data))
         # Results come before pictures: whatever happens to these, the numbers are there.
         lines = [_in_words(data), *([] if report is None else held_out_reliability_words(report))]

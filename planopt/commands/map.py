@@ -15,7 +15,7 @@ from planopt.commands.log_fit import LogOptions, read_and_fit
 from planopt.commands.options import JsonOption, with_options
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
-from planopt.files.result_folder import ResultFiles, replaced_results
+from planopt.files.result_folder import replaced_results
 
 if TYPE_CHECKING:
     from planopt.channel.maps.posterior_map import Bounds, PosteriorMap
@@ -147,8 +147,7 @@ def _together(out: Path, picture: Path | None) -> Generator[tuple[Path, Path | N
         staged: dict[Path, Path] = {}
         for folder in dict.fromkeys(file.parent for file in files):
             names = tuple(escape(file.name) for file in files if file.parent == folder)
-            kind = ResultFiles(f"map_{out.stem}", names)
-            staged[folder] = stack.enter_context(replaced_results(folder, kind))
+            staged[folder] = stack.enter_context(replaced_results(folder, names))
         yield (
             staged[out.parent] / out.name,
             None if picture is None else staged[picture.parent] / picture.name,

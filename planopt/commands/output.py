@@ -16,7 +16,7 @@ import typer
 
 from planopt.commands.interrupts import interruptible
 from planopt.errors import OutputError
-from planopt.files.result_folder import ResultFiles, added_results
+from planopt.files.result_folder import Patterns, replaced_results
 
 NO_PLAN = 4
 """Exit code where there is no plan, or a run did not arrive."""
@@ -165,7 +165,7 @@ def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
 
 
 @contextlib.contextmanager
-def drawing(folder: Path | None, files: ResultFiles, *, wanted: bool) -> Generator[Path | None]:
+def drawing(folder: Path | None, files: Patterns, *, wanted: bool) -> Generator[Path | None]:
     """Give a folder for the pictures of results that are saved; None where none are wanted.
 
     Pictures come after the results: whatever happens to them, the numbers are there.
@@ -173,7 +173,7 @@ def drawing(folder: Path | None, files: ResultFiles, *, wanted: bool) -> Generat
     if folder is None or not wanted:
         yield None
         return
-    with progress("drawing"), added_results(folder, files) as new:
+    with progress("drawing"), replaced_results(folder, files, keep=True) as new:
         yield new
 
 

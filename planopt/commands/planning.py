@@ -12,7 +12,7 @@ from planopt.commands.output import drawing, progress, results_folder, say, show
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
-    from planopt.files.result_folder import ResultFiles
+    from planopt.files.result_folder import Patterns
     from planopt.problems.problem import Problem
     from planopt.problems.systems import Request, SystemProblem
 
@@ -24,14 +24,14 @@ def answer_command(
     *,
     out: Path | None,
     json: bool,
-    replaced: ResultFiles,
+    replaced: Patterns,
     file: str,
     not_for_it: dict[str, str | None],
 ) -> int:
     """Do what a command asks, and return the exit code."""
     from dataclasses import replace
 
-    from planopt.files.result_folder import ResultFiles, replaced_results
+    from planopt.files.result_folder import replaced_results
     from planopt.files.whole import strict_text, write_text
 
     for option, value in not_for_it.items():
@@ -39,12 +39,12 @@ def answer_command(
             raise InputError(
                 f"is not for the task {problem.task}", key=option, remedy="leave it out"
             )
-    files = ResultFiles(replaced.kind, (*replaced.patterns, *problem.system.files))
+    files = (*replaced, *problem.system.files)
     with results_folder(out) as folder:
         with progress(f"{action}, steps:") as advance:
             answer = problem.answer(action, replace(request, on_step=advance))
         if folder is not None:
-            with replaced_results(folder, files, pictures_follow=answer.draw is not None) as new:
+            with replaced_results(folder, files) as new:
                 answer.save(new)
                 record = {**answer.data, "problem_file": problem.tables()}
                 write_text(new / file, strict_text(record))

@@ -50,7 +50,7 @@ def simulate(asked: Asked) -> int:
             show(asked.json, data, f"{problem.name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
-            save_run(run, folder, pictures_follow=asked.has_pictures)
+            save_run(run, folder)
         show(asked.json, run_json(run), _in_words(run))
         with drawing(folder, PLAN_OR_RUN, wanted=asked.has_pictures) as new:
             if new is not None:

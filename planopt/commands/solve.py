@@ -51,7 +51,7 @@ def solve(asked: Asked) -> int:
             data = no_plan_json(problem, seed, str(error), helpful, blocked)
             drawn = bool(blocked) and problem.report.figures
             if folder is not None:
-                save_no_plan(data, problem, folder, PLAN_FILE, pictures_follow=drawn)
+                save_no_plan(data, problem, folder, PLAN_FILE)
             words = explained(helpful) or [
                 "  no change of a single key or obstacle that was tried helps"
             ]
@@ -67,7 +67,7 @@ def solve(asked: Asked) -> int:
             with progress("explaining"):
                 solution = replace(solution, explanation=explain(solution))
         if folder is not None:
-            save_solution(solution, folder, pictures_follow=problem.report.figures)
+            save_solution(solution, folder)
         show(asked.json, solution_json(solution), _in_words(solution))
         with drawing(folder, PLAN_OR_RUN, wanted=problem.report.figures) as new:
             if new is not None:

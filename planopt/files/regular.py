@@ -1,13 +1,13 @@
 """Read input files that may be anything: devices, pipes, endless, huge or damaged files.
 
-Every input file of planopt is read through this module, so that the file that was named is read,
-no other file is, and its size is known before memory is spent on it.
+Every input file is read by this module: no other file than the named one is read, and its size is
+checked before memory is used.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
+import math
 import stat
 import sys
 import warnings
@@ -25,29 +25,25 @@ LARGEST_BINARY_BYTES = 512 * 2**20
 LARGEST_ARRAY_VALUES = 25_000_000
 """Number of values that one array of a file may declare: a map of 5000 x 5000 cells."""
 
-AGAIN = "copy or export the file again"
-"""Remedy for damaged files."""
-
 MEGABYTE = 2**20
 
 
 def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
     """Return the content of a regular file."""
     try:
-        # Looked at before it is opened: opening a pipe waits, opening a device may do anything.
-        _require_regular(path, path.stat().st_mode)
-        with open(path, "rb", opener=_open_without_waiting) as stream:
-            status = os.fstat(stream.fileno())
-            _require_regular(path, status.st_mode)
-            # Files of /proc have size 0 and any content, so the size said is not trusted.
+        # Checked before opening, since opening a pipe waits and opening a device may do anything.
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            kind = "a folder, not a file" if path.is_dir() else "not a regular file"
+            raise InputError(f"is {kind}", file=path, remedy="name a file")
+        with path.open("rb") as stream:
+            # Files of /proc have the size 0 and any content.
             content = b"" if status.st_size > largest else stream.read(largest + 1)
     except FileNotFoundError as error:
         raise InputError("there is no such file", file=path, remedy="check the path") from error
-    except OSError as error:
-        reason = error.strerror or str(error)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read: {reason}", file=path, remedy="check the path") from error
-    except ValueError as error:  # a NUL in the name
-        raise InputError(f"cannot be read: {error}", file=path, remedy="check the path") from error
     size = max(status.st_size, len(content))
     if size > largest:
         raise InputError(
@@ -59,76 +55,57 @@ def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
 
 
 def read_text(path: Path, largest: int = LARGEST_TEXT_BYTES) -> str:
-    """Return the content of a regular UTF-8 text file; a byte order mark is dropped."""
+    """Return the content of a regular UTF-8 text file without its byte order mark."""
     content = read_bytes(path, largest)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(
-            f"is not UTF-8 text: {error.reason} at byte {error.start}",
-            file=path,
-            remedy="save it as UTF-8 text",
-        ) from None
+        fault = f"is not UTF-8 text: {error.reason} at byte {error.start}"
+        raise InputError(fault, file=path, remedy="save it as UTF-8 text") from None
     if "\0" in text:
-        raise InputError(
-            f"is not text: NUL at character {text.index(chr(0))}",
-            file=path,
-            remedy="give a text file",
-        )
+        fault = f"is not text: NUL at character {text.index(chr(0))}"
+        raise InputError(fault, file=path, remedy="give a text file")
     return text
 
 
 @contextlib.contextmanager
-def foreign_reader(path: Path, kind: str) -> Generator[None]:
-    """Turn whatever a dependency makes of a damaged file into one error of ours.
+def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[None]:
+    """Turn any exception of a library into an error about the file, and silence its warnings.
 
-    Readers of binary formats check little: a damaged file ends in whatever its bytes lead to,
-    among them warnings, MemoryError, errors of other readers, and errors within their callbacks,
-    which Python would print. Their words tell of their insides, not of the file, and are left out.
+    Errors in destructors and callbacks, which Python would print, are silenced as well.
     """
     hooks = sys.excepthook, sys.unraisablehook
-    sys.excepthook, sys.unraisablehook = _unseen, _unseen
+    sys.excepthook = sys.unraisablehook = _ignore
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     except InputError as error:
-        raise (error if error.file is not None else error.located(path)) from error.__cause__
+        if error.file is not None:
+            raise
+        raise InputError(error.message, file=path, key=key, remedy=error.remedy) from error
     except Exception as error:
         raise InputError(
-            f"is damaged, or not {kind} that can be read", file=path, remedy=AGAIN
+            f"is damaged, or not {kind} that can be read",
+            file=path,
+            key=key,
+            remedy="copy or export the file again",
         ) from error
     finally:
         sys.excepthook, sys.unraisablehook = hooks
 
 
-def _unseen(*_: object) -> None:
+def _ignore(*_: object) -> None:
     """Print nothing."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:
     """Refuse an array that declares too many values, before it is read."""
-    count = 1
-    for length in lengths:
-        count *= int(length)
-    if min(lengths, default=0) < 0 or count > LARGEST_ARRAY_VALUES:
+    if min(lengths, default=0) < 0 or math.prod(map(int, lengths)) > LARGEST_ARRAY_VALUES:
         shape = " x ".join(str(int(length)) for length in lengths)
         raise InputError(
             f"declares {shape} values, more than the limit of {LARGEST_ARRAY_VALUES}",
             file=path,
             key=key,
             remedy="give a smaller map",
-        )
-
-
-def _open_without_waiting(name: str, flags: int) -> int:
-    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
-
-
-def _require_regular(path: Path, mode: int) -> None:
-    if not stat.S_ISREG(mode):
-        raise InputError(
-            "is a folder, not a file" if stat.S_ISDIR(mode) else "is not a regular file",
-            file=path,
-            remedy="name a file",
         )

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import platform
 import secrets
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,18 +15,21 @@ from typing import Any
 
 from planopt.errors import OutputError
 
-_WRITER = "-by-"
-"""Stands before the number of the process that writes, in the name of a temporary file."""
+STAGING = ".planopt-new-"
+"""Prefix of hidden files and folders that are being written."""
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+def hidden_name(suffix: str = "") -> str:
+    """Return a new hidden name that identifies the process that writes."""
+    return f"{STAGING}{platform.node()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a temporary neighbour of `path`, then move it into place."""
-    # The name is known before the file is there, so that no interrupt comes between the two.
-    own = f".{path.stem}{_WRITER}{os.getpid()}-{secrets.token_hex(4)}{path.suffix}"
-    temporary = path.parent / own
+    # The name is known before the file exists, so that an interrupt cannot leave the file.
+    temporary = path.parent / hidden_name(path.suffix)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch(exist_ok=False)
         write(temporary)
         temporary.chmod(0o644)
         temporary.replace(path)
@@ -35,37 +40,37 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def remove_remains(folder: Path) -> None:
-    """Remove the temporary files of processes of this machine that were killed while writing."""
-    for path in folder.glob(f".*{_WRITER}*"):
-        writer = path.name.rpartition(_WRITER)[2].partition("-")[0]
-        if os.name == "posix" and writer.isdigit() and not _is_running(int(writer)):
-            path.unlink(missing_ok=True)
-
-
-def _is_running(pid: int) -> bool:
-    """Return whether there is a process of this number."""
-    try:
-        os.kill(pid, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:
-        pass
-    return True
-
-
 def write_text(path: Path, text: str) -> None:
     """Write `text` to `path` as UTF-8, whole or not at all."""
-
-    def write(temporary: Path) -> None:
-        temporary.write_text(text, encoding="utf-8")
-
-    write_whole(path, write)
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def strict_text(data: Mapping[str, Any]) -> str:
     """Return `data` as one line of strict JSON."""
     return json.dumps(data, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def remove_remains(folder: Path) -> None:
+    """Remove hidden files and folders of processes of this machine that were killed."""
+    own = f"{STAGING}{platform.node()}-"
+    for path in folder.glob(f"{STAGING}*"):
+        writer = path.name.removeprefix(own).partition("-")[0]
+        if not writer.isdigit() or _is_running(int(writer)):
+            continue
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        # On Windows the signal 0 would end the process.
+        return os.name != "posix" or os.kill(pid, 0) is None
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
 
 
 def writable_folder(path: Path) -> Path:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from planopt.errors import InputError, NoPlanError, path_of
 from planopt.files.regular import read_text
-from planopt.files.result_folder import ResultFiles, replaced_results
+from planopt.files.result_folder import replaced_results
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text, write_whole
 from planopt.planning.check.check import load_result as load_plan_or_run
@@ -37,27 +37,22 @@ if TYPE_CHECKING:
 COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE = "comparison.json", "manifest.json", "runs.jsonl"
 PARQUET_FILE = "runs.parquet"
 
-COMPARISON = ResultFiles(
-    "comparison",
-    (
-        *(COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE, PARQUET_FILE),
-        *("comparison.png", "reliability.png", "traces.png"),
-    ),
+COMPARISON = (
+    *(COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE, PARQUET_FILE),
+    *("comparison.png", "reliability.png", "traces.png"),
 )
 """The files of a comparison with its pictures."""
 
 REMEDY = "run the comparison again"
 
 
-def save_comparison(
-    comparison: Comparison, folder: Path, *, parquet: bool = False, pictures_follow: bool = False
-) -> None:
+def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = False) -> None:
     """Save a comparison; :func:`load_result` reads it."""
     if parquet:
         require_pyarrow()
     tables = [_tables(problem) for problem in (comparison.problem, *comparison.others)]
     data = {**comparison_json(comparison), "problem_file": tables[0], "other_problems": tables[1:]}
-    with replaced_results(folder, COMPARISON, pictures_follow=pictures_follow) as new:
+    with replaced_results(folder, COMPARISON) as new:
         write_text(new / RUNS_FILE, "".join(_run_line(run) for run in comparison.runs))
         write_text(new / MANIFEST_FILE, strict_text(manifest(comparison, tables)))
         if parquet:

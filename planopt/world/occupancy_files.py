@@ -15,13 +15,12 @@ then the cells, a row of the map after the other, the one of the largest y first
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +48,6 @@ NO_TURN_RAD = 1e-9
 UNKNOWN_GREY = 205
 """Grey that ROS mapping packages write for unknown cells."""
 
-_MODES = ("trinary", "scale", "raw")
-
 
 def is_grid(path: Path | str | None) -> bool:
     """Return whether a file is an occupancy grid, by the ending of its name."""
@@ -66,8 +63,8 @@ def _read_ros_map(path: Path) -> OccupancyGrid:
     """Read a map of ROS."""
     table = _yaml_table(path)
     resolution, (x, y) = _placed(path, _number(path, table, "resolution"), *_origin(path, table))
-    negate = _one_of(path, table, "negate", (0, 1), 0)
-    mode = _one_of(path, table, "mode", _MODES, "trinary")
+    negate = _one_of(path, table, "negate", ("0", "1")) == "1"
+    mode = _one_of(path, table, "mode", ("trinary", "scale", "raw"))
     if mode == "raw" and negate:
         raise InputError(
             "is 1 with mode raw, which ROS 1 and Nav2 read differently",
@@ -158,13 +155,17 @@ GRID_READERS: dict[str, Callable[[Path], OccupancyGrid]] = {
 
 
 def _yaml_table(path: Path) -> dict[str, object]:
-    """Return the keys of a YAML file."""
+    """Return the keys of a YAML file; all scalars are text, and aliases are refused."""
     import yaml
 
     text = read_text(path, LARGEST_YAML_BYTES)
     with foreign_reader(path, "a YAML file"):
         try:
-            table: object = yaml.safe_load(text)
+            shared = (yaml.AliasToken, yaml.AnchorToken)
+            scan = cast("Callable[..., Iterable[object]]", yaml.scan)  # pyright: ignore[reportUnknownMemberType]
+            if any(isinstance(token, shared) for token in scan(text, yaml.BaseLoader)):
+                raise InputError("has anchors or aliases", remedy="write the values out")
+            table: object = yaml.load(text, yaml.BaseLoader)
         except yaml.MarkedYAMLError as error:
             row = None if error.problem_mark is None else error.problem_mark.line + 1
             raise InputError(
@@ -183,20 +184,15 @@ def _yaml_table(path: Path) -> dict[str, object]:
 def _number(path: Path, table: dict[str, object], key: str) -> float:
     """Return the number at `key`."""
     value = table.get(key)
-    if isinstance(value, str):
-        # YAML 1.1 takes 5e-2 for text.
-        with contextlib.suppress(ValueError):
-            value = float(value)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not _sane(value):
+    try:
+        number = float(value) if isinstance(value, str) else math.nan
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
         raise InputError(
             f"is {_shown(value)}, should be a number", file=path, key=key, remedy="write a number"
         )
-    return float(value)
-
-
-def _sane(value: float) -> bool:
-    """Return whether a number, whole ones of any size included, is finite and no giant."""
-    return -1e300 < value < 1e300
+    return number
 
 
 def _shown(value: object) -> str:
@@ -205,24 +201,22 @@ def _shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:60]}..."
 
 
-def _one_of(
-    path: Path, table: dict[str, object], key: str, allowed: tuple[Any, ...], default: Any
-) -> Any:
-    """Return one of the allowed values at `key`; true and false are 1 and 0."""
-    value: Any = table.get(key, default)
-    if not any(value == one for one in allowed):
-        words = ", ".join(map(str, allowed))
+def _one_of(path: Path, table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:
+    """Return one of the allowed words at `key`, the first if it is missing."""
+    value = table.get(key, allowed[0])
+    word = {"true": "1", "false": "0"}.get(str(value).lower(), value)
+    if not isinstance(word, str) or word not in allowed:
         raise InputError(
-            f"is {_shown(value)}, should be one of {words}",
+            f"is {_shown(value)}, should be one of {', '.join(allowed)}",
             file=path,
             key=key,
             remedy="write one of these",
         )
-    return value
+    return word
 
 
 def _origin(path: Path, table: dict[str, object]) -> tuple[float, float]:
-    """Return x and y of the origin, which must not be turned."""
+    """Return x and y of the origin, whose yaw must be 0."""
     origin = table.get("origin")
     values = cast("list[object]", origin if isinstance(origin, list) else [])
     if len(values) not in (2, 3):
@@ -232,7 +226,7 @@ def _origin(path: Path, table: dict[str, object]) -> tuple[float, float]:
             key="origin",
             remedy="give metres and radians, such as [0.0, 0.0, 0.0]",
         )
-    x, y, yaw = (_number(path, {"origin": value}, "origin") for value in (*values, 0.0)[:3])
+    x, y, yaw = (_number(path, {"origin": value}, "origin") for value in (*values, "0")[:3])
     if abs(yaw) > NO_TURN_RAD:
         raise InputError(
             f"has a yaw of {yaw:g} rad, and turned maps are not read",

@@ -1,8 +1,7 @@
 # pyright: basic
 """Rasters as NetCDF: variables on ``y, x``, written as NetCDF-3, which every reader takes.
 
-The boundary to SciPy's writer, which ships no types, and to h5netcdf, which reads the newer
-NetCDF-4 where it is installed.
+SciPy reads and writes NetCDF-3; h5netcdf, which is an extra, reads NetCDF-4.
 """
 
 from __future__ import annotations
@@ -18,12 +17,13 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
 from planopt.files.regular import foreign_reader, read_bytes, require_array_size
-from planopt.world.netcdf_classic import classic_values, classic_variables
 from planopt.world.raster import Raster, checked_raster
 
 HDF5_SIGNATURE = b"\x89HDF"
 AXES = ("y", "x")
-MISSING = ("_FillValue", "missing_value")
+
+BYTES_PER_READ = 1000
+"""Memory that SciPy's reader uses at most for each part of a header."""
 
 
 def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
@@ -47,10 +47,9 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
 def read_netcdf(path: Path, variable: str) -> Raster:
     """Read one variable on the dimensions ``y, x`` with their coordinates; y may descend."""
     content = read_bytes(path)
-    if content.startswith(HDF5_SIGNATURE):
-        (y, x, values), attributes = _newer(path, content, variable)
-    else:
-        (y, x, values), attributes = _classic(path, content, variable)
+    read = _read_hdf5 if content.startswith(HDF5_SIGNATURE) else _read_classic
+    with foreign_reader(path, "a NetCDF file"):
+        (y, x, values), attributes = read(path, content, variable)
     if y.ndim == 1 and y.size > 1 and y[0] > y[-1]:
         y, values = y[::-1], values[::-1]
     quantity, unit = (_text(attributes.get(name)) for name in ("long_name", "units"))
@@ -66,20 +65,40 @@ def _text(value: object) -> str:
 _Read = tuple[list[NDArray[np.float64]], Mapping[str, Any]]
 
 
-def _classic(path: Path, content: bytes, variable: str) -> _Read:
+class _BoundedBytes(io.BytesIO):
+    """The bytes of a file, from which not much more than its size is read in all.
+
+    Variables of a damaged header may overlap, each as large as the file.
+    """
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(content)
+        self.left = 2 * len(content) + 10_000 * BYTES_PER_READ
+
+    def read(self, size: int | None = -1) -> bytes:
+        found = super().read(size)
+        self.left -= len(found) + BYTES_PER_READ
+        if self.left < 0:
+            raise InputError("declares more than the file holds")
+        return found
+
+
+def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
     """Return y, x and the variable of a NetCDF-3 file, and the variable's attributes."""
-    with foreign_reader(path, "a NetCDF file"):
-        held = classic_variables(content)
-        _require_map(path, {name: one.dimensions for name, one in held.items()}, variable)
-        found: list[NDArray[np.float64]] = []
-        for name in (*AXES, variable):
-            one = held[name]
-            require_array_size(path, name, *one.shape)
-            found.append(_floats(classic_values(content, one), one.attributes, path, name))
-        return found, held[variable].attributes
+    from scipy.io import netcdf_file
+
+    class Reader(netcdf_file):
+        """A file that is not closed: attributes from its content may replace its methods."""
+
+        def __del__(self) -> None: ...
+
+    held = Reader(_BoundedBytes(content), "r").variables
+    _require_map(path, {name: held[name].dimensions for name in held}, variable)
+    found = [_floats(held[name].data, vars(held[name]), path, name) for name in (*AXES, variable)]
+    return found, vars(held[variable])
 
 
-def _newer(path: Path, content: bytes, variable: str) -> _Read:
+def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
     """Return y, x and the variable of a NetCDF-4 file, and the variable's attributes."""
     try:
         import h5netcdf
@@ -90,32 +109,26 @@ def _newer(path: Path, content: bytes, variable: str) -> _Read:
             file=path,
             remedy="install planopt[maps], or convert with nccopy -k classic",
         ) from error
-    with foreign_reader(path, "a NetCDF file"), h5py.File(io.BytesIO(content), "r") as hdf5:
-        _require_own_data(path, hdf5)
-        with h5netcdf.File(hdf5, "r") as file:
+    with h5py.File(io.BytesIO(content), "r") as opened:
+        hdf5: Any = opened
+        for name in hdf5:
+            if isinstance(hdf5.get(name, getlink=True), h5py.ExternalLink):
+                raise InputError("links to another file", file=path, key=name)
+            item = hdf5[name]
+            if not isinstance(item, h5py.Dataset):
+                continue
+            if item.external or item.is_virtual:
+                raise InputError("takes its values from another file", file=path, key=name)
+            require_array_size(path, name, *(item.shape or ()))
+            # Chunks are unpacked whole.
+            require_array_size(path, name, *(item.chunks or ()))
+        with h5netcdf.File(opened, "r") as file:
             held = file.variables
             _require_map(path, {name: held[name].dimensions for name in held}, variable)
             found = [
                 _floats(held[name][...], held[name].attrs, path, name) for name in (*AXES, variable)
             ]
             return found, dict(held[variable].attrs)
-
-
-def _require_own_data(path: Path, hdf5: Any) -> None:
-    """Refuse HDF5 that takes its content from other files, or declares too much of it."""
-    import h5py
-
-    for name in hdf5:
-        if isinstance(hdf5.get(name, getlink=True), h5py.ExternalLink):
-            raise InputError("links to another file", file=path, key=name)
-        item = hdf5[name]
-        if not isinstance(item, h5py.Dataset):
-            continue
-        if item.external or item.is_virtual:
-            raise InputError("takes its values from another file", file=path, key=name)
-        require_array_size(path, name, *(item.shape or ()))
-        # Chunks are unpacked whole.
-        require_array_size(path, name, *(item.chunks or ()))
 
 
 def _require_map(path: Path, held: Mapping[str, tuple[str, ...]], variable: str) -> None:
@@ -137,16 +150,15 @@ def _require_map(path: Path, held: Mapping[str, tuple[str, ...]], variable: str)
 def _floats(
     values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str
 ) -> NDArray[np.float64]:
-    """Values as floats, unpacked by the attributes, NaN where they are missing."""
+    """Return values as floats, scaled by the attributes, NaN where they are missing."""
     if values.dtype.kind not in "iuf":
         raise InputError(f"{values.dtype} is not numeric", file=path, key=name)
+    require_array_size(path, name, *values.shape)
     floats = values.astype(np.float64)
     missing = np.zeros(floats.shape, dtype=np.bool_)
-    for key in MISSING:
+    for key in ("_FillValue", "missing_value"):
         if key in attributes:
             missing |= floats == float(np.squeeze(attributes[key]))
-    scale, offset = (
-        float(np.squeeze(attributes.get(key, neutral)))
-        for key, neutral in (("scale_factor", 1.0), ("add_offset", 0.0))
-    )
+    scale = float(np.squeeze(attributes.get("scale_factor", 1.0)))
+    offset = float(np.squeeze(attributes.get("add_offset", 0.0)))
     return np.where(missing, np.nan, scale * floats + offset)

@@ -77,7 +77,7 @@ def test_sound_arrays_are_those_of_numpy(save, tmp_path: Path) -> None:
         (with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}\n"), "declares -3"),
         (with_header("(" * 5000), "not an npz that can be read"),
         (with_header("'\\d'\n"), "not an npz that can be read"),
-        (b"\x93NUMPY\x07\x00", "npy version 7.0 is not known"),
+        (b"\x93NUMPY\x07\x00", "not an npz that can be read"),
         (b"", "not an npz that can be read"),
         (b"hello", "not an npz that can be read"),
     ],
@@ -90,18 +90,10 @@ def test_members_that_are_no_sound_array(content: bytes, words: str, tmp_path: P
 
 
 def test_objects_are_never_unpickled(tmp_path: Path) -> None:
-    """Not even looked at."""
+    """A pickle may run any code."""
     path = tmp_path / "a.npz"
     np.savez(path, gain=np.array([{}], dtype=object))
     with pytest.raises(InputError, match="key gain: holds Python objects"):
-        read_npz(path)
-
-
-@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_packing_of_another_kind(method: int, tmp_path: Path) -> None:
-    """NumPy stores or deflates; what packs more tightly is refused."""
-    path = archive(tmp_path / "a.npz", {"gain": npy(np.zeros(9))}, method)
-    with pytest.raises(InputError, match="key gain: is packed in a way"):
         read_npz(path)
 
 
@@ -119,7 +111,7 @@ def test_a_zip_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_archives_that_are_damaged(tmp_path: Path) -> None:
-    """Cut off, encrypted, of another version, with a member twice, or with too many."""
+    """Cut off, encrypted, of another version, or with too many members."""
     path = tmp_path / "a.npz"
     np.savez(path, gain=np.arange(9.0))
     whole = path.read_bytes()
@@ -136,11 +128,6 @@ def test_archives_that_are_damaged(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"a\.npz"):
             read_npz(path)
-    with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "w") as file:
-        file.writestr("a.npy", b"")
-        file.writestr("a.npy", b"")
-    with pytest.raises(InputError, match="key a: stands in the archive twice"):
-        read_npz(path)
     path.write_bytes(b"PK\x03\x04" + 10_001 * b"PK\x01\x02")
     with pytest.raises(InputError, match="more than 10000 arrays"):
         read_npz(path)

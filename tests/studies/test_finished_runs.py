@@ -133,16 +133,16 @@ def test_remains_of_processes_that_ended_are_removed(tmp_path: Path) -> None:
     """Killed while it keeps a result; a process that still writes is not disturbed."""
     writer = (
         "import os, sys; from pathlib import Path; from planopt.files.whole import write_whole; "
-        "write_whole(Path(sys.argv[1]), lambda temporary: os._exit(9))"
+        "write_whole(Path(sys.argv[1]), lambda temporary: (temporary.touch(), os._exit(9)))"
     )
     subprocess.run([sys.executable, "-c", writer, tmp_path / "a.json"], check=False)
     (killed,) = tmp_path.iterdir()
     record = FinishedRuns(tmp_path)
 
     def write(temporary: Path) -> None:
+        temporary.write_text("{}")
         record.tidy()
         assert temporary.exists() and not killed.exists()
-        temporary.write_text("{}")
 
     write_whole(tmp_path / "b.json", write)
     assert [path.name for path in tmp_path.iterdir()] == ["b.json"]

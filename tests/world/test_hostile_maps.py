@@ -1,11 +1,14 @@
 """Maps that declare more than they hold, or that read files which nobody named."""
 
 import contextlib
+import gc
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import netcdf_file
 
 from planopt.errors import InputError
 from planopt.files.regular import LARGEST_TEXT_BYTES
@@ -13,22 +16,6 @@ from planopt.world.raster import Raster
 from planopt.world.raster_files import read_raster, write_rasters
 
 RASTER = Raster(np.arange(5.0), np.arange(4.0), np.arange(20.0).reshape(4, 5))
-
-VRT = """<VRTDataset rasterXSize="10" rasterYSize="10"><GeoTransform>-400,80,0,400,0,-80
-</GeoTransform><VRTRasterBand dataType="Byte" band="1" subClass="VRTRawRasterBand">
-<Description>gain</Description><SourceFilename relativeToVRT="1">secret.txt</SourceFilename>
-<ImageOffset>0</ImageOffset><PixelOffset>1</PixelOffset><LineOffset>10</LineOffset>
-</VRTRasterBand></VRTDataset>"""
-
-
-@pytest.mark.parametrize("head", ["", "II*\0"])
-def test_a_tif_that_is_a_virtual_format(head: str, tmp_path: Path) -> None:
-    """GDAL opens by content and would read the bytes of any file of the machine."""
-    pytest.importorskip("rasterio")
-    (tmp_path / "secret.txt").write_text("s" * 200)
-    (tmp_path / "raw.tif").write_text(head + VRT)
-    with pytest.raises(InputError, match=r"raw\.tif: (is not a TIFF|is damaged, or not a GeoTIFF)"):
-        read_raster(tmp_path / "raw.tif", "gain")
 
 
 def test_sidecars_of_a_tif_are_not_read(tmp_path: Path) -> None:
@@ -90,6 +77,38 @@ def test_a_tif_whose_faults_are_no_text(tmp_path: Path, capfd: pytest.CaptureFix
     with contextlib.suppress(InputError):
         read_raster(path, "gain")
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "name", ["fp", "variables", "use_mmap", "close", "flush", "mode", "dimensions", "_recs"]
+)
+def test_netcdf_3_attributes_named_like_parts_of_the_reader(name: str, tmp_path: Path) -> None:
+    """SciPy sets them on its own object: an error of ours or the values, and nothing printed."""
+    path = tmp_path / "map.nc"
+    with netcdf_file(path, "w") as file:
+        for axis, values in (("y", RASTER.y_m), ("x", RASTER.x_m)):
+            file.createDimension(axis, len(values))
+            file.createVariable(axis, "d", (axis,))[:] = values
+        file.createVariable("gain", "d", ("y", "x"))[:] = RASTER.values
+        file._attributes[name] = b"w"
+    with contextlib.suppress(InputError):
+        np.testing.assert_array_equal(read_raster(path, "gain").values, RASTER.values)
+    gc.collect()
+
+
+def test_netcdf_3_whose_variables_overlap(tmp_path: Path) -> None:
+    """Many variables that each declare most of the file are refused before they are all read."""
+    path = tmp_path / "map.nc"
+    size = 4_000_000
+    header = b"CDF\x01" + struct.pack(">I", 0) + struct.pack(">II", 10, 1)
+    header += struct.pack(">I", 1) + b"x\0\0\0" + struct.pack(">I", size) + bytes(8)
+    header += struct.pack(">II", 11, 5_000)
+    for number in range(5_000):
+        header += struct.pack(">I4sII", 4, b"%04d" % number, 1, 0) + bytes(8)
+        header += struct.pack(">III", 1, size, 100)
+    path.write_bytes(header + bytes(size))
+    with pytest.raises(InputError, match=r"map\.nc: declares more than the file holds"):
+        read_raster(path, "gain")
 
 
 def hdf5(path: Path, **extra: object) -> Path:

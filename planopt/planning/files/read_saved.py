@@ -23,7 +23,6 @@ from pydantic import BaseModel, ValidationError
 
 from planopt.errors import InputError
 from planopt.files.regular import read_text
-from planopt.files.result_folder import require_one_result
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
     SavedBelief,
@@ -33,7 +32,7 @@ from planopt.planning.files.belief_file import (
 from planopt.planning.files.drive_table import drive_columns
 from planopt.planning.files.record import REMEDY
 from planopt.planning.files.run_json import ReleasedRecord, RunRecord
-from planopt.planning.files.saved import FORMAT, PLAN_FILE, PLAN_OR_RUN, RUN_FILE, belief_files
+from planopt.planning.files.saved import FORMAT, PLAN_FILE, RUN_FILE, belief_files
 from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, RobotRecord
 from planopt.planning.files.steps_file import (
     FORMER_KNOWLEDGE_COLUMNS,
@@ -84,7 +83,6 @@ def read_saved(path: Path) -> Saved:
 def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
     """The JSON file of a saved plan or run, and what it says."""
     file = _json_file(path)
-    require_one_result(file.parent, PLAN_OR_RUN)
     return file, _read_json(file)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.files.result_folder import ResultFiles, replaced_results
+from planopt.files.result_folder import replaced_results
 from planopt.files.whole import strict_text, write_text
 from planopt.planning.files.belief_file import BELIEF_FILE, write_belief
 from planopt.planning.files.run_json import released_plans_json, run_json
@@ -36,12 +36,9 @@ from planopt.problems.save import problem_to_dict
 
 PLAN_FILE, RUN_FILE = "plan.json", "run.json"
 
-PLAN_OR_RUN = ResultFiles(
-    "plan_or_run",
-    (
-        *(PLAN_FILE, RUN_FILE, STEPS_FILE, BELIEF_FILE, "belief_*.npz", TARGET_FILE),
-        *(KNOWLEDGE_FILE, "plan.png", "run.png", "run.gif", "series.png", "belief.png"),
-    ),
+PLAN_OR_RUN = (
+    *(PLAN_FILE, RUN_FILE, STEPS_FILE, BELIEF_FILE, "belief_*.npz", TARGET_FILE),
+    *(KNOWLEDGE_FILE, "plan.png", "run.png", "run.gif", "series.png", "belief.png"),
 )
 """The files of a plan or run with its pictures: a folder has one of either."""
 
@@ -56,19 +53,19 @@ def belief_files(problem: Problem) -> tuple[str, ...]:
     return tuple(f"belief_{robot.name}.npz" for robot in problem.robots)
 
 
-def save_solution(solution: Solution, folder: Path, *, pictures_follow: bool = False) -> None:
+def save_solution(solution: Solution, folder: Path) -> None:
     """Save plans so that they can be judged from their files alone.
 
     They replace the plan or run that the folder had, with its pictures.
     """
     steps = joined_steps([steps_of_plan(plan) for plan in solution.plans])
-    with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
+    with replaced_results(folder, PLAN_OR_RUN) as new:
         write_text(new / STEPS_FILE, steps_text(steps))
         write_belief_of_plan(new / BELIEF_FILE, solution.belief)
         write_result(solution_json(solution), solution.problem, new / PLAN_FILE)
 
 
-def save_run(run: Run, folder: Path, *, pictures_follow: bool = False) -> None:
+def save_run(run: Run, folder: Path) -> None:
     """Save a run so that every released plan can be judged from its files alone.
 
     Parameters and errors are those of :func:`save_solution`. Each robot has a belief of its own.
@@ -76,7 +73,7 @@ def save_run(run: Run, folder: Path, *, pictures_follow: bool = False) -> None:
     problem = run.problem
     steps = joined_steps([steps_of_run(one.robot, one.log, one.drive) for one in run.runs])
     data = {**run_json(run), "plans": released_plans_json(run)}
-    with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
+    with replaced_results(folder, PLAN_OR_RUN) as new:
         write_text(new / STEPS_FILE, steps_text(steps))
         tracks = [one.log.positions_m for one in run.runs]
         for name, belief, track in zip(belief_files(problem), run.beliefs, tracks, strict=True):
@@ -92,11 +89,9 @@ def save_no_plan(
     problem: Problem,
     folder: Path,
     name: str,
-    *,
-    pictures_follow: bool = False,
 ) -> None:
     """Save that there is no plan, as `PLAN_FILE` or `RUN_FILE`, in place of what there was."""
-    with replaced_results(folder, PLAN_OR_RUN, pictures_follow=pictures_follow) as new:
+    with replaced_results(folder, PLAN_OR_RUN) as new:
         write_result(data, problem, new / name)
 
 

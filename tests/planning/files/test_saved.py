@@ -11,11 +11,9 @@ import pytest
 
 from planopt import load
 from planopt.errors import InputError, OutputError
-from planopt.files.result_folder import MIXED
 from planopt.planning.files import saved as saved_module
 from planopt.planning.files.read_saved import read_saved
 from planopt.planning.files.saved import (
-    PLAN_OR_RUN,
     known_before_steps,
     save_run,
     save_solution,
@@ -124,13 +122,6 @@ def test_an_earlier_result_stays_until_the_new_one_is_whole(
     with pytest.raises(OutputError):
         save_solution(solution, run_folder)
     assert {file.name: file.read_bytes() for file in run_folder.iterdir()} == before
-
-
-def test_a_folder_of_two_results_is_not_judged(plan_folder: Path) -> None:
-    """The marker that a killed process leaves is an error, not a verdict."""
-    (plan_folder / PLAN_OR_RUN.marker).write_text(MIXED)
-    with pytest.raises(InputError, match="holds files of two results"):
-        read_saved(plan_folder)
 
 
 def test_saving_into_no_folder(tmp_path: Path, solution: Solution) -> None:

@@ -150,22 +150,6 @@ def test_wrong_expressions(base, expression, words) -> None:
     assert caught.match("positions_m, mean_db")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((3.0, 2), "is a float, nothing that can be called"),
-        ((ca.SX.sym("x"), 2), "is a SX, nothing that can be called"),
-        ((lambda path: path.nowhere, 2), "no attribute 'nowhere'"),
-        ((lambda path: path.start_m[0], "2"), "horizon: is '2'"),
-        ((lambda path: path.start_m[0], 0), "horizon: is 0"),
-    ],
-)
-def test_wrong_arguments_of_casadi_term(arguments, words) -> None:
-    """No error of CasADi's."""
-    with pytest.raises(InputError, match=words):
-        casadi_term(*arguments)
-
-
 def tried(value):
     """Methods of a term that tries places."""
     return {"tries_places": True, "tried_values": lambda self, at, ways, chance: value(ways)}
@@ -224,15 +208,6 @@ def test_wrong_derivatives(base, capfd, derivatives, words, planner) -> None:
     with pytest.raises(InputError, match=rf"test_own_mistakes.*{words}"):
         solve(made(base, objective=term), planner=planner, seed=0)
     assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize(
-    "objective", [LearningTerm, [LearningTerm], {"kind": "mapping"}, 3, "mapping"]
-)
-def test_objectives_that_are_none(base, objective) -> None:
-    """A class where an instance is wanted, and what is no term at all."""
-    with pytest.raises(InputError, match=r"objective\.terms(\[0\])?: is a .*give terms"):
-        made(base, objective=objective)
 
 
 class Maker:
@@ -299,32 +274,6 @@ def test_a_path_may_be_a_list(base) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ("x", "kind: is a str .give PlannerKind"),
-        (PlannerKind, "kind: is a class PlannerKind"),
-        (Maker, "kind: is a class Maker"),
-        (None, "kind: is a NoneType"),
-        (PlannerKind(3, Maker), "key name: 3 cannot be the name of a planner"),
-        (PlannerKind("nlp", Maker), "'nlp' cannot be the name of a planner"),
-        (PlannerKind("mine", Maker(1, 2, 3)), "PlannerKind.make: of 'mine' is a Maker"),
-        (PlannerKind("mine", None), "PlannerKind.make: of 'mine' is a NoneType"),
-    ],
-)
-def test_wrong_registrations(given, words) -> None:
-    """Where it is registered, not where it is used."""
-    with pytest.raises(InputError, match=words):
-        register_planner(given)
-
-
-@pytest.mark.parametrize("make", ["nowhere", ":x", "a b:x", "planopt:nothing"])
-def test_a_place_that_has_no_planner(make) -> None:
-    """The error names it."""
-    with pytest.raises(InputError, match=r"planner\.name: .*cannot be imported"):
-        PlannerKind("mine", make).maker()
-
-
-@pytest.mark.parametrize(
     ("methods", "words"),
     [
         ({"achieved": lambda self, p, history: None}, "achieved returned a NoneType"),
@@ -376,20 +325,6 @@ def test_rules_with_a_missing_half() -> None:
     own_class(OwnRule)
     with pytest.raises(InputError, match=r"constraints\.settings: do not fit wrong.*achieved"):
         planopt.ConnectivityRule("wrong")
-
-
-@pytest.mark.parametrize("settings", [[1, 2], None, "steps", 3])
-def test_settings_of_a_rule_have_names(settings) -> None:
-    """A dictionary, and nothing else."""
-    with pytest.raises(InputError, match=r"constraints\.settings: is .*by name"):
-        planopt.ConnectivityRule("each_step", settings=settings)
-
-
-@pytest.mark.parametrize("rule", ["joint", OwnRule, {"connectivity": "joint"}, 3])
-def test_rules_that_are_none(rule) -> None:
-    """The key, and how a rule is given."""
-    with pytest.raises(InputError, match=r"constraints\.rule: is a .*give ConnectivityRule\("):
-        Constraints(p_min=0.5, rule=rule)
 
 
 X, U = ca.SX.sym("x", 2), ca.SX.sym("u", 2)
@@ -536,41 +471,6 @@ class Half:
 
 
 @pytest.mark.parametrize(
-    ("dynamics", "words"),
-    [
-        (Half(), "Half lacks .*limits"),
-        (type("Heir", (Half, Dynamics), {})(), "Heir lacks .*limits"),
-        (CasadiMap, "no object with dynamics"),
-        ("unicycle", "no object with dynamics"),
-        (MAP["function"], "no object with dynamics.*CasadiMap"),
-        (lambda x, u: x, "no object with dynamics"),
-        ({"kind": "unicycle"}, "no object with dynamics"),
-    ],
-)
-def test_wrong_dynamics(dynamics, words) -> None:
-    """What is missing, and what to give."""
-    with pytest.raises(InputError, match=words):
-        Robot(start_m=(1, 1), speed_max_m_s=1.0, dynamics=dynamics)
-
-
-@pytest.mark.parametrize(
-    ("part", "words"),
-    [
-        (
-            {"start_rest": "ab", "dynamics": CasadiMap(**MAP)},
-            r"robots\[0\]: has the start_rest 'ab'",
-        ),
-        ({"start_rest": 3.0, "dynamics": CasadiMap(**MAP)}, r"robots\[0\]: has the start_rest 3.0"),
-        ({"weights": 2.0}, r"robots\[0\]\.weights: is 2.0, should be an array"),
-    ],
-)
-def test_wrong_robots(base, part, words) -> None:
-    """The key of the problem file."""
-    with pytest.raises(InputError, match=words):
-        made(base, robots=replace(base.robots[0], **part))
-
-
-@pytest.mark.parametrize(
     ("function", "words"),
     [
         (lambda places_m: places_m.nothing, r"line \d+.*failed: AttributeError"),
@@ -590,56 +490,6 @@ def test_wrong_truths(base, function, words) -> None:
         solve(made(base, channel=channel), seed=0)
 
 
-@pytest.mark.parametrize(
-    "door",
-    [
-        planopt.load,
-        planopt.check,
-        planopt.load_result,
-        planopt.explain,
-        planopt.solve,
-        planopt.simulate,
-        planopt.Planner,
-    ],
-)
-@pytest.mark.parametrize("given", [3, None])
-def test_doors_that_take_something_else(door, given) -> None:
-    """A path, a problem or a solution, in words."""
-    with pytest.raises(InputError, match=r"^key \w+: is a \w+ \(.+\)$"):
-        door(given)
-
-
-def test_results_are_saved_in_folders(base) -> None:
-    """By name."""
-    for result in (solve(base, seed=0), planopt.simulate(base, seed=0)):
-        for given in (None, 3):
-            with pytest.raises(InputError, match=r"^key folder: is a \w+ \(give the name of"):
-                result.save(given)
-
-
-def test_a_map_is_that_of_a_posterior(base) -> None:
-    """The key of the argument that is wrong, and where the right one is."""
-    run = planopt.simulate(base, seed=0)
-    posterior, bounds = run.belief.posterior, base.workspace.bounds_m
-    for arguments, words in (
-        ((run.belief, bounds, 1.0, -80.0), r"posterior: is a Belief .*run\.belief\.posterior"),
-        ((posterior, 3, 1.0, -80.0), r"bounds_m: is 3 .*problem\.workspace\.bounds_m"),
-        ((posterior, bounds, "1", -80.0), r"cell_m: is '1' \(give a number"),
-        ((posterior, bounds, 1.0, None), r"threshold_dbm: is None \(give a number"),
-        ((posterior, bounds, True, -80.0), r"cell_m: is True \(give a number"),
-        ((posterior, bounds, 1.0, np.complex128(-80.0)), r"threshold_dbm: is .*\(give a number"),
-    ):
-        with pytest.raises(InputError, match=words):
-            posterior_map(*arguments)
-
-
-def test_a_seed_is_a_whole_number(base) -> None:
-    """And none that is negative."""
-    for seed in ("a", -1, 0.5):
-        with pytest.raises(InputError, match=r"key seed: .*whole number.*give 0, 1"):
-            solve(base, seed=seed)
-
-
 def test_faults_of_planopt_stay_what_they_are(monkeypatch, base) -> None:
     """Only a user's own code is a user's fault."""
     monkeypatch.setattr(LearningTerm, "values", lambda self, paths: paths.nothing)
@@ -655,46 +505,155 @@ def test_the_line_is_that_of_the_users_code(base) -> None:
     assert caught.value.__cause__ is not None
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"planner": {"horizon": 0}}, "planner.horizon: .*give a value of at least 1, e.g. 10: S"),
-        ({"planner": {"step_s": -1.0}}, "planner.step_s: .*give a value above 0, e.g. 1: Dur"),
-        ({"constraints": {"p_min": 1.5}}, "constraints.p_min: .*a value below 1, e.g. 0.5: Least"),
-        ({"constraints": {"clearance_m": -1.0}}, "clearance_m: .*of at least 0, e.g. 1: "),
-    ],
-)
-def test_numbers_beyond_their_range(base, change, words) -> None:
-    """The limit that was broken, an example within it, and what the key is."""
-    parts = {name: replace(getattr(base, name), **keys) for name, keys in change.items()}
+FUNCTION_TRUTH = FunctionTruth(power_dbm=lambda places_m: -50.0 - places_m[:, 0])
+
+MISTAKES = [
+    # Parts that are none
+    (lambda base: casadi_term(3.0, 2), "is a float, nothing that can be called"),
+    (lambda base: casadi_term(ca.SX.sym("x"), 2), "is a SX, nothing that can be called"),
+    (lambda base: casadi_term(lambda path: path.nowhere, 2), "no attribute 'nowhere'"),
+    (lambda base: casadi_term(lambda path: path.start_m[0], "2"), "horizon: is '2'"),
+    (lambda base: casadi_term(lambda path: path.start_m[0], 0), "horizon: is 0"),
+    *(
+        (
+            lambda base, given=given: made(base, objective=given),
+            r"objective\.terms(\[0\])?: is a .*give terms",
+        )
+        for given in (LearningTerm, [LearningTerm], {"kind": "mapping"}, 3, "mapping")
+    ),
+    (lambda base: register_planner("x"), "kind: is a str .give PlannerKind"),
+    (lambda base: register_planner(PlannerKind), "kind: is a class PlannerKind"),
+    (lambda base: register_planner(PlannerKind(3, Maker)), "key name: 3 cannot be the name of a"),
+    (lambda base: register_planner(PlannerKind("nlp", Maker)), "'nlp' cannot be the name of a"),
+    (lambda base: register_planner(PlannerKind("a", Maker(1, 2, 3))), "make: of 'a' is a Maker"),
+    (lambda base: register_planner(PlannerKind("a", None)), "make: of 'a' is a NoneType"),
+    *(
+        (
+            lambda base, make=make: PlannerKind("mine", make).maker(),
+            r"planner\.name: .*cannot be imported",
+        )
+        for make in ("nowhere", ":x", "a b:x", "planopt:nothing")
+    ),
+    *(
+        (
+            lambda base, given=given: planopt.ConnectivityRule("each_step", settings=given),
+            r"constraints\.settings: is .*by name",
+        )
+        for given in ([1, 2], None, "steps", 3)
+    ),
+    *(
+        (
+            lambda base, rule=rule: Constraints(p_min=0.5, rule=rule),
+            r"constraints\.rule: is a .*give ConnectivityRule\(",
+        )
+        for rule in ("joint", OwnRule, {"connectivity": "joint"}, 3)
+    ),
+    *(
+        (lambda base, given=given: Robot(start_m=(1, 1), speed_max_m_s=1.0, dynamics=given), words)
+        for given, words in (
+            (Half(), "Half lacks .*limits"),
+            (type("Heir", (Half, Dynamics), {})(), "Heir lacks .*limits"),
+            (CasadiMap, "no object with dynamics"),
+            (MAP["function"], "no object with dynamics.*CasadiMap"),
+            (lambda x, u: x, "no object with dynamics"),
+            ({"kind": "unicycle"}, "no object with dynamics"),
+        )
+    ),
+    *(
+        (lambda base, part=part: made(base, robots=replace(base.robots[0], **part)), words)
+        for part, words in (
+            ({"start_rest": "ab", "dynamics": CasadiMap(**MAP)}, r"\[0\]: has the start_rest 'ab'"),
+            ({"start_rest": 3.0, "dynamics": CasadiMap(**MAP)}, r"\[0\]: has the start_rest 3.0"),
+            ({"weights": 2.0}, r"robots\[0\]\.weights: is 2.0, should be an array"),
+        )
+    ),
+    # Arguments that are none
+    *(
+        (lambda base, door=door, given=given: door(given), r"^key \w+: is a \w+ \(.+\)$")
+        for door in (
+            *(planopt.load, planopt.check, planopt.load_result, planopt.explain, planopt.solve),
+            *(planopt.simulate, planopt.Planner),
+        )
+        for given in (3, None)
+    ),
+    *(
+        (
+            lambda base, given=given: solve(base, seed=0).save(given),
+            r"^key folder: is a \w+ \(give the name of",
+        )
+        for given in (None, 3)
+    ),
+    *(
+        (
+            lambda base, seed=seed: solve(base, seed=seed),
+            r"key seed: .*whole number.*give 0, 1",
+        )
+        for seed in ("a", -1, 0.5)
+    ),
+    (lambda base: planopt.Measurements(1.0, -50.0), r"\[\[5\.0, 2\.0\]\] and \[-61\.5\]"),
+    (lambda base: planopt.Measurements([1.0, 2.0], -50.0), "for one measurement"),
+    # Numbers beyond their range
+    *(
+        (
+            lambda base, part=part, keys=keys: made(
+                base, **{part: replace(getattr(base, part), **keys)}
+            ),
+            words,
+        )
+        for part, keys, words in (
+            (
+                "planner",
+                {"horizon": 0},
+                "planner.horizon: .*a value of at least 1, e.g. 10: S",
+            ),
+            ("planner", {"step_s": -1.0}, "planner.step_s: .*give a value above 0, e.g. 1: Dur"),
+            ("constraints", {"p_min": 1.5}, "constraints.p_min: .*below 1, e.g. 0.5: Least"),
+            ("constraints", {"clearance_m": -1.0}, "clearance_m: .*of at least 0, e.g. 1: "),
+        )
+    ),
+    # Several stations
+    (
+        lambda base: replace(base.channel, truth=[FUNCTION_TRUTH] * 2),
+        r"is a tuple .*\(stations, \.\.\.\)",
+    ),
+    (
+        lambda base: solve(
+            made(
+                base,
+                stations=[base.stations[0], replace(base.stations[0], name="other")],
+                channel=replace(base.channel, truth=FUNCTION_TRUTH),
+            ),
+            seed=0,
+        ),
+        r"for 2 stations .*\(stations, n\) by a function",
+    ),
+    (
+        lambda base: made(base, stations=[base.stations[0]] * 2),
+        r"stations\[1\]\.name: is 'station', as that of",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), MISTAKES)
+def test_a_mistake_is_explained(base, make, words) -> None:
+    """The key, what was given, and what to give."""
     with pytest.raises(InputError, match=words):
-        made(base, **parts)
+        make(base)
 
 
-def test_several_truths(base) -> None:
-    """One truth has the powers of all stations."""
-    truth = FunctionTruth(power_dbm=lambda places_m: -50.0 - places_m[:, 0])
-    with pytest.raises(InputError, match=r"is a tuple .*\(stations, \.\.\.\)"):
-        replace(base.channel, truth=[truth, truth])
-    stations = [base.stations[0], replace(base.stations[0], name="other")]
-    channel = replace(base.channel, truth=truth)
-    with pytest.raises(InputError, match=r"for 2 stations .*\(stations, n\) by a function"):
-        solve(made(base, stations=stations, channel=channel), seed=0)
-    with pytest.raises(InputError, match=r"stations\[1\]\.name: is 'station', as that of"):
-        made(base, stations=[base.stations[0]] * 2)
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: planopt.Measurements(1.0, -50.0), r"\[\[5\.0, 2\.0\]\] and \[-61\.5\]"),
-        (lambda: planopt.Measurements([1.0, 2.0], -50.0), "for one measurement"),
-    ],
-)
-def test_scalar_measurements(make, words) -> None:
-    """How a single one is given."""
-    with pytest.raises(InputError, match=words):
-        make()
+def test_a_map_is_that_of_a_posterior(base) -> None:
+    """The key of the argument that is wrong, and where the right one is."""
+    run = planopt.simulate(base, seed=0)
+    posterior, bounds = run.belief.posterior, base.workspace.bounds_m
+    for arguments, words in (
+        ((run.belief, bounds, 1.0, -80.0), r"posterior: is a Belief .*run\.belief\.posterior"),
+        ((posterior, 3, 1.0, -80.0), r"bounds_m: is 3 .*problem\.workspace\.bounds_m"),
+        ((posterior, bounds, "1", -80.0), r"cell_m: is '1' \(give a number"),
+        ((posterior, bounds, 1.0, None), r"threshold_dbm: is None \(give a number"),
+        ((posterior, bounds, True, -80.0), r"cell_m: is True \(give a number"),
+    ):
+        with pytest.raises(InputError, match=words):
+            posterior_map(*arguments)
 
 
 def test_remedies_of_check(base, tmp_path) -> None:

@@ -51,6 +51,8 @@ def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, NDA
 def _members(path: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
     """Return the archive and its members by the names of arrays."""
     content = read_bytes(path)
+    if not content.startswith((b"PK\x03\x04", b"PK\x05\x06")):
+        raise InputError("is not an npz archive", file=path)
     with foreign_reader(path, "an npz"):
         # Each entry of the archive's directory becomes an object of half a kilobyte.
         if content.count(b"PK\x01\x02") > MOST_ENTRIES:

@@ -9,7 +9,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import shapely
@@ -28,6 +28,8 @@ within themselves run out of stack."""
 SURELY_DEGREES = 20.0
 """Coordinates that are farther from zero than so many times the extent of all of them, and within
 180 and 90, are degrees: of metres they would be a map of centimetres far from its origin."""
+
+_GEOJSON = "give GeoJSON of Polygon or MultiPolygon features, or buildings with an exterior"
 
 _AREAS = "obstacles are polygons; draw the outline of the area"
 
@@ -52,7 +54,7 @@ def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obst
     try:
         if ending == ".wkt":
             return tuple(_from_wkt_file(path.stem, text))
-        return tuple(_from_json(path.stem, text))
+        return _from_json(path.stem, text)
     except InputError as error:
         raise error.located(path) from error
 
@@ -134,10 +136,10 @@ def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obs
         raise InputError(f"{name}: a {type(geometry).__name__} is not an area", remedy=_AREAS)
 
 
-def _from_json(stem: str, text: str) -> Iterator[Obstacle]:
-    """Obstacles of a building file or of GeoJSON."""
+def _from_json(stem: str, text: str) -> tuple[Obstacle, ...]:
+    """Return the obstacles of a building file or of GeoJSON."""
     try:
-        data: object = json.loads(text)
+        data: Any = json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(
             f"not JSON: {error.msg}",
@@ -145,51 +147,50 @@ def _from_json(stem: str, text: str) -> Iterator[Obstacle]:
             remedy="mend the JSON, or name a WKT file .wkt",
         ) from error
     except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"not JSON that can be read: {error}",
-            remedy="give GeoJSON of Polygon or MultiPolygon features",
-        ) from error
-    table = _table(stem, data)
-    if "buildings" not in table:
-        try:
-            obstacles = list(_from_geojson(stem, table))
-        except RecursionError:
-            raise InputError(
-                "not GeoJSON of areas: nested too deeply",
-                remedy="give GeoJSON of Polygon or MultiPolygon features",
-            ) from None
-        _require_metres(table, obstacles)
-        yield from obstacles
-        return
-    for number, item in enumerate(_list(stem, table, "buildings"), start=1):
-        building = _table(f"building {number}", item)
-        name = str(building.get("name", f"building {number}"))
-        holes = _list(name, building, "holes") if building.get("holes") else []
-        yield footprint(name, building.get("exterior"), holes)
+        raise InputError(f"not JSON that can be read: {error}", remedy=_GEOJSON) from error
+    try:
+        obstacles = list(_areas(stem, data))
+    except RecursionError:
+        raise InputError("not GeoJSON of areas: nested too deeply", remedy=_GEOJSON) from None
+    if "buildings" not in data:
+        _require_metres(data, obstacles)
+    return tuple(obstacles)
 
 
-def _from_geojson(name: str, table: dict[str, object]) -> Iterator[Obstacle]:
-    """Obstacles of a GeoJSON object (RFC 7946, but in metres)."""
-    kind = table.get("type")
-    if kind == "FeatureCollection":
-        for number, item in enumerate(_list(name, table, "features"), start=1):
-            feature = _table(f"feature {number}", item)
-            yield from _from_geojson(_feature_name(feature, f"feature {number}"), feature)
-    elif kind == "Feature":
-        yield from _from_geojson(
-            _feature_name(table, name), _table(f"{name}: geometry", table.get("geometry"))
-        )
-    elif kind == "GeometryCollection":
-        for part_name, part in _named_parts(name, _list(name, table, "geometries")):
-            yield from _from_geojson(part_name, _table(part_name, part))
-    elif kind == "MultiPolygon":
-        for part_name, rings in _named_parts(name, _list(name, table, "coordinates")):
-            yield from _from_geojson(part_name, {"type": "Polygon", "coordinates": rings})
-    elif kind == "Polygon":
-        exterior, *holes = _list(name, table, "coordinates") or [[]]
-        yield footprint(name, exterior, holes)
-    else:
-        raise InputError(f"{name}: a {kind} is not an area", remedy=_AREAS)
+def _areas(name: str, value: Any) -> Iterator[Obstacle]:
+    """Return the obstacles of a building file or of a GeoJSON object (RFC 7946, in metres)."""
+    match value:
+        case {"buildings": [*buildings]}:
+            for number, building in enumerate(buildings, start=1):
+                yield _building(f"building {number}", building)
+        case {"type": "FeatureCollection", "features": [*features]}:
+            for number, feature in enumerate(features, start=1):
+                yield from _areas(f"feature {number}", feature)
+        case {"type": "Feature", "geometry": geometry}:
+            yield from _areas(_feature_name(value, name), geometry)
+        case {"type": "GeometryCollection", "geometries": [*parts]}:
+            for part_name, part in _named_parts(name, parts):
+                yield from _areas(part_name, part)
+        case {"type": "MultiPolygon", "coordinates": [*parts]}:
+            for part_name, rings in _named_parts(name, parts):
+                yield from _areas(part_name, {"type": "Polygon", "coordinates": rings})
+        case {"type": "Polygon", "coordinates": [*rings]}:
+            exterior, *holes = rings or [[]]
+            yield footprint(name, exterior, holes)
+        case _:
+            raise InputError(f"{name}: {_short(value)} is not an area", remedy=_GEOJSON)
+
+
+def _building(name: str, value: Any) -> Obstacle:
+    """Return the obstacle of a building."""
+    match value:
+        case {"exterior": exterior, "holes": [*holes]}:
+            return footprint(str(value.get("name", name)), exterior, holes)
+        case {"exterior": exterior} if not value.get("holes"):
+            return footprint(str(value.get("name", name)), exterior)
+        case _:
+            pass
+    raise InputError(f"{name}: {_short(value)} has no exterior or wrong holes", remedy=_GEOJSON)
 
 
 def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
@@ -213,41 +214,19 @@ DEGREES = re.compile(r"CRS84|EPSG:+(\d*:)?(4326|4258|4269)\b", re.IGNORECASE)
 """Names of reference systems in degrees."""
 
 
-def _feature_name(feature: dict[str, object], otherwise: str) -> str:
+def _feature_name(feature: dict[str, Any], otherwise: str) -> str:
     """Return a feature's name: property ``name``, then its id."""
-    properties = feature.get("properties")
-    if isinstance(properties, dict):
-        name = cast("dict[str, object]", properties).get("name")
-        if name is not None:
+    match feature:
+        case {"properties": {"name": name}} if name is not None:
             return str(name)
-    return str(feature.get("id", otherwise))
+        case _:
+            return str(feature.get("id", otherwise))
 
 
 def _named_parts(name: str, parts: list[_Part]) -> Iterator[tuple[str, _Part]]:
     """The parts with their names: the name itself if there is only one."""
     for number, part in enumerate(parts, start=1):
         yield (name if len(parts) == 1 else f"{name} part {number}"), part
-
-
-def _table(name: str, value: object) -> dict[str, object]:
-    """`value` if it is a JSON object."""
-    if not isinstance(value, dict):
-        raise InputError(
-            f"{name}: an object {{...}} must stand here, not {_short(value)}",
-            remedy="write GeoJSON of Polygon or MultiPolygon features",
-        )
-    return cast("dict[str, object]", value)
-
-
-def _list(name: str, table: dict[str, object], key: str) -> list[object]:
-    """``table[key]`` if it is a list."""
-    value = table.get(key)
-    if not isinstance(value, list):
-        raise InputError(
-            f"{name}: {key!r} must be a list, not {_short(value)}",
-            remedy="write GeoJSON of Polygon or MultiPolygon features",
-        )
-    return cast("list[object]", value)
 
 
 def _short(value: object) -> str:

@@ -24,92 +24,6 @@ TOKENS = (
 Damage = Callable[[bytes, np.random.Generator], bytes]
 
 
-def place(content: bytes, generator: np.random.Generator) -> int:
-    """Anywhere in the content, more often near its beginning, where headers are."""
-    end = len(content) if generator.random() < 0.7 else min(len(content), 256)
-    return int(generator.integers(end + 1))
-
-
-def length(generator: np.random.Generator) -> int:
-    """Mostly a few bytes, sometimes a thousand."""
-    return int(2.0 ** generator.uniform(0.0, 10.0))
-
-
-def flipped(content: bytes, generator: np.random.Generator) -> bytes:
-    """Up to eight bits the other way round."""
-    changed = bytearray(content)
-    for _ in range(int(generator.integers(1, 9))):
-        changed[min(place(content, generator), len(changed) - 1)] ^= 1 << int(generator.integers(8))
-    return bytes(changed)
-
-
-def cut_off(content: bytes, generator: np.random.Generator) -> bytes:
-    """Only the beginning."""
-    return content[: place(content, generator)]
-
-
-def without_piece(content: bytes, generator: np.random.Generator) -> bytes:
-    """A piece left out."""
-    start = place(content, generator)
-    return content[:start] + content[start + length(generator) :]
-
-
-def doubled_piece(content: bytes, generator: np.random.Generator) -> bytes:
-    """A piece twice, the second time anywhere."""
-    start, other = place(content, generator), place(content, generator)
-    return content[:other] + content[start : start + length(generator)] + content[other:]
-
-
-def overwritten(content: bytes, generator: np.random.Generator) -> bytes:
-    """A piece of random bytes, or of an extreme one."""
-    start, count = place(content, generator), min(length(generator), len(content))
-    piece = (
-        generator.bytes(count)
-        if generator.random() < 0.5
-        else EXTREME_BYTES[int(generator.integers(len(EXTREME_BYTES)))] * min(count, 16)
-    )
-    return content[:start] + piece + content[start + len(piece) :]
-
-
-def inserted(content: bytes, generator: np.random.Generator) -> bytes:
-    """A token that means something in one format or another."""
-    start = place(content, generator)
-    return content[:start] + TOKENS[int(generator.integers(len(TOKENS)))] + content[start:]
-
-
-def other_number(content: bytes, generator: np.random.Generator) -> bytes:
-    """A number in the text replaced by an extreme one, or by none."""
-    found = list(NUMBER.finditer(content))
-    if not found:
-        return inserted(content, generator)
-    start, end = found[int(generator.integers(len(found)))].span()
-    other = EXTREME_NUMBERS[int(generator.integers(len(EXTREME_NUMBERS)))]
-    return content[:start] + other + content[end:]
-
-
-def other_digit(content: bytes, generator: np.random.Generator) -> bytes:
-    """A digit of a number replaced by another: what is left can mostly be read."""
-    found = [at for at, byte in enumerate(content) if 48 <= byte < 58]
-    if not found:
-        return flipped(content, generator)
-    at = found[int(generator.integers(len(found)))]
-    return content[:at] + str(int(generator.integers(10))).encode() + content[at + 1 :]
-
-
-def other_order(content: bytes, generator: np.random.Generator) -> bytes:
-    """Two lines exchanged."""
-    lines = content.splitlines(keepends=True)
-    first, second = generator.integers(len(lines), size=2)
-    lines[first], lines[second] = lines[second], lines[first]
-    return b"".join(lines)
-
-
-DAMAGES: tuple[Damage, ...] = (
-    *(flipped, cut_off, without_piece, doubled_piece, overwritten, inserted),
-    *(other_number, other_digit, other_order),
-)
-
-
 def damaged(content: bytes, generator: np.random.Generator) -> bytes:
     """Return `content` with one to three damages.
 
@@ -122,6 +36,75 @@ def damaged(content: bytes, generator: np.random.Generator) -> bytes:
         if content:
             content = DAMAGES[int(generator.integers(len(DAMAGES)))](content, generator)
     return content
+
+
+def _place(content: bytes, generator: np.random.Generator) -> int:
+    """Return a place in the content, more often near its beginning, where headers are."""
+    end = len(content) if generator.random() < 0.7 else min(len(content), 256)
+    return int(generator.integers(end + 1))
+
+
+def _replaced(content: bytes, start: int, removed: int, piece: bytes) -> bytes:
+    return content[:start] + piece + content[start + removed :]
+
+
+def _flip_bits(content: bytes, generator: np.random.Generator) -> bytes:
+    changed = bytearray(content)
+    for _ in range(int(generator.integers(1, 9))):
+        at = min(_place(content, generator), len(changed) - 1)
+        changed[at] ^= 1 << int(generator.integers(8))
+    return bytes(changed)
+
+
+def _cut(content: bytes, generator: np.random.Generator) -> bytes:
+    return content[: _place(content, generator)]
+
+
+def _remove_or_double(content: bytes, generator: np.random.Generator) -> bytes:
+    """Leave a piece out, or repeat it anywhere."""
+    start, other = _place(content, generator), _place(content, generator)
+    length = int(2.0 ** generator.uniform(0.0, 10.0))
+    if generator.random() < 0.5:
+        return _replaced(content, start, length, b"")
+    return _replaced(content, other, 0, content[start : start + length])
+
+
+def _overwrite(content: bytes, generator: np.random.Generator) -> bytes:
+    """Write random or extreme bytes over a piece."""
+    length = int(2.0 ** generator.uniform(0.0, 10.0))
+    pieces = (generator.bytes(length), *(byte * min(length, 16) for byte in EXTREME_BYTES))
+    piece = pieces[0 if generator.random() < 0.5 else int(generator.integers(1, len(pieces)))]
+    return _replaced(content, _place(content, generator), len(piece), piece)
+
+
+def _insert_token(content: bytes, generator: np.random.Generator) -> bytes:
+    token = TOKENS[int(generator.integers(len(TOKENS)))]
+    return _replaced(content, _place(content, generator), 0, token)
+
+
+def _change_number(content: bytes, generator: np.random.Generator) -> bytes:
+    """Replace a number by an extreme one, or one of its digits by another."""
+    found = list(NUMBER.finditer(content))
+    if not found:
+        return _insert_token(content, generator)
+    start, end = found[int(generator.integers(len(found)))].span()
+    if generator.random() < 0.5:
+        other = EXTREME_NUMBERS[int(generator.integers(len(EXTREME_NUMBERS)))]
+        return _replaced(content, start, end - start, other)
+    return _replaced(content, end - 1, 1, str(int(generator.integers(10))).encode())
+
+
+def _exchange_lines(content: bytes, generator: np.random.Generator) -> bytes:
+    lines = content.splitlines(keepends=True)
+    first, second = generator.integers(len(lines), size=2)
+    lines[first], lines[second] = lines[second], lines[first]
+    return b"".join(lines)
+
+
+DAMAGES: tuple[Damage, ...] = (
+    *(_flip_bits, _cut, _remove_or_double, _remove_or_double, _overwrite),
+    *(_insert_token, _change_number, _change_number, _exchange_lines),
+)
 
 
 def _repacked(content: bytes, generator: np.random.Generator) -> bytes:

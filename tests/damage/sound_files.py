@@ -1,20 +1,17 @@
-"""Sound inputs of every format that planopt reads, small ones, and the commands that read them."""
+"""Small sound inputs of every format that planopt reads, with the commands that read them."""
 
 from __future__ import annotations
 
 import json
-import math
-import shutil
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import h5netcdf
 import numpy as np
 from PIL import Image
 
 from planopt.cli import main
 from planopt.problems.library import library_folder
-from planopt.world.occupancy_files import CSV_HEADER
 from planopt.world.raster import Raster
 from planopt.world.raster_files import write_rasters
 
@@ -57,8 +54,6 @@ decorrelation_m = 10.0
 multipath_std_db = 2.0
 cell_m = 1.0"""
 MAP = 'kind = "raster"\nfile = "map{ending}"\nvariable = "path_gain_db"\nfloor_db = -130.0'
-OBSTACLES = '[[world.obstacles]]\nfile = "obstacles{ending}"'
-BLOCKS = (((6.0, 6.0), (9.0, 6.0), (9.0, 9.0), (6.0, 9.0)), ((12.0, 3.0), (15.0, 4.0), (13.0, 8.0)))
 ROS_MAP = """image: obstacles.{image}
 resolution: 1.0
 origin: [4.0, 4.0, 0.0]
@@ -66,117 +61,99 @@ negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196
 """
+SQUARE = [[6.0, 6.0], [9.0, 6.0], [9.0, 9.0], [6.0, 6.0]]
+FEATURE = {"type": "Feature", "properties": {"name": "block"}}
+OBSTACLES = {
+    "obstacles.geojson": json.dumps(
+        {**FEATURE, "geometry": {"type": "Polygon", "coordinates": [SQUARE]}}
+    ),
+    "obstacles.json": json.dumps({"buildings": [{"name": "b", "exterior": SQUARE[:-1]}]}),
+    "obstacles.wkt": "POLYGON ((6 6, 9 6, 9 9, 6 6))\nPOLYGON ((12 3, 15 4, 13 8, 12 3))",
+    "obstacles.csv": "resolution_m,origin_x_m,origin_y_m,occupied_from\n1,4,4,0.5\n0,1\n1,-1\n",
+}
+SAVED = {
+    "saved_plan": ("", "", "solve", "--horizon", "3"),
+    "saved_run": ("", "", "simulate"),
+    "saved_reach": ("open_field", "max_steps = 200", "simulate", "--horizon", "2"),
+    "saved_team": ("harbour_track", "max_steps = 45", "simulate", "--horizon", "2"),
+    "saved_stations": ("two_station_courier", "horizon", "solve", "--horizon", "3"),
+}
+
+Write = Callable[[Path], object]
 
 
-@dataclass(frozen=True)
-class Sound:
-    """Files in a folder, one of which is to be damaged, and what reads them.
+def write_inputs(root: Path) -> None:
+    """Write a folder for each input: its files, and ``case.json`` with command and damaged files.
 
-    Attributes
-    ----------
-    name
-        Of the format.
-    folder
-        Everything that the command needs.
-    damaged
-        Names of the files that take damage, one at a time.
-    command
-        Arguments of planopt, of which ``{folder}`` stands for a copy of the folder, ``{out}``
-        for an output.
+    In commands ``{folder}`` stands for a copy of the folder and ``{out}`` for an output.
     """
-
-    name: str
-    folder: Path
-    damaged: tuple[str, ...]
-    command: tuple[str, ...]
-
-
-def sound_files(root: Path) -> list[Sound]:
-    """Write all of them below `root`."""
+    small = PROBLEM.format(obstacles="", truth=MODEL)
     solve = ("solve", "{folder}/p.toml", "--out", "{out}")
-    found: list[Sound] = []
 
-    def add(name: str, problem: str, files: Sequence[str], command: Sequence[str] = solve) -> Path:
-        folder = root / name
-        folder.mkdir(parents=True)
-        if problem:
-            (folder / "p.toml").write_text(problem)
-        found.append(Sound(name, folder, tuple(files), tuple(command)))
-        return folder
+    def add(name: str, files: dict[str, str | Write], command: Sequence[str] = solve) -> None:
+        (root / name).mkdir(parents=True)
+        for file, content in files.items():
+            if isinstance(content, str):
+                (root / name / file).write_text(content)
+            else:
+                content(root / name / file)
+        damaged = [file for file in files if len(files) == 1 or file != "p.toml"]
+        case = {"command": command, "damaged": damaged}
+        (root / name / "case.json").write_text(json.dumps(case))
 
-    add("problem", PROBLEM.format(obstacles="", truth=MODEL), ["p.toml"])
-    for ending in (".npz", ".csv", ".nc", ".tif"):
+    add("problem", {"p.toml": small})
+    maps: dict[str, Write] = {ending: _write_map for ending in (".npz", ".csv", ".nc", ".tif")}
+    for ending, write in (*maps.items(), (".nc", _write_netcdf_4)):
         text = PROBLEM.format(obstacles="", truth=MAP.format(ending=ending))
-        folder = add(f"map{ending}", text, [f"map{ending}"])
-        write_rasters(folder / f"map{ending}", {"path_gain_db": _raster()})
-    text = PROBLEM.format(obstacles="", truth=MAP.format(ending=".nc"))
-    _write_netcdf_4(add("map4.nc", text, ["map.nc"]) / "map.nc")
-    for name, content in _obstacle_files().items():
-        ending = f".{name.rpartition('.')[2]}"
-        text = PROBLEM.format(obstacles=OBSTACLES.format(ending=ending), truth=MODEL)
-        (add(name, text, [f"obstacles{ending}"]) / f"obstacles{ending}").write_text(content)
+        add(f"map{ending} by {write.__name__}", {"p.toml": text, f"map{ending}": write})
+    for file, content in OBSTACLES.items():
+        text = f'[[world.obstacles]]\nfile = "{file}"'
+        add(file, {"p.toml": PROBLEM.format(obstacles=text, truth=MODEL), file: content})
     for image in ("pgm", "png"):
-        text = PROBLEM.format(obstacles=OBSTACLES.format(ending=".yaml"), truth=MODEL)
-        folder = add(f"ros_{image}", text, ["obstacles.yaml", f"obstacles.{image}"])
-        (folder / "obstacles.yaml").write_text(ROS_MAP.format(image=image))
-        Image.fromarray(_shades()).save(folder / f"obstacles.{image}")
-    # Without --out, as pictures take most of the time.
+        text = PROBLEM.format(obstacles='[[world.obstacles]]\nfile = "o.yaml"', truth=MODEL)
+        ros = ROS_MAP.format(image=image)
+        add(f"ros {image}", {"p.toml": text, "o.yaml": ros, f"obstacles.{image}": _write_image})
+    # Without --out, since pictures take most of the time.
     fit = ("fit", "{folder}/log.csv", "--station", "0,0,2")
     for method in ("lemma1", "convex", "reml"):
-        folder = add(f"log_{method}", "", ["log.csv"], (*fit, "--method", method))
-        (folder / "log.csv").write_text(_log())
+        add(f"log {method}", {"log.csv": _log()}, (*fit, "--method", method))
     columns = ("--censored", "cut", "--time", "t_s", "--receiver", "who", "--where", "day=1")
     places = ("--origin", "48.1,11.5", "--columns", "x=lon,y=lat,power=rssi")
-    folder = add("log_columns", "", ["log.csv"], (*fit, *columns, *places))
-    (folder / "log.csv").write_text(_log_with_columns())
-    problem = PROBLEM.format(obstacles="", truth=MODEL)
-    folder = add("log_measured", problem.replace("count = 12", 'file = "log.csv"'), ["log.csv"])
-    (folder / "log.csv").write_text(_log(scale=0.4))
-    for name, text, *command in (
-        ("saved_plan", problem, "solve", "--horizon", "3"),
-        ("saved_run", problem, "simulate"),
-        ("saved_reach", _short("open_field", "max_steps = 200"), "simulate", "--horizon", "2"),
-        ("saved_team", _short("harbour_track", "max_steps = 45"), "simulate", "--horizon", "2"),
-        ("saved_stations", _short("two_station_courier", ""), "solve", "--horizon", "3"),
-    ):
-        folder = add(name, text, [], ("check", "{folder}/saved"))
-        written(folder, command, found)
-    again = ("compare", "{folder}/p.toml", "--horizons", "1", "--seeds", "1")
-    folder = add("finished_runs", problem, [], (*again, "--out", "{folder}/saved"))
-    written(folder, again, found)
-    return found
+    add("log columns", {"log.csv": _log_with_columns()}, (*fit, *columns, *places))
+    measured = small.replace("count = 12", 'file = "log.csv"')
+    add("log measured", {"p.toml": measured, "log.csv": _log(0.4)})
+    for name, (library, steps, *command) in SAVED.items():
+        add(name, {"p.toml": _short(library, steps) if library else small})
+        _run(root / name, command, ("check", "{folder}/saved"))
+    add("finished runs", {"p.toml": small})
+    command = ("compare", "--horizons", "1", "--seeds", "1")
+    _run(
+        root / "finished runs",
+        command,
+        (command[0], "{folder}/p.toml", *command[1:], "--out", "{folder}/saved"),
+    )
 
 
-def written(folder: Path, command: Sequence[str], found: list[Sound]) -> None:
-    """Let a command write results into a folder; they are what is damaged of the last input."""
-    out = folder / "saved"
+def _run(folder: Path, command: Sequence[str], reader: Sequence[str]) -> None:
+    """Let a command save results, which are the damaged files of the input."""
     name, *more = command
-    arguments = [argument.format(folder=folder) for argument in more]
-    problem = [] if name == "compare" else [str(folder / "p.toml")]
-    code = main([name, *problem, *arguments, "--out", str(out), "--json"])
+    out = folder / "saved"
+    code = main([name, str(folder / "p.toml"), *more, "--out", str(out), "--json"])
     assert code in (0, 3, 4), code
-    paths = sorted(path for path in out.rglob("*") if path.is_file())
-    names = tuple(str(path.relative_to(folder)) for path in paths)
-    found[-1] = replace(found[-1], damaged=names)
-
-
-def copied(sound: Sound, to: Path) -> list[str]:
-    """Copy the files of an input; return the command with its places filled in."""
-    shutil.rmtree(to, ignore_errors=True)
-    shutil.copytree(sound.folder, to / "in")
-    places = {"folder": str(to / "in"), "out": str(to / "out")}
-    return [argument.format(**places) for argument in sound.command]
+    files = sorted(str(path.relative_to(folder)) for path in out.rglob("*") if path.is_file())
+    (folder / "case.json").write_text(json.dumps({"command": reader, "damaged": files}))
 
 
 def _raster() -> Raster:
     x, y = np.arange(0.5, 20.0), np.arange(0.5, 20.0)
-    values = -30.0 - 20.0 * np.log10(1.0 + np.hypot(x[None, :], y[:, None]))
-    return Raster(x, y, values)
+    return Raster(x, y, -30.0 - 20.0 * np.log10(1.0 + np.hypot(x[None, :], y[:, None])))
+
+
+def _write_map(path: Path) -> None:
+    write_rasters(path, {"path_gain_db": _raster()})
 
 
 def _write_netcdf_4(path: Path) -> None:
-    import h5netcdf
-
     raster = _raster()
     with h5netcdf.File(path, "w") as file:
         file.dimensions = {"y": len(raster.y_m), "x": len(raster.x_m)}
@@ -186,50 +163,27 @@ def _write_netcdf_4(path: Path) -> None:
         file.create_variable("path_gain_db", ("y", "x"), **data)
 
 
-def _obstacle_files() -> dict[str, str]:
-    rings = [[list(corner) for corner in (*block, block[0])] for block in BLOCKS]
-    features = [
-        {
-            "type": "Feature",
-            "properties": {"name": f"block {index}"},
-            "geometry": {"type": "Polygon", "coordinates": [ring]},
-        }
-        for index, ring in enumerate(rings)
-    ]
-    buildings = [{"name": f"b{i}", "exterior": ring[:-1]} for i, ring in enumerate(rings)]
-    corners = [", ".join(f"{x} {y}" for x, y in ring) for ring in rings]
-    rows = "\n".join(",".join("1" if v < 90 else "0" for v in row) for row in _shades().tolist())
-    return {
-        "obstacles.geojson": json.dumps({"type": "FeatureCollection", "features": features}),
-        "buildings.json": json.dumps({"buildings": buildings}),
-        "obstacles.wkt": "\n".join(f"POLYGON (({ring}))" for ring in corners),
-        "grid.csv": f"{','.join(CSV_HEADER)}\n1.0,4.0,4.0,0.5\n{rows}\n",
-    }
-
-
-def _shades() -> np.ndarray:
+def _write_image(path: Path) -> None:
     shades = np.full((12, 12), 254, dtype=np.uint8)
     shades[2:5, 2:6], shades[7:10, 8] = 0, 0
-    return shades
+    Image.fromarray(shades).save(path)
 
 
 def _short(name: str, max_steps: str) -> str:
-    """A problem of the library whose runs have three steps, without pictures."""
+    """Return a problem of the library whose runs have three steps, without pictures."""
     text = (library_folder() / f"{name}.toml").read_text()
     assert max_steps in text
-    text = text.replace(max_steps, "max_steps = 3") if max_steps else text
-    head = text.partition("[report]")[0]
-    return f"{head}\n[report]\nfigures = false\n"
+    text = text.replace(max_steps, "max_steps = 3") if "=" in max_steps else text
+    return f"{text.partition('[report]')[0]}\n[report]\nfigures = false\n"
 
 
 def _measured() -> list[tuple[float, float, float]]:
-    """Places and powers."""
-    found: list[tuple[float, float, float]] = []
-    for i in range(40):
-        x, y = 3.0 + (7 * i) % 40, 2.0 + (11 * i) % 37
-        power = -30.0 - 25.0 * math.log10(math.hypot(x, y)) + 4.0 * math.sin(i)
-        found.append((x, y, power))
-    return found
+    """Return places and powers."""
+    places = [(3.0 + (7 * i) % 40, 2.0 + (11 * i) % 37) for i in range(40)]
+    return [
+        (x, y, float(-30.0 - 25.0 * np.log10(np.hypot(x, y)) + 4.0 * np.sin(i)))
+        for i, (x, y) in enumerate(places)
+    ]
 
 
 def _log(scale: float = 1.0) -> str:

@@ -137,11 +137,20 @@ def expression_values(
 ) -> NDArray[np.float64]:
     """Return the values (c,) of c paths from inputs (c, rows, columns), NaN where undefined."""
     count = max(len(values) for values in given.values())
+    if not count:
+        return np.empty(0)
+    buffer, evaluate = _mapped(program, steps, count).buffer()
+    # The buffer refers to the arrays, which must live until it is evaluated.
     inputs: list[NDArray[np.float64]] = []
-    for name, shape in _shapes(steps).items():
+    for number, (name, shape) in enumerate(_shapes(steps).items()):
         values = np.broadcast_to(given.get(name, np.zeros((1, *shape))), (count, *shape))
-        inputs.append(values.transpose(1, 0, 2).reshape(shape[0], -1))
-    return np.array(_valued(program, steps)(*inputs), dtype=np.float64).ravel()
+        # CasADi's matrices are column-major.
+        inputs.append(np.ascontiguousarray(values.transpose(0, 2, 1), dtype=np.float64))
+        buffer.set_arg(number, memoryview(inputs[-1]))  # pyright: ignore[reportArgumentType]
+    found = np.empty(count)
+    buffer.set_res(0, memoryview(found))  # pyright: ignore[reportArgumentType]
+    evaluate()
+    return found
 
 
 def expression_derivatives(
@@ -167,7 +176,15 @@ def expression_derivatives(
 def _valued(program: str, steps: int) -> Any:
     """Return the value as a function of the inputs."""
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
-    return ca.Function("value", list(symbols.values()), [_parsed(program, symbols, steps)])
+    return ca.Function(
+        "value", list(symbols.values()), [ca.densify(_parsed(program, symbols, steps))]
+    )
+
+
+@lru_cache(maxsize=64)
+def _mapped(program: str, steps: int, count: int) -> Any:
+    """Return the value as a function of the inputs of `count` paths."""
+    return _valued(program, steps).map(count)
 
 
 @lru_cache(maxsize=64)

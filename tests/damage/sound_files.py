@@ -119,7 +119,8 @@ def write_inputs(root: Path) -> None:
         add(f"log {method}", {"log.csv": _log()}, (*fit, "--method", method))
     columns = ("--censored", "cut", "--time", "t_s", "--receiver", "who", "--where", "day=1")
     places = ("--origin", "48.1,11.5", "--columns", "x=lon,y=lat,power=rssi")
-    add("log columns", {"log.csv": _log_with_columns()}, (*fit, *columns, *places))
+    degrees = ("fit", "{folder}/log.csv", "--station", "48.1,11.5,2")
+    add("log columns", {"log.csv": _log_with_columns()}, (*degrees, *columns, *places))
     measured = small.replace("count = 12", 'file = "log.csv"')
     add("log measured", {"p.toml": measured, "log.csv": _log(0.4)})
     for name, (library, steps, *command) in SAVED.items():

@@ -40,11 +40,9 @@ def _rule(tables: Tables, generator: np.random.Generator, step_m: float) -> None
     """A rule of connectivity, hard or with slack."""
     own, step_s = tables["constraints"], tables["planner"]["step_s"]
     run_s = tables["planner"]["max_steps"] * step_s
-    rule = str(
-        generator.choice(["each_step", "stated_times", "average", "joint", "outage", "data"])
-    )
-    own["connectivity"] = rule
-    if rule == "stated_times":
+    rule = str(generator.choice(["each_step", "stated", "average", "joint", "outage", "data"]))
+    own["connectivity"] = "each_step" if rule == "stated" else rule
+    if rule == "stated":
         steps = (
             1 + generator.permutation(tables["planner"]["max_steps"])[: generator.integers(1, 5)]
         )

@@ -97,11 +97,6 @@ REPLACED = [
         'p_min = 0.8\nconnectivity = "stated_times"\nconnected_times_s = [1e6]',
         "a run ends after 400 s",
     ),
-    (
-        "p_min = 0.8",
-        'p_min = 0.8\nconnectivity = "stated_times"\nconnected_times_s = []',
-        "needs connected_times_s",
-    ),
     ("step_s = 1.0", "step_s = 0.0", "planner.step_s"),
     ("step_s = 1.0", "step_s = inf", "planner.step_s"),
     ("horizon = 3", "horizon = 0", "planner.horizon"),

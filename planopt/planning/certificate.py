@@ -10,7 +10,7 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.tolerances import RULE_TOLERANCE, STANDSTILL_M
 from planopt.problems.constraints import rule_kind
 
 
@@ -45,6 +45,11 @@ class RuleResult:
         """Return by how much the bound is missed, in its unit; negative if it is kept."""
         short = self.asked - self.achieved
         return -short if rule_kind(self.connectivity).greatest else short
+
+    @property
+    def is_missed(self) -> bool:
+        """Return whether the bound is missed by more than rounding."""
+        return self.missing > RULE_TOLERANCE * max(1.0, abs(self.asked))
 
     @property
     def words(self) -> str:

@@ -38,7 +38,7 @@ from planopt.planning.team.reservations import reserved_path
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.reach_cost import ReachCost
-from planopt.planning.worth.rules.planned import RuleRows, step_rows
+from planopt.planning.worth.rule_rows import RuleRows, step_rows
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.world.moving_obstacle import MovingDiscs

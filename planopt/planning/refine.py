@@ -33,7 +33,7 @@ from planopt.planning.tolerances import (
     STEP_PAD_M,
 )
 from planopt.planning.worth.reach_cost import ReachCost
-from planopt.planning.worth.rules.planned import RuleRows
+from planopt.planning.worth.rule_rows import RuleRows
 from planopt.planning.worth.serving_stages import scores_of, stage_predictor
 
 

@@ -12,16 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction
-from planopt.planning.judge import Candidate
-from planopt.planning.plan import Verdict
 from planopt.planning.programme.path_polish import PathTask
 from planopt.planning.programme.polish import Polished
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB, is_search_exact
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import local_worth
-from planopt.planning.worth.risk_allocation import USED_SHARE, Allocation, next_allocation
-from planopt.planning.worth.rules.joint import step_risk
-from planopt.planning.worth.rules.planned import RuleRows
+from planopt.planning.worth.rule_rows import RuleRows
 from planopt.planning.worth.situation import Situation
 
 LOCAL_PAD_DB = 0.04
@@ -33,9 +29,6 @@ GIVEN_UP_DB = 1e-3
 
 MISSING_DB_COST = 100.0
 """What a missing dB counts in the solver, where the bound cannot be kept."""
-
-USED_UP_SHARE = 0.97
-"""A risk that is used to this share is not shared out again."""
 
 
 def with_bounds(task: PathTask, situation: Situation, rows: RuleRows) -> PathTask:
@@ -94,23 +87,6 @@ def moved(
 ) -> PathTask:
     """The task from another path (N, 2) on, with the channel near it."""
     return replace(task, path_m=path_m, evaluate=local_worth(situation, path_m, rows))
-
-
-def rows_again(
-    situation: Situation, rows: RuleRows, candidate: Candidate, tried: list[Allocation]
-) -> RuleRows | None:
-    """Allocate the joint risk by what a candidate used; None if it is used up."""
-    certificate = candidate.certificate
-    if certificate is None or certificate.rule is None or not np.isfinite(candidate.path_m).all():
-        return None
-    asked, found = 1.0 - certificate.rule.asked, 1.0 - certificate.rule.achieved
-    risk, used = 1.0 - rows.level, step_risk(situation, candidate.path_m)
-    held = (used >= USED_SHARE * risk).any()
-    if candidate.verdict is Verdict.VERIFIED and (found >= USED_UP_SHARE * asked or not held):
-        return None
-    tried.append(Allocation(risk, found))
-    risk = next_allocation(tried, used, asked)
-    return replace(rows, level=1.0 - risk)
 
 
 def _with_total(task: PathTask, situation: Situation, rows: RuleRows) -> PathTask:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.budget import Budget, solve_limit_s
+from planopt.planning.certificate import RuleResult
 from planopt.planning.driven import motion_shape, motion_task, polished_drive, standstill_m
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Rung, Termination
@@ -28,12 +29,12 @@ from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.proof.circumstances import obstacles_ahead
-from planopt.planning.rule_bounds import lacks, moved, recentred, rows_again, with_bounds
+from planopt.planning.proof.rules.rule import rule_of
+from planopt.planning.rule_bounds import lacks, moved, recentred, with_bounds
 from planopt.planning.scene import Ground
 from planopt.planning.search.start_search import Start
 from planopt.planning.worth.local_worth import local_worth
-from planopt.planning.worth.risk_allocation import Allocation
-from planopt.planning.worth.rules.planned import has_step_rows, has_sum_row, planned_rule, rule_rows
+from planopt.planning.worth.rule_rows import has_step_rows, has_sum_row, rows_again, rule_rows
 from planopt.planning.worth.situation import Situation, structure_of
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion
@@ -193,9 +194,10 @@ class StartPolish:
             motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive, lines.still)
             task = replace(task, motion=motion, charge=start.charge)
         task = with_bounds(task, situation, rows)
-        allocations = ALLOCATIONS if planned_rule(problem.constraints.rule).allocates else 0
+        correlates = rule_of(problem).correlates(problem.constraints.p_min)
+        allocations = ALLOCATIONS if correlates else 0
         found: list[Candidate] = []
-        tried: list[Allocation] = []
+        tried: list[tuple[float, RuleResult]] = []
         for attempt in range(REPAIRS + allocations):
             begun = perf_counter()
             point = polish_path(nlp, task)
@@ -230,7 +232,10 @@ class StartPolish:
             if repaired is not None:
                 task = repaired
                 continue
-            again = rows_again(situation, rows, candidate, tried) if allocations else None
+            result = None if candidate.certificate is None else candidate.certificate.rule
+            if not allocations or result is None:
+                return found
+            again = rows_again(situation, rows, candidate.path_m, tried, result)
             if again is None:
                 return found
             rows, allocations = again, allocations - 1

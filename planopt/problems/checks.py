@@ -27,7 +27,6 @@ from planopt.problems.channel_setup import (
 )
 from planopt.problems.check_motion import check_own_map, check_stopping
 from planopt.problems.problem import Problem
-from planopt.problems.rule_checks import MOST_PROBABLE_DRAWN, check_rule
 from planopt.robots.drive import standing_motion
 from planopt.world.clearance import (
     ObstacleIndex,
@@ -329,7 +328,6 @@ def check_stations(problem: Problem) -> None:
     _check_keys(problem)
     if len(problem.stations) > 1:
         _check_own_channels(problem)
-        _check_rule(problem)
 
 
 def _check_keys(problem: Problem) -> None:
@@ -396,18 +394,18 @@ def _no_two_alike(
             )
 
 
-def _check_rule(problem: Problem) -> None:
+def check_rule(problem: Problem) -> None:
+    """Raise what keeps a problem's rule of connectivity from being planned with."""
     rule = problem.constraints.rule
-    p_min = problem.constraints.p_min
-    if rule.connectivity == "joint" and p_min > MOST_PROBABLE_DRAWN:
+    rule.kind.check(problem)
+    if problem.task == "reach" and rule.slack_price > 0.0:
         raise InputError(
-            f"is {p_min:g}, and more than {MOST_PROBABLE_DRAWN:g} cannot be shown of all steps "
-            f"together with {len(problem.stations)} stations",
+            f"is {rule.slack_price:g}, but the objective of task reach has no price for slack",
             file=problem.file,
-            key="constraints.p_min",
-            remedy=f"ask for less, or {ONE_STATION}",
+            key="constraints.slack_price",
+            remedy="leave it out: slack_max_db alone bounds the slack",
         )
-    if rule.parameter_uncertainty == "all":
+    if rule.parameter_uncertainty == "all" and len(problem.stations) > 1:
         raise InputError(
             f"all is for one station, and there are {len(problem.stations)}",
             file=problem.file,

@@ -1,8 +1,7 @@
 """The constraints on every plan of a problem: clearance, and a rule of connectivity.
 
-Rules are those of planopt, and those of programs. A rule has two halves that share no code: what it
-means, by which plans are judged (:class:`planopt.planning.proof.rules.proven.ProvenRule`), and how
-plans are sought that keep it (:class:`planopt.planning.worth.rules.planned.PlannedRule`).
+Rules are those of planopt, and those of programs, each one class
+(:class:`planopt.planning.proof.rules.rule.Rule`).
 """
 
 from __future__ import annotations
@@ -16,107 +15,49 @@ from planopt.errors import InputError, listed
 from planopt.parts import calling, part_of, require_name
 from planopt.plain_values import make_plain
 
-_PROVEN = "planopt.planning.proof.rules.proven"
-_PLANNED = "planopt.planning.worth.rules"
-
-
-@dataclass(frozen=True)
-class RuleKind:
-    """A rule of connectivity that problems may name."""
-
-    name: str  # Value of the key constraints.connectivity
-    # Classes of its halves, or where they are: module:name, imported when they are needed
-    proven: type | str
-    planned: type | str
-    keys: tuple[str, ...] = ()  # Keys of [constraints] that belong to this rule alone
-    of_steps: bool = False  # Whether p_min is the probability of single steps
-    by_step: bool = False  # Whether single steps are asked for, each by itself
-    greatest: bool = False  # Whether the bound is a greatest value
-    # Whether something is asked of the connection where p_min is 0
-    asks_without_p_min: bool = False
-
-    def half(self, planned: bool) -> Any:
-        """Return the class of the half that plans, or of the one that judges."""
-        found = self.planned if planned else self.proven
-        if not isinstance(found, str):
-            return found
-        module, _, name = found.partition(":")
-        return getattr(import_module(module), name)
-
+_RULES = "planopt.planning.proof.rules"
 
 OWN = {
-    kind.name: kind
-    for kind in (
-        RuleKind(
-            "each_step",
-            f"{_PROVEN}:EachStep",
-            f"{_PLANNED}.steps:PlannedSteps",
-            of_steps=True,
-            by_step=True,
-        ),
-        RuleKind(
-            "stated_times",
-            f"{_PROVEN}:StatedTimes",
-            f"{_PLANNED}.steps:PlannedSteps",
-            ("connected_times_s",),
-            of_steps=True,
-            by_step=True,
-        ),
-        RuleKind("average", f"{_PROVEN}:Average", f"{_PLANNED}.sums:PlannedAverage"),
-        RuleKind("joint", f"{_PROVEN}:Joint", f"{_PLANNED}.joint:PlannedJoint"),
-        RuleKind(
-            "outage",
-            f"{_PROVEN}:Outage",
-            f"{_PLANNED}.outage:PlannedOutage",
-            ("outage_max_m", "outage_max_s"),
-            of_steps=True,
-            greatest=True,
-        ),
-        RuleKind(
-            "data",
-            f"{_PROVEN}:Data",
-            f"{_PLANNED}.sums:PlannedData",
-            ("data_mbit", "deadline_s", "rate_mbit_s"),
-            asks_without_p_min=True,
-        ),
-    )
+    "each_step": f"{_RULES}.each_step:EachStep",
+    "average": f"{_RULES}.average:Average",
+    "joint": f"{_RULES}.joint:Joint",
+    "outage": f"{_RULES}.outage:Outage",
+    "data": f"{_RULES}.data:Data",
 }
-"""planopt's own."""
+"""Where the classes of planopt's own rules are, imported when they are needed."""
 
-_registered: dict[str, RuleKind] = {}
+_registered: dict[str, type[Any]] = {}
 
 
 def register_rule(rule: type[Any]) -> None:
     """Let problems name a rule of connectivity of one's own."""
-    name = require_name(getattr(rule, "kind", ""), "a rule", OWN)
-    _registered[name] = RuleKind(
-        name, rule, f"{_PLANNED}.sums:PlannedOwn", asks_without_p_min=not rule.asks_p_min
-    )
+    _registered[require_name(getattr(rule, "kind", ""), "a rule", OWN)] = rule
 
 
 def registered_rules() -> tuple[type[Any], ...]:
     """Return what :func:`register_rule` was given, for worker processes."""
-    return tuple(kind.half(planned=False) for kind in _registered.values())
+    return tuple(_registered.values())
 
 
-def rule_kind(name: str) -> RuleKind:
-    """Return the rule of a name."""
-    found = (
-        (OWN.get(name) or _registered.get(name)) if isinstance(cast("object", name), str) else None
+def rule_kind(name: str) -> type[Any]:
+    """Return the class of the rule of a name."""
+    given = cast("object", name)
+    if isinstance(given, str) and given in OWN:
+        module, _, found = OWN[given].partition(":")
+        return getattr(import_module(module), found)
+    if isinstance(given, str) and given in _registered:
+        return _registered[given]
+    raise InputError(
+        f"is {name!r}",
+        key="constraints.connectivity",
+        remedy=f"use one of {listed([*OWN, *_registered])}",
     )
-    if found is None:
-        raise InputError(
-            f"is {name!r}",
-            key="constraints.connectivity",
-            remedy=f"use one of {listed([*OWN, *_registered])}",
-        )
-    return found
 
 
 def known_rule(name: str) -> str:
     """Return the name of a rule, for the fields of tables."""
     try:
-        return rule_kind(name).name
+        return rule_kind(name).kind
     except InputError as error:
         raise ValueError(f"{error.message}: {error.remedy}") from None
 
@@ -131,22 +72,21 @@ class ConnectivityRule:
     Attributes
     ----------
     connectivity
-        ``each_step``: probability at least p_min at each step. ``stated_times``: only at the times
-        stated. ``average``: on average over the run so far and the plan. ``joint``: that all steps
-        of the plan are connected. ``outage``: steps below p_min in a row are no longer than
-        stated. ``data``: the data delivered keep pace with the deadline, with probability p_min or,
-        where that is 0, in expectation. Or the kind of a rule of one's own
-        (`planopt.extend.OwnRule`).
+        ``each_step``: probability at least p_min at each step, or at the stated times.
+        ``average``: on average over the run so far and the plan. ``joint``: that all steps of the
+        plan are connected. ``outage``: steps below p_min in a row are no longer than stated.
+        ``data``: the data delivered keep pace with the deadline, with probability p_min or, where
+        that is 0, in expectation. Or the kind of a rule of one's own (`planopt.extend.OwnRule`).
     connected_times_s
-        Of ``stated_times``, from the start of the run.
+        Of ``each_step``: the only times that count, from the start of the run; empty for all steps.
     outage_max_m, outage_max_s
         Of ``outage``, one of them.
     data_mbit, deadline_s, rate_mbit_s
         Of ``data``: how much, until when, and the rate while connected.
     slack_max_db
         The rule may be missed by so many dB: it must hold were the threshold that much lower. 0 is
-        hard. None: ``each_step`` and ``stated_times`` may be missed where no place within reach
-        keeps them, others are hard.
+        hard. None: ``each_step`` may be missed where no place within reach keeps it, others are
+        hard.
     slack_price
         What a dB of slack costs, in the objective's unit.
     parameter_uncertainty
@@ -184,11 +124,12 @@ class ConnectivityRule:
             ) from None
         object.__setattr__(self, "settings", tuple(settings))
         make_plain(self)
-        kind = self.kind
-        if settings or kind.name not in OWN:
-            rule = kind.half(planned=False)
+        rule = self.kind
+        if settings or self.connectivity not in OWN:
             with calling(rule, "__post_init__", key="constraints.settings"):
                 try:
+                    if self.connectivity in OWN:
+                        raise TypeError(f"it has no {settings[0][0]}")
                     rule(**dict(settings))
                 except TypeError as error:
                     raise InputError(
@@ -199,19 +140,24 @@ class ConnectivityRule:
                     ) from error
 
     @property
-    def kind(self) -> RuleKind:
-        """The rule that is named."""
+    def kind(self) -> type[Any]:
+        """The class of the rule."""
         return rule_kind(self.connectivity)
 
     @property
-    def is_plain(self) -> bool:
-        """Return whether p_min is asked of each step where it is possible, and nothing else."""
-        return self.connectivity == "each_step" and self.slack_max_db is None
+    def by_step(self) -> bool:
+        """Return whether single steps are judged, each by itself."""
+        return self.kind.by_step
 
     @property
-    def by_step(self) -> bool:
-        """Return whether single steps are asked for, each by itself."""
-        return self.kind.by_step
+    def every_step(self) -> bool:
+        """Return whether p_min is required of every step by itself."""
+        return self.by_step and not self.connected_times_s
+
+    @property
+    def is_plain(self) -> bool:
+        """Return whether p_min is required of each step where it is possible, and nothing else."""
+        return self.every_step and self.slack_max_db is None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,9 +192,9 @@ class Constraints:
     @property
     def asks_connection(self) -> bool:
         """Return whether anything is asked of the connection."""
-        return self.p_min > 0.0 or self.rule.kind.asks_without_p_min
+        return self.p_min > 0.0 or not self.rule.kind.asks_p_min
 
     @property
     def step_p_min(self) -> float:
         """Return the probability asked of single steps; 0 where p_min is of something else."""
-        return self.p_min if self.rule.kind.of_steps else 0.0
+        return self.p_min if self.rule.kind.holds_steps else 0.0

@@ -67,7 +67,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
     if tables.targets:
         return "task reach has no targets: leave them out, or say problem.task track"
     rule = rule_kind(tables.constraints.connectivity)
-    if tables.constraints.p_min == 0.0 and not rule.asks_without_p_min:
+    if tables.constraints.p_min == 0.0 and rule.asks_p_min:
         return "task reach needs constraints.p_min above 0: write p_min = 0.9, for instance"
     if not planner_kind(tables.planner.name).reaches_goals:
         return (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from planopt.errors import InputError
@@ -20,6 +20,11 @@ from planopt.problems.constraints import (
 from planopt.problems.tables import Table
 
 Positive = Annotated[float, Field(gt=0, le=1e9)]
+
+
+def _former_name(name: Any) -> Any:
+    """Read the former rule stated_times as each_step with times."""
+    return "each_step" if name == "stated_times" else name
 
 
 class ConstraintsTable(Table):
@@ -54,10 +59,11 @@ class ConstraintsTable(Table):
     )
     connectivity: Annotated[
         str,
+        BeforeValidator(_former_name),
         AfterValidator(known_rule),
         Field(
             examples=list(OWN),
-            description="What p_min is asked of: each_step, stated_times, average, joint (all "
+            description="What p_min is asked of: each_step, average, joint (all "
             "steps of a plan), outage (steps below it in a row), data (delivery; 0: in "
             "expectation); or a rule that is registered.",
         ),
@@ -65,8 +71,8 @@ class ConstraintsTable(Table):
     connected_times_s: list[Positive] = Field(
         default=[],
         max_length=100_000,
-        description="For stated_times: seconds from the start of the run, multiples of "
-        "planner.step_s.",
+        description="For each_step, the only times that count: seconds from the start of the run, "
+        "multiples of planner.step_s.",
     )
     outage_max_m: float | None = Field(
         default=None,
@@ -94,7 +100,7 @@ class ConstraintsTable(Table):
         ge=0,
         le=500,
         description="What is asked of the connection may be missed by so many dB; 0 makes it hard. "
-        "Left out, each_step and stated_times may be missed where nothing within reach keeps them.",
+        "Left out, each_step may be missed where nothing within reach keeps it.",
     )
     slack_price: float = Field(
         default=0.0,
@@ -106,7 +112,7 @@ class ConstraintsTable(Table):
     parameter_uncertainty: ParameterUncertainty = Field(
         default="path_loss",
         description="What p_min counts as estimated: path_loss, or all, xi, beta and omega "
-        "besides. all goes with each_step and stated_times.",
+        "besides. all goes with each_step.",
     )
     settings: dict[str, float] = Field(
         default={},
@@ -132,15 +138,16 @@ class ConstraintsTable(Table):
     def _fault(self) -> str | None:
         """Return which key does not fit the rule of connectivity."""
         form, given = self.connectivity, self.model_fields_set
-        for other in OWN.values():
+        for other in map(rule_kind, OWN):
             for key in other.keys:
-                if other.name != form and key in given:
+                if other.kind != form and key in given:
                     return (
-                        f'has {key}, which goes only with connectivity = "{other.name}": leave it '
+                        f'has {key}, which goes only with connectivity = "{other.kind}": leave it '
                         "out, or write that connectivity"
                     )
         kind = rule_kind(form)
-        if form != "each_step" and self.p_min == 0.0 and not kind.asks_without_p_min:
+        asks = self.p_min > 0.0 or not kind.asks_p_min
+        if not asks and (form != "each_step" or self.connected_times_s):
             return (
                 f'needs p_min above 0 for connectivity = "{form}": write p_min = 0.9, for instance'
             )
@@ -149,30 +156,28 @@ class ConstraintsTable(Table):
                 'needs one of outage_max_m and outage_max_s for connectivity = "outage": write '
                 "outage_max_s = 10.0, for instance"
             )
-        if form in ("stated_times", "data"):
+        if form == "data":
             for key in kind.keys:
                 if not getattr(self, key):
                     return (
-                        f'needs {key} for connectivity = "{form}": write '
-                        f"{key} = {'[10.0, 20.0]' if form == 'stated_times' else '100.0'}, for "
+                        f'needs {key} for connectivity = "{form}": write {key} = 100.0, for '
                         "instance"
                     )
-        if self.slack_max_db is not None and self.p_min == 0.0 and not kind.asks_without_p_min:
+        if self.slack_max_db is not None and not asks:
             return (
                 "has slack_max_db, but nothing is asked of the connection, since p_min is 0: write "
                 "a p_min above 0, or leave slack_max_db out"
             )
-        if self.parameter_uncertainty == "all":
-            if not kind.by_step:
-                return (
-                    f'has parameter_uncertainty = "all", not for connectivity = "{form}": leave it '
-                    "out, or write each_step or stated_times"
-                )
-            if self.p_min == 0.0:
-                return (
-                    'has parameter_uncertainty = "all", but p_min is 0: write a p_min above 0, or '
-                    "leave parameter_uncertainty out"
-                )
+        if self.parameter_uncertainty == "all" and not kind.by_step:
+            return (
+                f'has parameter_uncertainty = "all", not for connectivity = "{form}": leave it '
+                "out, or write each_step"
+            )
+        if self.parameter_uncertainty == "all" and self.p_min == 0.0:
+            return (
+                'has parameter_uncertainty = "all", but p_min is 0: write a p_min above 0, or '
+                "leave parameter_uncertainty out"
+            )
         if self.slack_price > 0.0 and not self.slack_max_db:
             return "has slack_price, which needs slack_max_db above 0: write slack_max_db = 3.0"
         return None

@@ -15,7 +15,7 @@ from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 
 RULES: dict[str, dict[str, Any]] = {
-    "stated_times": {"p_min": 0.95, "connected_times_s": [2.0, 5.0]},
+    "each_step": {"p_min": 0.95, "connected_times_s": [2.0, 5.0]},
     "average": {"p_min": 0.93},
     "joint": {"p_min": 0.8},
     "outage": {"p_min": 0.95, "outage_max_m": 4.0},

@@ -11,7 +11,7 @@ from scenes import WALL, belief_of, small_problem
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 import planopt.planning.judge as judge_module
-import planopt.planning.proof.rules.single_steps as steps_module
+import planopt.planning.proof.single_steps as steps_module
 import planopt.planning.search.start_search as search_module
 import planopt.planning.start_polish as polish_module
 from planopt.errors import InputError
@@ -98,7 +98,7 @@ def test_after_the_deadline_nothing_more_is_judged(monkeypatch):
 
 
 def test_without_time_one_guide_is_followed(monkeypatch):
-    """A rule on all steps together asks for searches at two levels; there is time for one."""
+    """A rule that binds is searched for under several guides; there is time for one."""
     made: list[None] = []
 
     class Counted(search_module.RewardSearch):
@@ -108,12 +108,12 @@ def test_without_time_one_guide_is_followed(monkeypatch):
 
     monkeypatch.setattr(search_module, "RewardSearch", Counted)
     rule = replace(TERMS.constraints.rule, connectivity="joint")
-    joint = replace(TERMS, constraints=replace(TERMS.constraints, rule=rule))
+    joint = replace(TERMS, constraints=replace(TERMS.constraints, p_min=0.99999, rule=rule))
     terms_plan(joint)
     free = len(made)
     hurried = terms_plan(with_budget(joint, NO_TIME))
     assert hurried.positions_m.shape == (TERMS.planner.horizon + 1, 2)
-    assert (free, len(made) - free) == (2, 1)
+    assert free > 1 and len(made) - free == 1
 
 
 def test_candidates_share_the_search_within_reach(monkeypatch):

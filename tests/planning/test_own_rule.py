@@ -15,8 +15,7 @@ from rules_scene import ruled_problem
 from planopt import ConnectivityRule, InputError, check, load, simulate, solve
 from planopt.extend import OwnRule
 from planopt.planning.history import History
-from planopt.planning.proof.rules.proven import proven_rule
-from planopt.planning.worth.rules.planned import planned_rule
+from planopt.planning.proof.rules.rule import rule_of
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
 SEED = 3
@@ -76,14 +75,13 @@ def test_average_as_an_own_rule_is_the_average(p_min):
     assert own.objective == pytest.approx(built_in.objective, rel=1e-3)
 
 
-def test_the_tangent_is_that_of_the_rule():
-    """Its weights and total, against the closed form of a sum."""
+def test_slopes_are_those_of_the_rule():
+    """Of two plans, against the closed form of a sum."""
     rule = ConnectivityRule("mean")
-    weight, total = planned_rule(rule).total_asked(
-        under(rule, 0.8), History(steps=5, connected_steps=3), np.array([0.2, 0.9, 1.0])
-    )
-    np.testing.assert_allclose(weight, np.full(3, 1.0 / 8.0), rtol=1e-9)
-    assert total == pytest.approx(0.8 - 3.0 / 8.0)
+    history, chance = History(steps=5, connected_steps=3), np.array([[0.2, 0.9, 1.0], [1, 1, 0.5]])
+    value, slope = rule_of(under(rule, 0.8)).slopes(chance, history)
+    np.testing.assert_allclose(slope, np.full((2, 3), 1.0 / 8.0), rtol=1e-9)
+    np.testing.assert_allclose(value, (3.0 + chance.sum(axis=1)) / 8.0)
 
 
 def test_a_rule_that_binds_is_kept_in_the_loop_and_by_the_files(tmp_path):
@@ -218,6 +216,6 @@ def test_workers_know_rules_of_a_script(tmp_path: Path):
     assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr
 
 
-def test_own_rules_make_their_halves():
-    """With the settings that the problem has."""
-    assert proven_rule(ConnectivityRule("weakest", settings={"steps": 4})) == Weakest(4.0)
+def test_own_rules_have_their_settings():
+    """Those of the problem."""
+    assert rule_of(under(ConnectivityRule("weakest", settings={"steps": 4}), 0.5)) == Weakest(4.0)

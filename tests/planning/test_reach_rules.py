@@ -42,7 +42,7 @@ def planned(problem, **history):
 @pytest.mark.parametrize(
     ("p_min", "rule", "may_cross"),
     [
-        (0.95, ConnectivityRule("stated_times", (2.0, 5.0, 9.0)), True),
+        (0.95, ConnectivityRule("each_step", (2.0, 5.0, 9.0)), True),
         (0.8, ConnectivityRule("average"), True),
         (0.99, ConnectivityRule("average"), False),
         (0.8, ConnectivityRule("joint"), False),

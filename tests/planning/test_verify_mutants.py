@@ -425,7 +425,7 @@ CASES: dict[str, Case] = {
 
 VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.reachability"
 GRID, PATHS = "planopt.planning.proof.reachability", "planopt.planning.proof.goal_paths"
-STEPS = "planopt.planning.proof.rules.single_steps"
+STEPS = "planopt.planning.proof.single_steps"
 MOTION = "planopt.planning.proof.motion"
 DETOURS, ROUND = "planopt.planning.proof.reachability", "planopt.world.shortest_ways"
 MODULES = (VERIFY, STEPS, REACHABILITY, DETOURS, ROUND, PATHS, GRID, MOTION)

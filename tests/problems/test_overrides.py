@@ -55,7 +55,7 @@ def test_unknown_names_say_what_there_is() -> None:
         (ConnectivityRule("outage"), "constraints"),
         (ConnectivityRule("data"), "constraints"),
         (ConnectivityRule("joint", parameter_uncertainty="all"), "constraints"),
-        (ConnectivityRule("stated_times", (0.3,)), "constraints.connected_times_s[0]"),
+        (ConnectivityRule("each_step", (0.3,)), "constraints.connected_times_s[0]"),
     ],
 )
 def test_a_rule_made_in_python_is_held_to_what_one_from_a_file_is(rule, key: str) -> None:

@@ -48,10 +48,10 @@ def test_missing_parts(plan, problem):
 
 def test_rule_of_connectivity_has_its_line(plan, problem):
     """What was asked and achieved, by which method, with which slack."""
-    rule = RuleResult("stated_times", 2.0, 3.0, "steps", "p_min at each step asked for", 0.5)
+    rule = RuleResult("each_step", 2.0, 3.0, "steps", "p_min at each step asked for", 0.5)
     ruled = replace(plan, certificate=replace(plan.certificate, rule=rule))
     words = "\n".join(plan_words(ruled, problem.constraints))
-    assert "connectivity (stated times): 2 steps, 3 steps asked" in words
+    assert "connectivity (each step): 2 steps, 3 steps asked" in words
     assert "slack 0.50 dB" in words
 
 

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from planopt.planning.explain.explanation import Case, towards
 from planopt.planning.explain.possible import best_margin_db
 from planopt.planning.history import BEGINNING
-from planopt.planning.proof.rules.asked import is_missed, is_priced
-from planopt.planning.proof.rules.proven import asked_steps
+from planopt.planning.proof.rules.each_step import counted_steps
+from planopt.planning.proof.rules.rule import rule_of
+from planopt.planning.proof.single_steps import is_priced
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
-from planopt.planning.worth.rules.planned import planned_rule
+from planopt.planning.worth.rule_rows import common_level
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
@@ -50,7 +51,7 @@ def met_nowhere(case: Case) -> bool:
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
-    asked = asked_steps(case.own, BEGINNING, steps)
+    asked = counted_steps(case.own, BEGINNING, steps)
     return rule.by_step and rule.slack_max_db is None and 0 < len(missed) == int(asked.sum())
 
 
@@ -58,12 +59,12 @@ def _connection(case: Case) -> Fault | None:
     problem, certificate = case.own, case.plan.certificate
     rule, result = problem.constraints.rule, certificate.rule
     if not rule.by_step:
-        if result is None or result.slack_db > 0.0 or not is_missed(result):
+        if result is None or result.slack_db > 0.0 or not result.is_missed:
             return None
         unit = "" if result.unit == "probability" else result.unit
         return Fault(
             "connection",
-            _stages(planned_rule(rule).weak_steps(problem, case.plan)),
+            _stages(case.plan.connectivity[1:] < _level(problem, len(case.plan.positions_m) - 1)),
             result.missing,
             unit,
         )
@@ -112,6 +113,18 @@ def _distances(case: Case) -> list[Fault]:
             stages = _stages(least < -CLEARANCE_TOLERANCE_M)
             found.append(Fault(missed, stages, float(-least.min()), "m"))
     return found
+
+
+LEVEL_ERROR = 1e-4
+"""Differences of levels within it are of the bisection."""
+
+
+def _level(problem: Problem, steps: int) -> float:
+    """Return the probability that all steps of a plan would need, were they alike."""
+    constraints, rule = problem.constraints, rule_of(problem, np.ones(steps))
+    if constraints.rule.kind.holds_steps:
+        return constraints.p_min
+    return common_level(rule, constraints.p_min, BEGINNING, steps)
 
 
 def _stages(which: NDArray[np.bool_]) -> tuple[int, ...]:
@@ -317,7 +330,9 @@ def _horizon_keys(case: Case) -> list[Key]:
     asked = problem.planner.horizon
     longest = min(max(_steps_across(case.own), 2 * asked), MAX_HORIZON, max(asked, LONGEST_HORIZON))
     rule = problem.constraints.rule
-    if not planned_rule(rule).more_steps:
+    if not rule.by_step and (
+        rule.kind.holds_steps or _level(case.own, asked + 1) > _level(case.own, asked) + LEVEL_ERROR
+    ):
         return [horizon_key(problem, MIN_HORIZON)] if asked > MIN_HORIZON else []
     helps = met_nowhere(case) or not rule.by_step
     return [horizon_key(problem, longest)] if helps and asked < longest else []

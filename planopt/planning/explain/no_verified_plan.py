@@ -21,10 +21,8 @@ from planopt.planning.explain.possible import best_probability, is_possible
 from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.proof.predictions import broad_prediction, certified_prediction
-from planopt.planning.proof.rules.asked import is_missed, margin_missed
-from planopt.planning.proof.rules.proven import PathCase
-from planopt.planning.proof.rules.whole_plan import whole_plan_result
-from planopt.planning.tolerances import margins_asked_db
+from planopt.planning.proof.rules.rule import PathCase, whole_plan_result
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.problems.problem import Problem, problem_of_robot
 
 SETTLED_SHARE = 0.02
@@ -142,10 +140,10 @@ def _is_kept(case: Case, problem: Problem) -> bool:
         result = whole_plan_result(
             PathCase(problem, BEGINNING, first, plan.positions_m, power, broad)
         )
-        return result.slack_db > 0.0 or not is_missed(result)
+        return result.slack_db > 0.0 or not result.is_missed
     margins = margins_asked_db(problem, power) + (rule.slack_max_db or 0.0)
     blamed = margins[[step - 1 for step in plan.certificate.relaxed_steps]]
-    kept = ~margin_missed(blamed)
+    kept = blamed >= -MARGIN_TOLERANCE_DB
     return bool(kept.any() if met_nowhere(case) else kept.all())
 
 

@@ -19,10 +19,10 @@ from planopt.planning.history import BEGINNING
 from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.proof.predictions import broad_prediction, search_prediction
 from planopt.planning.proof.reachability import COARSE_NODES, best_margins_by_step, may_reach_from
-from planopt.planning.proof.rules.asked import is_priced
-from planopt.planning.proof.rules.proven import asked_steps
+from planopt.planning.proof.rules.each_step import counted_steps
+from planopt.planning.proof.rules.rule import rule_of
+from planopt.planning.proof.single_steps import is_priced
 from planopt.planning.tolerances import margins_asked_db
-from planopt.planning.worth.rules.planned import BestWithin, planned_rule
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -78,7 +78,7 @@ def best_by_step(
 
 
 def _of_asked(problem: Problem, best: NDArray[np.float64]) -> NDArray[np.float64]:
-    return best[asked_steps(problem, BEGINNING, len(best))]
+    return best[counted_steps(problem, BEGINNING, len(best))]
 
 
 GRID_ERROR_DB = 0.1
@@ -99,12 +99,15 @@ def is_possible(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> boo
         return True
     rule = constraints.rule
     eased = _eased(problem, (rule.slack_max_db or 0.0) + GRID_ERROR_DB)
-    best = BestWithin(
-        eased,
-        lambda: best_by_step(eased, posteriors, lambda power: margins_asked_db(eased, power)),
-        lambda: _chances(eased, posteriors),
-    )
-    return planned_rule(rule).is_possible(best)
+    if rule.by_step:
+        margins = best_by_step(eased, posteriors, lambda power: margins_asked_db(eased, power))
+        kept = _of_asked(eased, margins) >= 0.0
+        return bool(kept.any() if rule.slack_max_db is None else kept.all())
+    own = rule_of(eased)
+    if own.holds_steps or own.correlates(constraints.p_min):
+        return True
+    achieved = own.valued(_chances(eased, posteriors), BEGINNING)
+    return bool(achieved >= own.required(constraints.p_min, BEGINNING, steps))
 
 
 def _chances(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from planopt.planning.loop.log import (
 )
 from planopt.planning.plan import Plan
 from planopt.planning.proof.rules.outage import longest_run
-from planopt.planning.proof.rules.proven import proven_rule
+from planopt.planning.proof.rules.rule import rule_of
 from planopt.planning.team.reservations import (
     driven_motion,
     least_moving_clearances_m,
@@ -171,7 +171,7 @@ def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
     delivered by the deadline. NaN where no step, or no stated time, was driven through.
     """
     connected = [log.connected[1:] for log in logs]
-    return proven_rule(problem.constraints.rule).run_metrics(problem, connected)
+    return rule_of(problem).run_metrics(problem, connected)
 
 
 def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:
@@ -193,4 +193,4 @@ def run_holes(run: RobotRun) -> tuple[Hole, ...]:
 def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_]) -> float:
     """Longest driven length between connected places, counting the steps that end in none."""
     # Shapes: lengths_m (n,); connected (n,).
-    return longest_run(lengths_m, ~connected, 0.0)
+    return float(longest_run(lengths_m, ~connected))

@@ -5,7 +5,7 @@ to say: Dijkstra's algorithm runs here on a grid of the verifier's own, over the
 What it finds can be driven: nodes and moves keep the clearance, while a path that fits between the
 nodes may stay unseen. Its cost is sampled, too: probabilities are exact at every other node and
 interpolated between, and a move is charged by its ends, so that holes narrower than a step may cost
-too little. The leeway of :mod:`planopt.planning.proof.rules.single_steps` is for that.
+too little. The leeway of :mod:`planopt.planning.proof.single_steps` is for that.
 """
 
 from __future__ import annotations

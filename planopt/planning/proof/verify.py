@@ -4,7 +4,7 @@ Imports nothing of the transcription or the solvers. A plan is verified when the
 keeps the clearance, the workspace and its distance from all that moves, every step keeps the speed,
 and the rule of connectivity holds by the exact posterior and today's deviation. Single steps may
 miss it where nothing keeps it, on the way to a goal where no path is cheaper at the outage price
-(:mod:`planopt.planning.proof.rules.single_steps`). A threshold that is met nowhere is an answer,
+(:mod:`planopt.planning.proof.single_steps`). A threshold that is met nowhere is an answer,
 not a plan.
 """
 
@@ -22,9 +22,8 @@ from planopt.planning.plan import Verdict
 from planopt.planning.proof.circumstances import Circumstances, obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal, judge_apart, judge_motion, swept_motion
 from planopt.planning.proof.predictions import certified_prediction
-from planopt.planning.proof.rules.proven import PathCase
-from planopt.planning.proof.rules.single_steps import judge_single_steps
-from planopt.planning.proof.rules.whole_plan import rule_reasons, whole_plan_result
+from planopt.planning.proof.rules.rule import PathCase, rule_reasons, whole_plan_result
+from planopt.planning.proof.single_steps import judge_single_steps
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive

@@ -3,7 +3,7 @@
 The cost-to-go is the length of the cheapest path to the goal, a metre counting
 ``1 + outage_price (1 - P)`` metres; the path of N steps is found by dynamic programming with the
 same charges, so that both agree about every metre. A rule of connectivity over several steps is
-searched for under guides (:class:`planopt.planning.worth.rules.planned.Guide`); of the paths that
+searched for under guides (:class:`planopt.planning.worth.rule_rows.Guide`); of the paths that
 keep it the cheapest is taken, unless it comes less than half as near to the goal as the cheapest
 path of all: a robot that keeps its rule by standing still would never arrive.
 """
@@ -32,7 +32,7 @@ from planopt.planning.search.timed_search import (
 )
 from planopt.planning.tolerances import MARGIN_PAD_DB, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.path_worth import rule_missing
-from planopt.planning.worth.rules.planned import Guide, planned_rule, step_rows
+from planopt.planning.worth.rule_rows import Guide, find_guided, step_rows
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 from planopt.world.moving_obstacle import MovingDiscs
@@ -92,7 +92,7 @@ class GlobalSearch:
         start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
         nodes, lengths = first_moves(scene.ground, problem, start)
         self._direct_m = float((lengths + scene.ways.cost_m[nodes]).min(initial=np.inf))
-        self._forbids = rule.connectivity == "each_step" and rule.slack_max_db is not None
+        self._forbids = rule.every_step and rule.slack_max_db is not None
         self._is_alone = (
             rule.is_plain
             and not others
@@ -120,7 +120,7 @@ class GlobalSearch:
             nodes = self._cheapest(situation, ways, None, priced=self._forbids, effort_s2_m2=0.0)
             if nodes is None:
                 return None
-        if problem.constraints.rule.connectivity != "each_step":
+        if not problem.constraints.rule.every_step:
             nodes = self._within_rule(situation, ways, nodes)
         return self._start(situation, ways, nodes)
 
@@ -240,8 +240,7 @@ class GlobalSearch:
             return [path]
 
         found[places[cheapest].tobytes()] = cheapest
-        rule = planned_rule(situation.problem.constraints.rule)
-        rule.find_guided(situation, search, lambda path: rule_missing(situation, path) == 0.0)
+        find_guided(situation, search, lambda path: rule_missing(situation, path) == 0.0)
         all_nodes = list(found.values())
         missing = [round(rule_missing(situation, places[nodes]), 2) for nodes in all_nodes]
         costs = [self._cost_s(situation, ways, nodes) for nodes in all_nodes]

@@ -22,7 +22,7 @@ from planopt.objectives.terms.term import Term
 from planopt.objectives.told_batch import Pull, ToldBatch, WayBatch, slopes_of
 from planopt.parts import calling, returned
 from planopt.planning.worth.left_to_learn import region_along
-from planopt.planning.worth.rules.planned import planned_rule
+from planopt.planning.worth.rule_rows import missing, missing_slope
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
 
@@ -70,7 +70,6 @@ class LocalRanking:
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
         anchors = _anchors(about_m, ANCHORS)
         self._missing_db_cost: float | None = None
-        self._rule = planned_rule(situation.problem.constraints.rule)
         self._measures = any(term.is_measured for term in situation.problem.terms)
 
         def near(posterior: ChannelPosterior) -> _Station:
@@ -131,11 +130,11 @@ class LocalRanking:
                 # With several, a way climbs as if there were no bound, but takes no step that
                 # misses more.
                 own = ways.stations[0]
-                missing = Pull().plus(self._rule.missing_slope(at, own), -self._missing_db_cost)
+                lacking = Pull().plus(missing_slope(at, own), -self._missing_db_cost)
                 if own is batch:
-                    pull = pull.plus(missing, 1.0)
+                    pull = pull.plus(lacking, 1.0)
                 else:
-                    slopes.append(slopes_of(own, missing, None))
+                    slopes.append(slopes_of(own, lacking, None))
             slopes.append(slopes_of(batch, pull, gates))
         return value, slopes[0] if len(slopes) == 1 else np.sum(slopes, axis=0)
 
@@ -165,7 +164,7 @@ class LocalRanking:
             return worth
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(worth).max())
-        return worth - self._missing_db_cost * self._rule.missing(at, ways.legs_m, ways.power)
+        return worth - self._missing_db_cost * missing(at, ways.legs_m, ways.power)
 
 
 def _averages_map(problem: Problem) -> bool:

@@ -36,7 +36,7 @@ from planopt.planning.tolerances import (
     STEP_PAD_M,
 )
 from planopt.planning.worth.path_worth import PathWorth, rule_missing
-from planopt.planning.worth.rules.planned import Guide, planned_rule
+from planopt.planning.worth.rule_rows import Guide, find_guided
 from planopt.planning.worth.situation import Situation, bends_starts, shares_places
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
@@ -341,9 +341,7 @@ class StartSearch:
             found = found or bool(paths)
             return paths
 
-        return planned_rule(self._problem.constraints.rule).find_guided(
-            situation, search, lambda path: rule_missing(situation, path) == 0.0
-        )
+        return find_guided(situation, search, lambda path: rule_missing(situation, path) == 0.0)
 
     def _guided_paths(
         self, situation: Situation, guide: Guide, ends: int, budget: Budget

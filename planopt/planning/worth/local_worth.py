@@ -29,7 +29,7 @@ from planopt.planning.programme.margin_source import (
     remembering,
 )
 from planopt.planning.worth.left_to_learn import region_along
-from planopt.planning.worth.rules.planned import RuleRows, has_step_rows, rule_rows
+from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
 from planopt.planning.worth.serving_stages import (
     ServingStages,
     StagePredictor,

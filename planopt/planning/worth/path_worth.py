@@ -19,9 +19,8 @@ from planopt.errors import InputError
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
 from planopt.planning.certificate import RuleResult
-from planopt.planning.proof.rules.asked import is_missed
-from planopt.planning.proof.rules.proven import PathCase, asked_steps
-from planopt.planning.proof.rules.whole_plan import whole_plan_result
+from planopt.planning.proof.rules.each_step import counted_steps
+from planopt.planning.proof.rules.rule import PathCase, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.planning.worth.situation import Situation
 
@@ -116,8 +115,8 @@ def slack_cost(at: Situation, path_m: NDArray[np.float64]) -> float:
         return 0.0
     if rule.by_step:
         return rule.slack_price * float(_missed_db(at, path_m).sum())
-    result = _result(at, path_m)
-    beyond = result.slack_db == 0.0 and is_missed(result)
+    result = rule_result(at, path_m)
+    beyond = result.slack_db == 0.0 and result.is_missed
     return rule.slack_price * ((rule.slack_max_db or 0.0) if beyond else result.slack_db)
 
 
@@ -133,8 +132,8 @@ def rule_missing(at: Situation, path_m: NDArray[np.float64]) -> float:
     if constraints.rule.by_step:
         missed = _missed_db(at, path_m) - (constraints.rule.slack_max_db or 0.0)
         return float(missed[missed > MARGIN_TOLERANCE_DB].sum())
-    result = _result(at, path_m)
-    if result.slack_db > 0.0 or not is_missed(result):
+    result = rule_result(at, path_m)
+    if result.slack_db > 0.0 or not result.is_missed:
         return 0.0
     return SHARE_IN_DB * result.missing / max(result.asked, 1.0)
 
@@ -144,11 +143,12 @@ def _missed_db(at: Situation, path_m: NDArray[np.float64]) -> NDArray[np.float64
     power, problem = at.power(path_m), at.problem
     margins = margins_asked_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB
-    asked = asked_steps(problem, at.circumstances.history, len(path_m))
+    asked = counted_steps(problem, at.circumstances.history, len(path_m))
     return np.where(missed & asked, -margins, 0.0)
 
 
-def _result(at: Situation, path_m: NDArray[np.float64]) -> RuleResult:
+def rule_result(at: Situation, path_m: NDArray[np.float64]) -> RuleResult:
+    """Return the verifier's result of a path (N, 2) by a rule over the whole plan."""
     under, places_m = at.circumstances, np.vstack([at.position_m, path_m])
     return whole_plan_result(
         PathCase(at.problem, under.history, at.posterior, places_m, at.power(path_m), under.broad)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.optimize
 from rules_scene import hand_made
 from scenes import THRESHOLD_DBM, bad_band, bad_everywhere, belief_of, good_everywhere
 from scipy.special import ndtr
@@ -16,10 +17,11 @@ from planopt.channel.joint import sample_power
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.rules.each_step import counted_steps
+from planopt.planning.proof.rules.joint import ACCURACY, SEED, joint_result
 from planopt.planning.proof.rules.outage import longest_run
-from planopt.planning.proof.rules.path_draws import ACCURACY, SEED, joint_result, path_prediction
-from planopt.planning.proof.rules.probable_data import share_at_least
-from planopt.planning.proof.rules.proven import asked_steps
+from planopt.planning.proof.rules.path_draws import path_prediction, share_at_least
+from planopt.planning.proof.rules.rule import rule_of
 from planopt.planning.proof.verify import judge
 from planopt.world.clearance import index_obstacles
 
@@ -49,11 +51,11 @@ def chances(posterior, path_m=ALONG):
 
 def test_stated_times_ask_of_their_steps_alone():
     """A gap is no matter but at a stated time; then the reason names the step."""
-    kept, _ = judged(hand_made("stated_times", connected_times_s=(1.0, 4.0)), GAP)
+    kept, _ = judged(hand_made("each_step", connected_times_s=(1.0, 4.0)), GAP)
     assert kept.verdict is Verdict.VERIFIED
     assert kept.certificate.relaxed_steps == ()
     assert (kept.certificate.rule.achieved, kept.certificate.rule.asked) == (2.0, 2.0)
-    missed, _ = judged(hand_made("stated_times", connected_times_s=(1.0, 3.0)), GAP)
+    missed, _ = judged(hand_made("each_step", connected_times_s=(1.0, 3.0)), GAP)
     assert missed.verdict is Verdict.VIOLATED
     assert missed.certificate.relaxed_steps == (3,)
     assert "step 3" in missed.certificate.reasons[0]
@@ -61,9 +63,9 @@ def test_stated_times_ask_of_their_steps_alone():
 
 def test_stated_times_are_of_the_run():
     """Six steps on, the time after eight is that of step 2."""
-    problem = hand_made("stated_times", connected_times_s=(8.0, 8.0, 99.0))
-    assert asked_steps(problem, History(steps=6), 4).tolist() == [False, True, False, False]
-    assert asked_steps(problem, History(steps=8), 4).sum() == 0
+    problem = hand_made("each_step", connected_times_s=(8.0, 8.0, 99.0))
+    assert counted_steps(problem, History(steps=6), 4).tolist() == [False, True, False, False]
+    assert counted_steps(problem, History(steps=8), 4).sum() == 0
     assert judged(problem, GAP, steps=6)[0].verdict is Verdict.VIOLATED
     assert judged(problem, GAP, steps=4)[0].verdict is Verdict.VERIFIED
 
@@ -99,7 +101,7 @@ def test_joint_counts_less_its_error():
     problem = hand_made("joint", p_min=0.5)
     prediction = path_prediction(belief_of(problem, faint).posterior, ALONG[1:])
     found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(SEED), ACCURACY)
-    result = joint_result(problem, prediction)
+    result = joint_result(prediction, THRESHOLD_DBM, 0.5)
     assert found.exact.error > 0.0
     assert result.achieved == found.exact.value - found.exact.error
     assert "integral" in result.method
@@ -126,19 +128,90 @@ def test_an_outage_that_has_begun_counts_if_it_goes_on():
     assert going_on.verdict is Verdict.VIOLATED
 
 
-def test_longest_run_against_every_stretch():
+def by_stretches(sizes, missed, before):
     """The largest sum over all stretches of missed steps, tried one by one."""
+    best, count = 0.0, len(sizes)
+    for first in range(count):
+        for last in range(first, count):
+            if missed[first : last + 1].all():
+                head = before if first == 0 else 0.0
+                best = max(best, head + sizes[first : last + 1].sum())
+    return best
+
+
+def test_longest_run_against_every_stretch():
+    """Of many paths at once."""
     generator = np.random.default_rng(5)
-    for _ in range(50):
-        sizes, missed = generator.random(8), generator.random(8) < 0.6
-        before = generator.random()
-        best = 0.0
-        for first in range(8):
-            for last in range(first, 8):
-                if missed[first : last + 1].all():
-                    head = before if first == 0 else 0.0
-                    best = max(best, head + sizes[first : last + 1].sum())
-        assert longest_run(sizes, missed, before) == pytest.approx(best)
+    sizes, missed = generator.random((50, 8)), generator.random((50, 8)) < 0.6
+    found = longest_run(sizes, missed, 0.7)
+    for number in range(50):
+        assert found[number] == pytest.approx(by_stretches(sizes[number], missed[number], 0.7))
+
+
+OUTCOMES = (np.arange(16)[:, None] >> np.arange(4) & 1).astype(float)
+"""Every outcome of four steps; ``(16, 4)``."""
+
+
+def by_enumeration(probability, value):
+    """The expectation of a value of outcomes (16,), were steps independent."""
+    chance = np.where(OUTCOMES > 0, probability, 1.0 - probability).prod(axis=1)
+    return float(chance @ value)
+
+
+def least_chance(probability, event):
+    """The least probability of an event over all joint laws with these marginals."""
+    found = scipy.optimize.linprog(
+        event.astype(float),
+        A_eq=np.vstack([OUTCOMES.T, np.ones(16)]),
+        b_eq=np.append(probability, 1.0),
+    )
+    return float(found.fun)
+
+
+DATA = {"data_mbit": 30.0, "deadline_s": 20.0, "rate_mbit_s": 2.0}
+
+
+@pytest.mark.parametrize("form", ["each_step", "average", "joint", "data", "outage"])
+def test_achieved_is_what_enumeration_says(form):
+    """For many plans at once, against sums over all outcomes of four steps."""
+    keys = {"data": DATA, "outage": {"outage_max_s": 2.0}}.get(form, {})
+    rule = rule_of(hand_made(form, p_min=0.6, **keys))
+    past = History(steps=6, connected_steps=5, outage_steps=1, outage_m=2.0)
+    probability = np.random.default_rng(4).uniform(0.3, 1.0, (3, 2, 4))
+    found = rule.valued(probability, past)
+    assert found.shape == (3, 2)
+    for index in np.ndindex(3, 2):
+        one = probability[index]
+        expected = {
+            "each_step": lambda p=one: min(p),
+            "average": lambda p=one: by_enumeration(p, (5.0 + OUTCOMES.sum(axis=1)) / 10.0),
+            "data": lambda p=one: by_enumeration(p, 2.0 * OUTCOMES.sum(axis=1)),
+            "outage": lambda p=one: -by_stretches(np.ones(4), p < 0.6, 1.0),
+            "joint": lambda p=one: least_chance(p, OUTCOMES.all(axis=1)),
+        }[form]()
+        value = max(found[index], 0.0) if form == "joint" else found[index]
+        assert value == pytest.approx(expected, abs=1e-9)
+        assert float(rule.valued(one, past)) == pytest.approx(found[index])
+
+
+@pytest.mark.parametrize("form", ["joint", "data"])
+def test_required_suffices_however_steps_correlate(form):
+    """With the value that is required every joint law keeps p_min, and one has no more."""
+    keys = {"data_mbit": 15.0, "deadline_s": 20.0, "rate_mbit_s": 1.0} if form == "data" else {}
+    rule = rule_of(hand_made(form, p_min=0.7, **keys))
+    needed = 4 if form == "joint" else 3
+    required, past = rule.required(0.7, History(), 4), History()
+    generator = np.random.default_rng(3)
+    for _ in range(5):
+        short = generator.dirichlet(np.ones(4))
+        scale = (rule.achieved(np.ones(4), past) - required) / (
+            rule.achieved(np.ones(4), past) - rule.achieved(1.0 - short, past)
+        )
+        probability = 1.0 - scale * short
+        assert rule.achieved(probability, past) == pytest.approx(required)
+        least = least_chance(probability, OUTCOMES.sum(axis=1) >= needed)
+        assert least >= 0.7 - 1e-9
+        assert form == "data" or least == pytest.approx(0.7)
 
 
 def test_data_must_keep_pace_with_the_deadline():

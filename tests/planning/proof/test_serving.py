@@ -178,7 +178,7 @@ RULES = {
     "outage": (0.9, {"connectivity": "outage", "outage_max_m": 1.0}),
     "stated": (
         0.9,
-        {"connectivity": "stated_times", "connected_times_s": (3.0, 13.0), "slack_max_db": 0.0},
+        {"connectivity": "each_step", "connected_times_s": (3.0, 13.0), "slack_max_db": 0.0},
     ),
     "data": (
         0.0,

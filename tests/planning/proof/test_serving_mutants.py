@@ -16,14 +16,15 @@ import pytest
 import test_serving
 from test_rules_mutants import source_of
 
-from planopt.planning.proof.rules.proven import PathCase
+from planopt.planning.proof.rules.rule import PathCase, Rule
 
 SCORE = "planopt.channel.connection.serving_power"
 POWER = "planopt.channel.connection.serving_power"
 SERVING = "planopt.planning.proof.predictions"
 PREDICTIONS = "planopt.planning.proof.predictions"
 BROAD = "planopt.planning.proof.predictions"
-PROVEN = "planopt.planning.proof.rules.proven"
+RULE = "planopt.planning.proof.rules.rule"
+JOINT = "planopt.planning.proof.rules.joint"
 DRAWS = "planopt.planning.proof.rules.path_draws"
 USERS = (
     SCORE,
@@ -31,12 +32,13 @@ USERS = (
     SERVING,
     PREDICTIONS,
     BROAD,
-    PROVEN,
+    RULE,
+    JOINT,
     DRAWS,
     "planopt.planning.proof.circumstances",
-    "planopt.planning.proof.rules.whole_plan",
+    "planopt.planning.proof.rules.data",
     "planopt.planning.proof.verify",
-    "planopt.planning.proof.rules.single_steps",
+    "planopt.planning.proof.single_steps",
 )
 
 # Module, what stands there once, what the mutant has instead.
@@ -57,14 +59,14 @@ MUTANTS = (
     (BROAD, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
     (BROAD, "if len(posteriors) > 1:", "if len(posteriors) > 2:"),
     (
-        PROVEN,
+        RULE,
         "broad.probability(self.positions_m[1:], slack_db)",
         "broad.probability(self.positions_m[1:], 0)",
     ),
     (DRAWS, "serving_power_dbm(np.stack(each)", "serving_power_dbm(np.stack(each[:1])"),
-    (DRAWS, "threshold_dbm - slack_db).sum", "threshold_dbm + slack_db).sum"),
-    (DRAWS, "least_dbm >=", "least_dbm <"),
-    (DRAWS, "broad).min(axis=1)", "broad).max(axis=1)"),
+    (JOINT, "threshold - slack_db).sum", "threshold + slack_db).sum"),
+    (JOINT, "least_dbm >=", "least_dbm <"),
+    (JOINT, "broad).min(axis=1)", "broad).max(axis=1)"),
     (DRAWS, "(station, path_m), number)", "(station, path_m), 0)"),
 )
 
@@ -98,7 +100,10 @@ def test_mutant_is_found_out(mutant: tuple[str, str, str], monkeypatch: pytest.M
     for user in (*(import_module(name) for name in USERS), test_serving):
         for name, value in list(vars(user).items()):
             same = getattr(value, "__module__", None) == module
-            stays = isinstance(value, type) and not issubclass(value, PathCase)
+            # Classes stay, but for those that nothing is derived from.
+            stays = isinstance(value, type) and (
+                value is Rule or not issubclass(value, PathCase | Rule)
+            )
             if callable(value) and same and not stays:
                 monkeypatch.setattr(user, name, getattr(changed, name))
 

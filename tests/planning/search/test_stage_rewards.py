@@ -11,7 +11,7 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.start_search import StageRewards
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.rules.planned import Guide
+from planopt.planning.worth.rule_rows import Guide
 
 
 def rewards_of(problem, reach_m=6.0):

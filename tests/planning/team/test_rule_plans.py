@@ -46,7 +46,7 @@ def test_plan_keeps_a_rule_that_binds(form):
     judged = broken.judged(broken.candidate(free.positions_m[1:], plan.rung, plan.termination))
     assert judged.verdict is Verdict.VIOLATED
     # The bound is used, not only kept: little of what is asked is left over.
-    if form not in ("stated_times", "outage"):
+    if form not in ("each_step", "outage"):
         assert -result.missing < 0.02 * result.asked
     assert plan.termination in RETURNED and plan.iterations > 0
     assert plan.objective >= plan.lattice_objective
@@ -88,7 +88,7 @@ def test_priced_slack_is_used_up_to_its_bound(form):
 def test_slack_of_single_steps_has_its_price():
     """The objective is that of the terms less price times all missing dB."""
     asked = {"p_min": 0.97, "slack_max_db": 2.0, "slack_price": 0.5}
-    problem = ruled_problem("stated_times", **asked)
+    problem = ruled_problem("each_step", **asked)
     situation, belief = situation_of(problem, SEED)
     judge, ground = judge_of(situation, belief)
     plan = HorizonPlanner(problem, ground).plan(situation, judge)
@@ -126,7 +126,7 @@ def test_check_agrees_from_disk_and_finds_edits(form, tmp_path: Path):
     save_run(simulate(problem, seed=SEED), tmp_path)
     assert check(tmp_path).reasons == ()
     metric = {
-        "stated_times": "stated_times_connected",
+        "each_step": "stated_times_connected",
         "average": "least_connected_share",
         "outage": "longest_outage_s",
         "data": "data_mbit",

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.planning.worth.rules.outage import fewest_held
+from planopt.planning.history import History
+from planopt.planning.proof.rules.outage import Outage
+
+
+def fewest_held(sizes, keeps, limit, before):
+    """What the rule holds after an outage of so many metres."""
+    return Outage(0.9, sizes, limit).held(keeps, History(outage_m=before))
 
 
 def test_fewest_held_leaves_no_run_too_long():

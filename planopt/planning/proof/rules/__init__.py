@@ -1,1 +1,1 @@
-"""The rules of connectivity, one judged in each file."""
+"""The rules of connectivity, one class in each file."""

@@ -12,19 +12,13 @@ from planopt.errors import InputError
 from planopt.parts import calling, class_name, returned
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
-from planopt.planning.proof.rules.proven import BySlack, PathCase, ProvenRule
+from planopt.planning.proof.rules.rule import ROUNDING, BySlack, PathCase, Rule
 from planopt.problems.constraints import register_rule
 
 KEY = "constraints.connectivity"
 
-PROBE = 1e-4
-"""Of a probability: by so much it is changed to find how what is achieved changes."""
 
-ROUNDING = 1e-9
-"""A value may leave its range, or fall where a probability rises, by this much."""
-
-
-class OwnRule(ProvenRule):
+class OwnRule(Rule):
     """Base class of a rule of one's own: a frozen dataclass with a ``kind`` and what it counts.
 
     The fields of a subclass are the keys of ``constraints.settings``, all numbers. The verifier
@@ -61,8 +55,6 @@ class OwnRule(ProvenRule):
     """
 
     kind: ClassVar[str]
-    unit: ClassVar[str] = "probability"
-    asks_p_min: ClassVar[bool] = True
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Let problems name the rule, in this process and in workers of its studies."""
@@ -110,33 +102,7 @@ class OwnRule(ProvenRule):
             "achieved", returned(self, "achieved", found, shape, words=words, key=KEY), words
         )
 
-    def slopes(
-        self, probability: NDArray[np.float64], history: History
-    ) -> tuple[float, NDArray[np.float64]]:
-        """Return what one plan achieves, and its slopes ``(N,)`` in the probabilities ``(N,)``.
-
-        Raises
-        ------
-        InputError
-            As :meth:`valued`; or it falls where a probability rises.
-        """
-        # Towards the middle, so that probabilities stay such.
-        probe = np.where(probability > 0.5, -PROBE, PROBE)
-        values = self.valued(np.vstack([probability, probability + np.diag(probe)]), history)
-        slope = (values[1:] - values[0]) / probe
-        size = max(1.0, float(np.abs(values).max()))
-        if (slope * PROBE < -ROUNDING * size).any():
-            step = int(np.argmin(slope))
-            raise InputError(
-                f"{class_name(self)}.achieved falls by {-slope[step]:.3g} for each 1 by which "
-                f"the probability of step {step + 1} rises, at {probability[step]:.3g}",
-                key=KEY,
-                remedy="return what does not fall where a probability of connection rises, such "
-                "as 1 less a probability of outage",
-            )
-        return float(values[0]), np.maximum(slope, 0.0)
-
-    def asked_value(self, p_min: float) -> float:
+    def required(self, p_min: float, history: History, count: int) -> float:
         """Return :meth:`asked` as a number.
 
         Raises
@@ -174,16 +140,9 @@ class OwnRule(ProvenRule):
         return inside
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return what the path's probabilities achieve."""
-        asked = self.asked_value(case.problem.constraints.p_min)
-        # The proof asks for the least loss of power that breaks the rule: it must not fall.
+        """Return the value of a path, having checked that it does not fall."""
         self.slopes(case.probability(0.0), case.history)
-
-        def result(slack_db: float) -> RuleResult:
-            achieved = float(self.valued(case.probability(slack_db), case.history))
-            return RuleResult(self.kind, achieved, asked, self.unit, "of the probabilities")
-
-        return result
+        return super().by_slack(case)
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Name the rule."""

@@ -1,34 +1,53 @@
-"""Quantities of all steps of a path together, by the law of one station or of several.
+"""Powers along a path in drawn channels, for rules on correlated steps.
 
 One station's powers along a path are jointly normal. The serving power of several is not: their
-channels are drawn independently, with the same seeds each time. The rule `joint` bounds the
-probability that every step of the plan is connected.
+channels are drawn, each by itself, as many each time and from the same seeds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.connection.joint_connectivity import JointConnectivity, joint_connectivity
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.posterior import ChannelPosterior, factored_near
-from planopt.planning.certificate import RuleResult
+from planopt.channel.semidefinite import semidefinite_factor
+from planopt.errors import InputError
 from planopt.planning.proof.predictions import Broad, Serving
-from planopt.planning.proof.rules.probable_data import DRAWN, drawn_powers_dbm, share_at_least
 from planopt.problems.problem import Problem
 
-SEED = 0
-"""Of the integral's shifts: the same path is judged the same again."""
+DRAWS, SEED = 10_000, 0
+"""Number of drawn channels, and their seed."""
 
-ACCURACY = 4e-3
-"""Three standard errors that the integral is refined to. Its value counts less its error."""
+DOUBT = 0.01
+"""The lower end of the interval of this one-sided doubt counts (Clopper and Pearson, 1934)."""
 
-INTEGRATED_STEPS = 60
-"""Up to so many steps the probability is integrated; beyond, the greatest lower bound serves."""
+DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
+"""Name of the method."""
+
+MOST_PROBABLE = 0.9995
+"""Greatest p_min that the drawn channels can show."""
+
+
+def require_shown(problem: Problem, words: str, remedy: str) -> None:
+    """Raise an InputError where p_min is more than drawn channels can show."""
+    p_min = problem.constraints.p_min
+    if p_min > MOST_PROBABLE:
+        raise InputError(
+            f"is {p_min:g}, and more than {MOST_PROBABLE:g} cannot be shown {words}",
+            file=problem.file,
+            key="constraints.p_min",
+            remedy=f"ask for less, or {remedy}",
+        )
+
+
+def share_at_least(count: int, of: int) -> float:
+    """Lower end of the one-sided interval of a probability seen `count` times `of` so many."""
+    if count == 0:
+        return 0.0
+    return float(np.asarray(betaincinv(count, of - count + 1, DOUBT), dtype=np.float64))
 
 
 def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> JointPrediction:
@@ -40,36 +59,11 @@ def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) ->
     return joint_prediction(factored_near(posterior, path_m), path_m)
 
 
-def joint_result(
-    problem: Problem, prediction: JointPrediction, slack_db: float = 0.0
-) -> RuleResult:
-    """Return a lower bound of the probability that all steps are connected (equation 5.2).
-
-    The integral less its error, or the greatest of Boole's, Hunter's and Slepian's bounds.
-    """
-    threshold = problem.stations[0].threshold_dbm - slack_db
-    p_min = problem.constraints.p_min
-    found = joint_connectivity(prediction, threshold)
-    # Where the least certain step alone misses the bound, no integral is needed.
-    if len(prediction) <= INTEGRATED_STEPS and found.at_each.min() >= p_min:
-        generator = np.random.default_rng(SEED)
-        found = joint_connectivity(prediction, threshold, generator, ACCURACY)
-    achieved, method = _best_bound(found)
-    return RuleResult("joint", achieved, p_min, "probability", method)
-
-
-def _best_bound(found: JointConnectivity) -> tuple[float, str]:
-    bounds = {
-        "Hunter's bound": found.hunter.value,
-        "Slepian's product": found.product.value,
-        "corrected product": found.corrected_product.value,
-        "Boole's bound": found.boole.value,
-    }
-    if found.exact is not None:
-        bounds["integral less three standard errors"] = found.exact.value - found.exact.error
-    proven = {method: value for method, value in bounds.items() if value is not None}
-    best = max(proven, key=lambda method: proven[method])
-    return proven[best], best
+def drawn_powers_dbm(prediction: JointPrediction, station: int = 0) -> NDArray[np.float64]:
+    """Powers along the path in `DRAWS` channels, from each station's own seed; ``(DRAWS, N)``."""
+    generator = np.random.default_rng([SEED, station] if station else SEED)
+    normal = generator.standard_normal((DRAWS, len(prediction)))
+    return prediction.mean_db + normal @ semidefinite_factor(prediction.covariance_db2).T
 
 
 def path_draws_dbm(
@@ -83,27 +77,3 @@ def path_draws_dbm(
         for number, station in enumerate(broad.posteriors)
     ]
     return serving_power_dbm(np.stack(each), broad.thresholds_dbm)
-
-
-def joint_by_slack(
-    problem: Problem,
-    posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],  # (N, 2) places after each step
-    broad: Broad | None,
-) -> Callable[[float], RuleResult]:
-    """A lower bound of the probability that all steps are connected, by how much slack there is.
-
-    Of one station by :func:`joint_result`; of several the lower
-    end of the interval over the drawn channels.
-    """
-    if not isinstance(broad, Serving):
-        prediction = path_prediction(posterior, path_m)
-        return lambda slack_db: joint_result(problem, prediction, slack_db)
-    least_dbm = path_draws_dbm(posterior, path_m, broad).min(axis=1)
-
-    def drawn(slack_db: float) -> RuleResult:
-        kept = int((least_dbm >= problem.stations[0].threshold_dbm - slack_db).sum())
-        achieved = share_at_least(kept, len(least_dbm))
-        return RuleResult("joint", achieved, problem.constraints.p_min, "probability", DRAWN)
-
-    return drawn

@@ -28,8 +28,7 @@ from planopt.planning.proof.goal_paths import (
 )
 from planopt.planning.proof.predictions import Broad, search_prediction
 from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
-from planopt.planning.proof.rules.asked import is_priced
-from planopt.planning.proof.rules.proven import asked_steps
+from planopt.planning.proof.rules.each_step import counted_steps
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
@@ -62,6 +61,14 @@ class StepsFinding:
     is_compared: bool = True
 
 
+def is_priced(problem: Problem) -> bool:
+    """Return whether single steps may miss the bound at a price, on the way to a goal.
+
+    A stated time is required by itself: the price is of metres, and a robot may wait in contact.
+    """
+    return problem.task == "reach" and problem.constraints.rule.is_plain
+
+
 def judge_single_steps(
     problem: Problem,
     under: Circumstances,
@@ -76,7 +83,7 @@ def judge_single_steps(
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     # Without a bound every margin is infinite.
     margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
-    asked = asked_steps(problem, under.history, len(margins))
+    asked = counted_steps(problem, under.history, len(margins))
     missed = np.nonzero((margins < -MARGIN_TOLERANCE_DB) & asked)[0] + 1
     steps = tuple(missed.tolist())
     relaxation = tuple(float(-margins[step - 1]) for step in missed)

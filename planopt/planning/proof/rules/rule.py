@@ -1,0 +1,200 @@
+"""A rule of connectivity: the value that a plan's probabilities of connection must reach.
+
+Verifier and planner share the one function :meth:`Rule.achieved`. The verifier evaluates it with
+the exact posterior, or a probability of correlated steps in its place; the planner follows its
+slopes.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction, connection_probability
+from planopt.errors import InputError
+from planopt.parts import class_name
+from planopt.planning.certificate import RuleResult
+from planopt.planning.history import History
+from planopt.planning.proof.predictions import Broad, Serving
+from planopt.problems.problem import Problem
+
+BySlack = Callable[[float], RuleResult]
+"""From the slack in dB, by which the threshold is lowered, to the result of a path."""
+
+PROBE = 1e-4
+"""Change of a probability by which slopes are measured."""
+
+ROUNDING = 1e-9
+"""Tolerance of ranges and of monotonicity."""
+
+HALVINGS = 22
+"""Bisections of the slack: 500 dB to a ten-thousandth."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathCase:
+    """A path that is judged by a rule over all its steps."""
+
+    problem: Problem
+    history: History
+    posterior: ChannelPosterior  # Rules on correlated steps need more than `power`
+    positions_m: NDArray[np.float64]  # (N + 1, 2) the path, the robot's own place first
+    power: Prediction  # At the N places after each step
+    broad: Broad | None = None  # The stations, where there are several
+
+    def probability(self, slack_db: float) -> NDArray[np.float64]:
+        """Return the probability of connection after each step, (N,), with so much slack."""
+        if isinstance(self.broad, Serving) and slack_db > 0.0:
+            return self.broad.probability(self.positions_m[1:], slack_db)
+        threshold = self.problem.stations[0].threshold_dbm - slack_db
+        return connection_probability(self.power.mean_db, self.power.deviation_db, threshold)
+
+    @property
+    def rule(self) -> Rule:
+        """The rule for the lengths of the path's steps."""
+        return rule_of(self.problem, np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1))
+
+
+class Rule(ABC):
+    """A rule of connectivity."""
+
+    kind: ClassVar[str]
+    unit: ClassVar[str] = "probability"
+    method: ClassVar[str] = "of the probabilities"
+    keys: ClassVar[tuple[str, ...]] = ()  # Keys of [constraints] that belong to this rule alone
+    by_step: ClassVar[bool] = False  # Whether single steps are judged, each by itself
+    # Whether the planner bounds single steps by p_min; else a weighted sum of probabilities
+    holds_steps: ClassVar[bool] = False
+    greatest: ClassVar[bool] = (
+        False  # Whether results have the negative value, which is bounded above
+    )
+    asks_p_min: ClassVar[bool] = True  # Whether nothing is required where p_min is 0
+
+    @classmethod
+    def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Rule:
+        """Return the problem's rule for steps of these lengths ``(..., N)``."""
+        return cls(**dict(problem.constraints.rule.settings))
+
+    @classmethod
+    def check(cls, problem: Problem) -> None:
+        """Raise an InputError where the rule cannot be planned with."""
+        del problem  # most rules suit every problem
+
+    @abstractmethod
+    def achieved(
+        self, probability: NDArray[np.float64], history: History
+    ) -> float | NDArray[np.float64]:
+        """Return the value ``(...)`` of plans with probabilities ``(..., N)``; large is good."""
+
+    def required(self, p_min: float, history: History, count: int) -> float:
+        """Return the least value that a plan of `count` steps must achieve."""
+        return p_min
+
+    def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
+        """Return steps (N,) that suffice if they keep p_min, chosen of those that do keep it."""
+        raise AssertionError("a rule that holds no steps")
+
+    def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
+        """Return :meth:`achieved` as numbers ``(...)``."""
+        return np.asarray(self.achieved(probability, history), dtype=np.float64)
+
+    def slopes(
+        self, probability: NDArray[np.float64], history: History
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the values (...) of plans, and their slopes by the probabilities (..., N)."""
+        # Towards the middle, so that probabilities stay such.
+        probe = np.where(probability > 0.5, -PROBE, PROBE)
+        probed = probability[..., None, :] + np.eye(probability.shape[-1]) * probe[..., None]
+        value, changed = self.valued(probability, history), self.valued(probed, history)
+        slope = (changed - value[..., None]) / probe
+        size = max(1.0, float(np.abs(changed).max(initial=0.0)))
+        if (slope * PROBE < -ROUNDING * size).any():
+            worst = int(np.argmin(slope))
+            raise InputError(
+                f"{class_name(self)}.achieved falls by {-slope.flat[worst]:.3g} for each 1 by "
+                f"which the probability of step {worst % slope.shape[-1] + 1} rises, at "
+                f"{probability.flat[worst]:.3g}",
+                key="constraints.connectivity",
+                remedy="return what does not fall where a probability of connection rises, such "
+                "as 1 less a probability of outage",
+            )
+        return value, np.maximum(slope, 0.0)
+
+    def correlates(self, p_min: float) -> bool:
+        """Return whether the verified value is a probability of correlated steps."""
+        return False
+
+    def by_slack(self, case: PathCase) -> BySlack:
+        """Return the verified result of a path as a function of the slack."""
+        p_min, count = case.problem.constraints.p_min, len(case.positions_m) - 1
+        sign = -1.0 if self.greatest else 1.0
+        required = sign * self.required(p_min, case.history, count)
+
+        def result(slack_db: float) -> RuleResult:
+            achieved = sign * float(self.valued(case.probability(slack_db), case.history))
+            return RuleResult(self.kind, achieved, required, self.unit, self.method)
+
+        return result
+
+    @abstractmethod
+    def missed_words(self, result: RuleResult) -> tuple[str, str]:
+        """Return the value that is too small in words, and the key that requires more."""
+
+    def run_metrics(
+        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
+    ) -> dict[str, float]:
+        """Return the metric of a run by name, of the worst robot.
+
+        `connected` has whether each step of each robot ended connected, ``(n,)``.
+        """
+        return {}
+
+
+def rule_of(problem: Problem, legs_m: NDArray[np.float64] | None = None) -> Rule:
+    """Return the problem's rule, for steps of lengths ``(..., N)`` or the longest steps."""
+    kind: type[Rule] = problem.constraints.rule.kind
+    full = np.full(problem.planner.horizon, problem.step_length_m)
+    return kind.of(problem, full if legs_m is None else legs_m)
+
+
+def whole_plan_result(case: PathCase) -> RuleResult:
+    """Return the result of a path by a rule over all steps, with the slack that it takes.
+
+    The slack is the least lowering of the threshold with which the rule holds; where it does not
+    within `slack_max_db`, or none is allowed, it is zero and the rule is missed.
+    """
+    result_at = case.rule.by_slack(case)
+    hard = result_at(0.0)
+    limit = case.problem.constraints.rule.slack_max_db or 0.0
+    if limit == 0.0 or not hard.is_missed or result_at(limit).is_missed:
+        return hard
+    low, high = 0.0, limit
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if result_at(middle).is_missed else (low, middle)
+    return replace(hard, slack_db=high)
+
+
+def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
+    """Return why a path does not keep its rule; nothing where it does, within its slack."""
+    if not result.is_missed or result.slack_db > 0.0:
+        return []
+    words, key = rule_of(problem).missed_words(result)
+    unit = "" if result.unit == "probability" else f" {result.unit}"
+    limit = problem.constraints.rule.slack_max_db
+    return [
+        f"{words} is {result.achieved:.4g}{unit} "
+        f"({result.method}), {key} asks for {result.asked:.4g}{unit}"
+        + (f", also with constraints.slack_max_db {limit:g}" if limit else "")
+    ]
+
+
+def connected_share(connected: NDArray[np.bool_]) -> float:
+    """Return the share of steps (n,) that are connected; NaN where there are none."""
+    return float(connected.mean()) if connected.size else float("nan")

@@ -1,0 +1,317 @@
+"""The rule of connectivity for planners: rows for solvers, guides for searches, and a shortfall.
+
+All of it is derived from :meth:`planopt.planning.proof.rules.rule.Rule.achieved`. Rules that hold
+steps bound each of them by p_min. Any other rule becomes one row, the tangent of what is achieved:
+a weighted sum of the probabilities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.prediction import (
+    Prediction,
+    bound_quantile,
+    connection_probability,
+)
+from planopt.objectives.told_batch import Pull, WayBatch, pull_of_power
+from planopt.planning.certificate import RuleResult
+from planopt.planning.history import History
+from planopt.planning.proof.rules.rule import Rule, rule_of
+from planopt.planning.tolerances import margins_asked_db
+from planopt.planning.worth.path_worth import rule_result
+from planopt.planning.worth.situation import Situation
+from planopt.problems.problem import Problem
+
+UNASKED = 0.5
+"""Level of a step without a bound."""
+
+LEAST_LEVEL = 1e-3
+"""Bounds on single steps are neither below this level nor above one less this."""
+
+LEVEL_HALVINGS = 20
+"""Bisections of the common level of all steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class RuleRows:
+    """The rows of the rule for a path of N steps."""
+
+    threshold_dbm: float  # Power from which on a place is connected
+    level: NDArray[np.float64]  # (N,) probability asked of each step
+    asked: NDArray[np.bool_]  # (N,) whether it is
+    # (N,) of the sum of the probabilities; None where no sum is bounded
+    weight: NDArray[np.float64] | None = None
+    total: float = 0.0  # Least value of the sum
+
+    @property
+    def quantile(self) -> NDArray[np.float64]:
+        """``(N,)`` z_p of each step's level."""
+        return np.array([bound_quantile(level) for level in self.level.tolist()])
+
+    def margins_db(self, power: Prediction) -> NDArray[np.float64]:
+        """Margins of each step at its own level; infinite where nothing is asked."""
+        margins = power.mean_db - self.quantile * power.deviation_db - self.threshold_dbm
+        return np.where(self.asked, margins, np.inf)
+
+    def sum_of(self, power: Prediction) -> float:
+        """The sum at predicted powers."""
+        if self.weight is None:
+            raise AssertionError("no sum is bounded")
+        chance = connection_probability(power.mean_db, power.deviation_db, self.threshold_dbm)
+        return float(self.weight @ chance)
+
+
+def has_sum_row(problem: Problem) -> bool:
+    """Return whether a sum over the steps is bounded."""
+    return not problem.constraints.rule.kind.holds_steps
+
+
+def has_step_rows(problem: Problem) -> bool:
+    """Return whether single steps are bounded."""
+    return problem.constraints.asks_connection and not has_sum_row(problem)
+
+
+def rule_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
+    """The rows for a polish that starts from `path_m` (N, 2)."""
+    problem, history = situation.problem, situation.circumstances.history
+    legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path_m]), axis=0), axis=1)
+    rule, p_min, count = rule_of(problem, legs), problem.constraints.p_min, len(path_m)
+    threshold = problem.stations[0].threshold_dbm
+    power = situation.power(path_m)
+    if rule.holds_steps:
+        keeps = margins_asked_db(problem, power) >= 0.0
+        asked = rule.held(keeps, history) & problem.constraints.asks_connection
+        return RuleRows(threshold, np.where(asked, p_min, UNASKED), asked)
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+    achieved, slope = rule.slopes(chance, history)
+    least = rule.required(p_min, history, count)
+    if rule.correlates(p_min):
+        result = rule_result(situation, path_m)
+        if not result.is_missed:
+            least = min(least, scaled_value(rule, situation, float(achieved), count, result))
+    none = np.zeros(count, dtype=np.bool_)
+    total = least - float(achieved) + float(slope @ chance)
+    return RuleRows(threshold, np.full(count, UNASKED), none, slope, total)
+
+
+LARGEST_FACTOR = 4.0
+"""What a path falls short of certain connection grows or shrinks by at most this factor."""
+
+
+def scaled_value(
+    rule: Rule, situation: Situation, achieved: float, count: int, result: RuleResult
+) -> float:
+    """Return the value whose shortfall has the risk that is allowed (equation 5.6).
+
+    The shortfall from certain connection is scaled by the risk allowed over the risk verified.
+    """
+    most = float(rule.valued(np.ones(count), situation.circumstances.history))
+    factor = (1.0 - result.asked) / max(1.0 - result.achieved, 1e-12)
+    return most - (most - achieved) * float(np.clip(factor, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR))
+
+
+AIMED_SHARE = 0.98
+"""Between a path within the risk and one beyond, so much of what is left is aimed at."""
+
+USED_SHARE = 0.9
+"""A row whose shortfall is used to this share is held by the solver."""
+
+USED_UP_SHARE = 0.97
+"""A risk that is used to this share is not allocated again."""
+
+
+def rows_again(
+    situation: Situation,
+    rows: RuleRows,
+    path_m: NDArray[np.float64],
+    tried: list[tuple[float, RuleResult]],
+    result: RuleResult,
+) -> RuleRows | None:
+    """Return the rows corrected by the verified result of a path (N, 2); None if it is used up.
+
+    By the secant between the last path within the risk and the last beyond, once there are both,
+    or half-way where that does not change sides. `tried` grows by the path.
+    """
+    rule, history = rule_of(situation.problem), situation.circumstances.history
+    if not rule.correlates(situation.problem.constraints.p_min) or rows.weight is None:
+        return None
+    allowed, found = 1.0 - result.asked, 1.0 - result.achieved
+    power, most = situation.power(path_m), float(rows.weight.sum())
+    is_held = most - rows.sum_of(power) >= USED_SHARE * (most - rows.total)
+    kept = not result.is_missed or result.slack_db > 0.0
+    if kept and (found >= USED_UP_SHARE * allowed or not is_held):
+        return None
+    chance = connection_probability(power.mean_db, power.deviation_db, rows.threshold_dbm)
+    tried.append((float(rule.valued(chance, history)), result))
+    within = [(value, 1.0 - one.achieved) for value, one in tried if not one.is_missed]
+    beyond = [(value, 1.0 - one.achieved) for value, one in tried if one.is_missed]
+    if within and beyond:
+        (low, low_risk), (high, high_risk) = within[-1], beyond[-1]
+        share = AIMED_SHARE * (allowed - low_risk) / max(high_risk - low_risk, 1e-12)
+        if len(tried) > 2 and tried[-1][1].is_missed == tried[-2][1].is_missed:
+            share = 0.5
+        value = low + share * (high - low)
+    else:
+        value = scaled_value(rule, situation, tried[-1][0], len(path_m), result)
+    achieved, slope = rule.slopes(chance, history)
+    return replace(rows, weight=slope, total=value - float(achieved) + float(slope @ chance))
+
+
+def step_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
+    """The rows of a programme that bounds single steps only, about a path (N, 2).
+
+    A bound on a sum becomes one on each of its steps: what the path has to spare, or lacks, is
+    spread evenly over them.
+    """
+    rows = rule_rows(situation, path_m)
+    if rows.weight is None:
+        return rows
+    power = situation.power(path_m)
+    chance = connection_probability(power.mean_db, power.deviation_db, rows.threshold_dbm)
+    spare = (rows.sum_of(power) - rows.total) / max(float(rows.weight.sum()), 1e-9)
+    level = chance - spare
+    asked = (rows.weight > 0.0) & (level > LEAST_LEVEL)
+    level = np.clip(level, LEAST_LEVEL, 1.0 - LEAST_LEVEL)
+    return RuleRows(rows.threshold_dbm, np.where(asked, level, UNASKED), asked)
+
+
+@dataclass(frozen=True, eq=False)
+class Guide:
+    """The steps, level and credits that a search minds."""
+
+    level: float  # Probability that the steps asked for must keep
+    asked: NDArray[np.bool_]  # (N,) which these are
+    # (N,) value of a connection at each step, in units of the largest reward of a step, times its
+    # probability
+    credit: NDArray[np.float64]
+
+
+GuidedSearch = Callable[[Guide], list[NDArray[np.float64]]]
+"""From a guide to the best paths (N, 2), best first."""
+
+IsKept = Callable[[NDArray[np.float64]], bool]
+"""Whether a path (N, 2) keeps the rule."""
+
+HIGHEST_CREDIT, LOWEST_CREDIT = 10.0, 1e-3
+"""Credit of a connected step, in units of the largest reward of a step: with the first no other
+reward counts, with the second hardly the credit."""
+
+CREDIT_HALVINGS = 5
+"""Bisections of the credit between them, in its logarithm."""
+
+PATTERNS = 4
+"""Number of patterns of held steps that are tried."""
+
+
+def find_guided(
+    situation: Situation, search: GuidedSearch, is_kept: IsKept
+) -> list[NDArray[np.float64]]:
+    """Return paths (N, 2) of a search under the guides that suit the rule."""
+    problem, history = situation.problem, situation.circumstances.history
+    rule, count = rule_of(problem), problem.planner.horizon
+    no_credit = np.zeros(count)
+    if rule.holds_steps:
+        masks = _held_patterns(rule, situation, count)
+        guides = [Guide(problem.constraints.p_min, mask, no_credit) for mask in masks]
+        return [path for guide in guides for path in search(guide)]
+    none = Guide(0.0, np.zeros(count, dtype=np.bool_), no_credit)
+    found = search(none)
+    if not found or is_kept(found[0]):
+        return found
+    # A path that keeps the common level at each step keeps the rule, were steps independent.
+    level = common_level(rule, problem.constraints.p_min, history, count)
+    found += search(Guide(level, np.ones(count, dtype=np.bool_), no_credit))
+    # A credit as small as may be: a Lagrange multiplier, by bisection.
+    _, weight = rule.slopes(np.full(count, UNASKED), history)
+    weight = weight / max(float(weight.max()), 1e-9)
+    low, high = LOWEST_CREDIT, HIGHEST_CREDIT
+    most = search(replace(none, credit=high * weight))
+    found += most
+    if not most or not is_kept(most[0]):
+        return found
+    for _ in range(CREDIT_HALVINGS):
+        middle = float(np.sqrt(low * high))
+        paths = search(replace(none, credit=middle * weight))
+        found += paths
+        low, high = (low, middle) if paths and is_kept(paths[0]) else (middle, high)
+    return found
+
+
+def common_level(rule: Rule, p_min: float, history: History, count: int) -> float:
+    """Return the least probability that suffices where all steps of a plan have it."""
+    required = rule.required(p_min, history, count)
+    low, high = 0.0, 1.0
+    for _ in range(LEVEL_HALVINGS):
+        middle = 0.5 * (low + high)
+        kept = float(rule.valued(np.full(count, middle), history)) >= required
+        low, high = (low, middle) if kept else (middle, high)
+    return min(high, 1.0 - LEAST_LEVEL)
+
+
+def _held_patterns(rule: Rule, situation: Situation, count: int) -> list[NDArray[np.bool_]]:
+    """Return masks (N,) of steps that suffice: as late as may be, the first earlier, and all."""
+    history, asks = situation.circumstances.history, situation.problem.constraints.asks_connection
+    every = np.ones(count, dtype=np.bool_)
+    latest = rule.held(every, history)
+    if rule.by_step or not latest.any():
+        return [latest & asks]
+    last = int(np.argmax(latest))
+    found = [latest]
+    for first in np.unique(np.linspace(0, last, PATTERNS).astype(np.intp))[:-1].tolist():
+        keeps = np.zeros(count, dtype=np.bool_)
+        keeps[last + 1 :] = keeps[first] = True
+        found.append(rule.held(keeps, history))
+    return [*found, every]
+
+
+def missing(at: Situation, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
+    """Return by how much each path misses the rule, 0 where it keeps it; (c,).
+
+    In dB of all steps that count; of other rules in steps that would have to be connected.
+    """
+    # Shapes: legs_m (c, N).
+    constraints, history = at.problem.constraints, at.circumstances.history
+    rule, shape = rule_of(at.problem, legs_m), legs_m.shape
+    if rule.by_step:
+        margins = margins_asked_db(at.problem, power).reshape(shape)
+        every = np.ones(int(legs_m.shape[1]), dtype=np.bool_)
+        return np.maximum(-margins, 0.0) @ rule.held(every, history)
+    threshold = at.problem.stations[0].threshold_dbm
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold).reshape(shape)
+    required = rule.required(constraints.p_min, history, shape[1])
+    short = np.maximum(required - rule.valued(chance, history), 0.0)
+    return short / _value_of_step(rule, at, shape)
+
+
+def _value_of_step(rule: Rule, at: Situation, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the mean gain of a connected step, of paths of steps (c, N); ``(c,)``."""
+    history = at.circumstances.history
+    gained = rule.valued(np.ones(shape), history) - rule.valued(np.zeros(shape), history)
+    return np.maximum(gained / shape[1], 1e-9)
+
+
+def missing_slope(at: Situation, batch: WayBatch) -> Pull:
+    """Return the derivatives of :func:`missing` by the powers; none of the length of outages."""
+    problem, history, power = at.problem, at.circumstances.history, batch.power
+    rule, threshold = rule_of(problem), problem.stations[0].threshold_dbm
+    if rule.by_step:
+        quantile = bound_quantile(problem.constraints.p_min)
+        margin = power.mean_db - quantile * power.deviation_db - threshold
+        held = rule.held(np.ones(batch.shape[1], dtype=np.bool_), history)
+        missed = ((margin < 0.0).reshape(batch.shape) & held).astype(np.float64)
+        return pull_of_power(batch, -missed, quantile * missed)
+    if rule.holds_steps:
+        return Pull()
+    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+    achieved, slope = rule.slopes(chance.reshape(batch.shape), history)
+    missed = achieved < rule.required(problem.constraints.p_min, history, batch.shape[1])
+    score = (power.mean_db - threshold) / power.deviation_db
+    density = np.exp(-0.5 * score**2) / (np.sqrt(2.0 * np.pi) * power.deviation_db)
+    by_mean = -slope * (missed / _value_of_step(rule, at, batch.shape))[:, None]
+    by_mean = by_mean * density.reshape(batch.shape)
+    return pull_of_power(batch, by_mean, -by_mean * score.reshape(batch.shape))

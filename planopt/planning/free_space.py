@@ -17,16 +17,15 @@ from planopt.world.clearance import (
 )
 from planopt.world.workspace import Obstacle
 
-BISECTIONS = 30
+BISECTIONS = 16
 """The widest clearance is found to this many bits."""
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
     """Return whether a way from start to goal keeps a clearance."""
-    free = shapely.box(*problem.workspace.bounds_m)
-    for obstacle in problem.workspace.obstacles:
-        if obstacle is not without:
-            free = free.difference(obstacle.polygon.buffer(clearance_m))
+    polygons = [each.polygon for each in problem.workspace.obstacles if each is not without]
+    covered = shapely.union_all(shapely.buffer(polygons, clearance_m))
+    free = shapely.box(*problem.workspace.bounds_m).difference(covered)
     start, goal = shapely.Point(problem.robots[0].start_m), shapely.Point(problem.goal_m)
     # Both may lie on the very edge of what the clearance leaves.
     return any(

@@ -12,7 +12,7 @@ from scenes import bad_band, belief_of, small_problem
 from planopt import load
 from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
-from planopt.planning.explain.explain import explain_blocked
+from planopt.planning.explain.no_way import explain_blocked
 from planopt.planning.files.saved import save_run
 from planopt.planning.history import History
 from planopt.planning.loop.closed_loop import simulate

@@ -34,16 +34,8 @@ from planopt.planning.check.rebuilt import (
     rebuilt_plan,
 )
 from planopt.planning.explain.explanation import Case, Crossing, Relaxation
-from planopt.planning.explain.keys import (
-    Fault,
-    Key,
-    blamed_keys,
-    connection_keys,
-    faults_of,
-    moving_keys,
-    other_keys,
-)
-from planopt.planning.explain.possible import is_possible
+from planopt.planning.explain.faults import Fault, faults_of
+from planopt.planning.explain.keys import Key, blamed_keys, connection_keys, moving_keys
 from planopt.planning.files.belief_file import first_posteriors, last_posteriors
 from planopt.planning.files.drive_table import drive_of
 from planopt.planning.files.read_saved import Saved
@@ -94,11 +86,11 @@ def explanation_faults(case: Case, explanation: Sequence[Relaxation]) -> list[st
         if one.shortfall_unit != fault.unit or not _near(one.shortfall, fault.shortfall):
             short = f"{fault.shortfall:.6g} {fault.unit}".rstrip()
             faults.append(f"explanation: the shortfall of {name} is {short}")
-        faults += _value_faults(case, fault, about[0][1], one)
+        faults += _value_faults(about[0][1], one)
     return faults
 
 
-def _value_faults(case: Case, fault: Fault, key: Key, one: Relaxation) -> list[str]:
+def _value_faults(key: Key, one: Relaxation) -> list[str]:
     """Return what is wrong with the values of an entry."""
     if key.asked == key.limit:
         stands = one.value is None and one.relaxed_value is None and not one.unit
@@ -108,15 +100,12 @@ def _value_faults(case: Case, fault: Fault, key: Key, one: Relaxation) -> list[s
         return [f"explanation: {key.name} is {asked}"]
     if one.relaxed_value is None or not 0.0 < key.amount_of(one.relaxed_value) <= key.most:
         return [f"explanation: {key.name} has no value that is looser than {asked}"]
-    changed = problem_of_robot(key.changed(case.problem, one.relaxed_value), case.number)
-    if one.verified and fault.missed == "connection" and not is_possible(changed, case.posteriors):
-        return [f"explanation: {key.name} {one.relaxed_value:g} does not help"]
     return []
 
 
 def _keys(case: Case, fault: Fault) -> list[Key]:
     """Every key that a fault may be explained by."""
-    return [*blamed_keys(case, fault), *other_keys(case, fault), *moving_keys(case, fault)]
+    return [*blamed_keys(case.problem, fault), *moving_keys(case.problem, fault)]
 
 
 def no_way_faults(problem: Problem, explanation: Sequence[Relaxation]) -> list[str]:

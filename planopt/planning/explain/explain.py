@@ -1,33 +1,24 @@
-"""Explain a problem without verified plan, and plans that cross coverage holes.
-
-If no path leads to the goal, the clearance, an obstacle, steps too long for the lattice, or a hard
-bound on connectivity is in the way; each entry is one change of a key that would open a path, tried
-by planning again. Plans that are not verified are the subject of
-:mod:`planopt.planning.explain.no_verified_plan`. A path that crosses coverage holes is compared
-with the one that is out of contact for the fewest metres.
-"""
+"""Explain a problem without verified plan, and plans that cross coverage holes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import cast
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of
-from planopt.planning.explain.explanation import Case, Crossing, Explanation, Relaxation, towards
-from planopt.planning.explain.keys import DIGITS, Key, connection_keys
-from planopt.planning.explain.no_verified_plan import explain_no_verified_plan
-from planopt.planning.free_space import is_joined, widest_clearance_m
+from planopt.planning.explain.explanation import Case, Crossing, Explanation, Relaxation
+from planopt.planning.explain.no_verified_plan import (
+    Deadline,
+    deadline_from_now,
+    explain_no_verified_plan,
+)
+from planopt.planning.explain.no_way import explain_blocked, explain_no_way, is_open
 from planopt.planning.given import team_seeds
 from planopt.planning.loop.target_watch import aim_of, watch_target
 from planopt.planning.plan import Plan, Verdict
@@ -39,12 +30,8 @@ from planopt.planning.solution import Solution
 from planopt.planning.solve import solve, solve_on
 from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.planning.team.team_step import build_team
-from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.road_map import RoadMap, shortest_ways, way_from
-
-SolveAgain = Callable[[Problem], Verdict]
-"""Solves a changed problem and says what its plan is worth."""
+from planopt.world.road_map import shortest_ways, way_from
 
 
 @one_blas_thread()
@@ -53,9 +40,9 @@ def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
 
     There are none of a verified plan, which keeps all bounds; ``print(explain(...))`` says so.
 
-    Each change is by itself, and of its robot alone. Problems are solved again with what is
-    proposed, which takes some fifty times the plan's own time. For a verified plan the coverage
-    holes are told that its way to the goal crosses, and what it would take to keep contact.
+    Each change is by itself, and of its robot alone. Problems are solved again with the proposed
+    value, for some seconds in all. For a verified plan that crosses coverage holes on the way to
+    its goal these are listed, with the length of the way that keeps contact.
 
     Parameters
     ----------
@@ -96,7 +83,7 @@ def _summary(verdict: Verdict, found: Sequence[Relaxation]) -> str:
 
 def _explain_solution(solution: Solution) -> Explanation:
     found: list[Relaxation] = []
-    problem = solution.problem
+    problem, deadline = solution.problem, deadline_from_now()
     motions = [planned_motion(problem, plan) for plan in solution.plans]
     for number, plan in enumerate(solution.plans):
         if plan.verdict is Verdict.VERIFIED:
@@ -107,7 +94,7 @@ def _explain_solution(solution: Solution) -> Explanation:
         def plan_again(changed: Problem, number: int = number) -> Plan | None:
             return _planned(changed, solution, number)
 
-        found += explain_no_verified_plan(case, plan_again)
+        found += explain_no_verified_plan(case, plan_again, deadline)
     crossed = crossings(problem, solution.plans, solution.belief.posteriors)
     return Explanation((*found, *crossed), _summary(solution.verdict, found))
 
@@ -133,33 +120,38 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
     With several robots, to the goals of those that have no way if they are alone. Parameters are
     those of :func:`explain`.
     """
+    deadline = deadline_from_now()
+    owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
     try:
         belief = prepare(problem, seed).belief
     except InputError:
         # Without measurements nothing can be solved again; what opens a way can still be said.
-        owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
-        shut = [own for own in owns if not _is_open(own)]
-        return tuple(one for own in shut for one in explain_no_way(own, lambda _: Verdict.NONE))
-
+        shut = [own for own in owns if not is_open(own)]
+        return tuple(
+            one for own in shut for one in explain_no_way(own, lambda _: Verdict.NONE, deadline)
+        )
     found: list[Relaxation] = []
-    for number in range(len(problem.robots)):
-        own = problem_of_robot(problem, number)
-        if len(problem.robots) == 1 or _reached(own, belief) is None:
-            found += _explain_robot(own, belief)
+    for own in owns:
+        if len(owns) == 1 or _reached(own, belief) is None:
+            found += _explain_robot(own, belief, deadline)
     return tuple(found)
 
 
-def _explain_robot(problem: Problem, belief: Belief) -> tuple[Relaxation, ...]:
+def _explain_robot(problem: Problem, belief: Belief, deadline: Deadline) -> tuple[Relaxation, ...]:
     """Explain why the only robot of a problem has no way to its goal."""
+    scenes: list[Scene] = []
+
+    def solve_again(changed: Problem) -> Verdict:
+        if deadline.over:
+            return Verdict.NONE
+        plan = _reached(changed, belief, scenes=scenes or None)
+        return Verdict.NONE if plan is None else plan.verdict
+
     try:
         scene = build_scene(problem)
     except NoPlanError:
-        return explain_no_way(problem, lambda changed: _verdict(_reached(changed, belief)))
-
-    def solve_again(changed: Problem) -> Verdict:
-        # No bound on connectivity changes the ground.
-        return _verdict(_reached(changed, belief, scenes=(scene,)))
-
+        return explain_no_way(problem, solve_again, deadline)
+    scenes.append(scene)  # no bound on connectivity changes the ground
     radio, p_min = problem.stations[0], problem.constraints.p_min
     margins = NodeMargins(scene.road_map, radio.threshold_dbm, p_min)
     margins.refresh(belief.posterior, broad_prediction(problem, belief.posteriors))
@@ -175,191 +167,6 @@ def _reached(
         return solve_on(problem, belief, 0, scenes).plans[number]
     except NoPlanError:
         return None
-
-
-def _verdict(plan: Plan | None) -> Verdict:
-    return Verdict.NONE if plan is None else plan.verdict
-
-
-def _is_open(problem: Problem) -> bool:
-    """Return whether obstacles leave the problem's first robot a way to its goal."""
-    try:
-        build_scene(problem)
-    except NoPlanError:
-        return False
-    return True
-
-
-BISECTIONS = 12
-"""Of the clearance, where the lattice needs more room than there is."""
-
-
-MOST_OBSTACLES = 60
-"""With more, it is not tried which of them could go."""
-
-
-SHORTER = 0.9
-
-
-STEPS_TRIED = 20
-"""The lattice is made finer by this factor, so many times at most."""
-
-
-def explain_no_way(problem: Problem, solve_again: SolveAgain) -> tuple[Relaxation, ...]:
-    """Return changes that would open a way to the goal, each by itself."""
-    found = [_clearance(problem, solve_again)]
-    if is_joined(problem, problem.constraints.clearance_m):
-        found.append(_step(problem, solve_again))
-    else:
-        found += _obstacles(problem, solve_again)
-    return tuple(relaxation for relaxation in found if relaxation is not None)
-
-
-def _clearance(problem: Problem, solve_again: SolveAgain) -> Relaxation | None:
-    """The largest clearance with which a way is found."""
-    widest = widest_clearance_m(problem)
-    asked = problem.constraints.clearance_m
-    if widest is None:
-        return None
-    fits = towards(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
-    if not _is_open(_with_clearance(problem, fits)):
-        low, high = 0.0, fits
-        if not _is_open(_with_clearance(problem, low)):
-            return None
-        for _ in range(BISECTIONS):
-            middle = towards(0.5 * (low + high), DIGITS, down=True)
-            low, high = (
-                (middle, high) if _is_open(_with_clearance(problem, middle)) else (low, middle)
-            )
-        fits = low
-    return Relaxation(
-        "constraints.clearance_m",
-        "m",
-        asked,
-        (),
-        asked - fits,
-        "m",
-        fits,
-        solve_again(_with_clearance(problem, fits)) is Verdict.VERIFIED,
-        problem.robots[0].name,
-    )
-
-
-def _obstacles(problem: Problem, solve_again: SolveAgain) -> list[Relaxation | None]:
-    """Every obstacle without which there is a way."""
-    obstacles = problem.workspace.obstacles
-    if len(obstacles) > MOST_OBSTACLES:
-        return []
-    found: list[Relaxation | None] = []
-    for obstacle in obstacles:
-        rest = tuple(other for other in obstacles if other is not obstacle)
-        changed = replace(problem, workspace=replace(problem.workspace, obstacles=rest))
-        if is_joined(changed, problem.constraints.clearance_m) and _is_open(changed):
-            verified = solve_again(changed) is Verdict.VERIFIED
-            key = f"world.obstacles ({obstacle.name})"
-            name = problem.robots[0].name
-            found.append(Relaxation(key, "", None, (), None, "", None, verified, name))
-    return found
-
-
-def _step(problem: Problem, solve_again: SolveAgain) -> Relaxation | None:
-    """A shorter step, which makes the lattice fine enough for a way that there is."""
-    asked = problem.planner.step_s
-    for power in range(1, STEPS_TRIED + 1):
-        step_s = towards(asked * SHORTER**power, DIGITS, down=True)
-        changed = replace(problem, planner=replace(problem.planner, step_s=step_s))
-        try:
-            if not _is_open(changed):
-                continue
-        except InputError:
-            return None  # the lattice would have too many nodes
-        verified = solve_again(changed) is Verdict.VERIFIED
-        name = problem.robots[0].name
-        return Relaxation(
-            "planner.step_s", "s", asked, (), asked - step_s, "s", step_s, verified, name
-        )
-    return None
-
-
-def _with_clearance(problem: Problem, clearance_m: float) -> Problem:
-    return replace(problem, constraints=replace(problem.constraints, clearance_m=clearance_m))
-
-
-EXTRA = (1e-3, 0.02, 0.1, 0.3)
-"""Shares by which a bit more than the widest path asks for is tried, one after the other."""
-
-
-def explain_blocked(
-    problem: Problem,
-    road_map: RoadMap,
-    first: NDArray[np.intp],
-    goal: int,
-    margins: NodeMargins,
-    solve_again: SolveAgain,
-) -> tuple[Relaxation, ...]:
-    """Return changes that would open a path to the goal, each by itself."""
-    threshold = problem.stations[0].threshold_dbm
-    chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
-    lacking_db = MARGIN_PAD_DB - widest(road_map, first, goal, margins.margin_db)
-    slack_db = problem.constraints.rule.slack_max_db or 0.0
-    found: list[Relaxation] = []
-    for key in connection_keys(problem):
-        amount = lacking_db - slack_db
-        if key.name == "constraints.p_min":
-            amount = key.asked - widest(road_map, first, goal, chance)
-        value = _least(key, amount, problem, solve_again)
-        if value is not None:
-            found.append(_about(problem, key, value))
-    [slack] = [key for key in connection_keys(problem) if key.name == "constraints.slack_max_db"]
-    if solve_again(_with_priced_bound(problem)) is Verdict.VERIFIED:
-        found.append(_about(problem, slack, None))
-    return tuple(found)
-
-
-def widest(
-    road_map: RoadMap, first: NDArray[np.intp], goal: int, score: NDArray[np.float64]
-) -> float:
-    """Return the largest score that all nodes of some path to the goal have."""
-    # Shapes: score (n,).
-    count = len(score)
-    end, move = np.nonzero(road_map.sources < count)
-    begin = road_map.sources[end, move]
-    least = np.minimum(score[begin], score[end])
-    levels = np.unique(score)
-    low, high = 0, len(levels) - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        kept = least >= levels[middle]
-        graph = csr_matrix((np.ones(int(kept.sum())), (begin[kept], end[kept])), (count, count))
-        _, part = cast("tuple[int, NDArray[np.int32]]", connected_components(graph, directed=False))
-        open_ = first[score[first] >= levels[middle]]
-        joined = score[goal] >= levels[middle] and bool((part[open_] == part[goal]).any())
-        low, high = (middle, high) if joined else (low, middle - 1)
-    return float(levels[low])
-
-
-def _least(key: Key, amount: float, problem: Problem, solve_again: SolveAgain) -> float | None:
-    """The value that is looser by an amount, or by little more, with which there is a plan."""
-    for extra in EXTRA:
-        wanted = amount * (1.0 + extra)
-        if not 0.0 < wanted <= key.most:
-            return None
-        value = key.loosened(wanted)
-        if solve_again(key.changed(problem, value)) is Verdict.VERIFIED:
-            return value
-    return None
-
-
-def _with_priced_bound(problem: Problem) -> Problem:
-    """The problem with a bound that may be missed at a price."""
-    rule = replace(problem.constraints.rule, slack_max_db=None)
-    return replace(problem, constraints=replace(problem.constraints, rule=rule))
-
-
-def _about(problem: Problem, key: Key, value: float | None) -> Relaxation:
-    return Relaxation(
-        key.name, key.unit, key.asked, (), None, "", value, True, problem.robots[0].name
-    )
 
 
 BY_ALL_MEANS = 1e4

@@ -17,22 +17,10 @@ def with_value(problem: Problem, name: str, value: float) -> Problem:
             return replace(problem, constraints=replace(constraints, **{key: value}))
         rule: Any = replace(constraints.rule, **{key: value})
         return replace(problem, constraints=replace(constraints, rule=rule))
-    if table == "planner":
-        return replace(problem, planner=replace(problem.planner, horizon=int(value)))
     number = int(table.split("[")[1].rstrip("]"))
-    if key == "threshold_dbm":
-        stations = list(problem.stations)
-        stations[number] = replace(stations[number], threshold_dbm=value)
-        return replace(problem, stations=tuple(stations))
-    robots = list(problem.robots)
-    robot = robots[number]
-    dynamics: Any = robot.dynamics
-    if key == "speed_max_m_s":
-        robot = replace(robot, speed_max_m_s=value)
-    if dynamics is not None:
-        robot = replace(robot, dynamics=replace(dynamics, **{key: value}))
-    robots[number] = robot
-    return replace(problem, robots=tuple(robots))
+    stations = list(problem.stations)
+    stations[number] = replace(stations[number], threshold_dbm=value)
+    return replace(problem, stations=tuple(stations))
 
 
 def shorter(asked: float, relaxed: float, share: float = 0.05) -> float:

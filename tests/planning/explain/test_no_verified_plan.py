@@ -33,8 +33,6 @@ def changed(problem: Problem, key: str, value: float) -> Problem:
     """The problem with another value of a key."""
     if key == "constraints.p_min":
         return replace(problem, constraints=replace(problem.constraints, p_min=value))
-    if key == "planner.horizon":
-        return replace(problem, planner=replace(problem.planner, horizon=int(value)))
     assert key == "stations[0].threshold_dbm"
     return replace(problem, stations=(replace(problem.stations[0], threshold_dbm=value),))
 
@@ -99,10 +97,9 @@ def test_nothing_to_explain():
     assert explain(solved(PROBLEM, lambda places: slope(places) + 30.0)) == ()
 
 
-def test_no_horizon_helps_where_nothing_is_connected():
-    """The other two keys are named all the same."""
+def test_a_threshold_is_named_where_nothing_is_connected():
+    """Below what is received."""
     found = {r.constraint: r for r in explain(solved(PROBLEM, bad_everywhere))}
-    assert "planner.horizon" not in found
     lowered = found["stations[0].threshold_dbm"]
     assert lowered.verified and BAD - 5.0 < lowered.relaxed_value < BAD
 

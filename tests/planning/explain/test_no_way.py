@@ -10,7 +10,8 @@ import shapely
 from scenes import belief_of, small_problem
 
 from planopt.errors import NoPlanError
-from planopt.planning.explain.explain import explain_no_way
+from planopt.planning.explain.no_verified_plan import deadline_from_now
+from planopt.planning.explain.no_way import explain_no_way
 from planopt.planning.free_space import is_joined, widest_clearance_m
 from planopt.planning.plan import Verdict
 from planopt.planning.reach_planner import ReachPlanner
@@ -45,7 +46,7 @@ def test_corridor_of_known_width(width_m, clearance_m):
     """Half the width would do: it is verified, and with 5 % less relaxation it is not."""
     problem = corridor(width_m, clearance_m)
     assert verdict(problem) is Verdict.NONE
-    found = {r.constraint: r for r in explain_no_way(problem, verdict)}
+    found = {r.constraint: r for r in explain_no_way(problem, verdict, deadline_from_now())}
     said = found["constraints.clearance_m"]
     assert said.value == clearance_m and said.unit == said.shortfall_unit == "m"
     assert said.relaxed_value <= 0.5 * width_m
@@ -75,7 +76,7 @@ def test_goal_that_is_walled_in():
         [(30, 10), (39, 10), (39, 20), (30, 20)], [[(31, 11), (38, 11), (38, 19), (31, 19)]]
     )
     problem = small_problem(shapely.box(10, 5, 12, 25), room)
-    (said,) = explain_no_way(problem, verdict)
+    (said,) = explain_no_way(problem, verdict, deadline_from_now())
     assert said.constraint == "world.obstacles (obstacle 1)"
     assert said.value is None and said.relaxed_value is None and said.verified
     assert "without it there is a plan" in str(said)
@@ -85,7 +86,7 @@ def test_steps_too_long_for_the_lattice():
     """A slot between the nodes: shorter steps find it, and so does a smaller clearance."""
     walls = shapely.box(19.0, 0.0, 21.0, 14.31), shapely.box(19.0, 15.33, 21.0, 30.0)
     problem = small_problem(*walls)
-    found = {r.constraint: r for r in explain_no_way(problem, verdict)}
+    found = {r.constraint: r for r in explain_no_way(problem, verdict, deadline_from_now())}
     assert set(found) == {"constraints.clearance_m", "planner.step_s"}
     assert all(relaxation.verified for relaxation in found.values())
     assert found["constraints.clearance_m"].relaxed_value < 0.5

@@ -96,22 +96,15 @@ def test_missing_decibels(case):
 
 
 def test_data_that_can_be_delivered():
-    """Less data, more time, or a faster link: the pace is what the straight way delivers."""
+    """Less data: the pace is what the straight way delivers."""
     problem = asked("data")
     said = {one.constraint: one for one in explain(solve_on(problem, silent_belief(problem), 0))}
     pace = best_chances().sum() / 5.0
-    for key, limit in (
-        ("constraints.data_mbit", 20.0 * pace),
-        ("constraints.deadline_s", 12.0 / pace),
-        ("constraints.rate_mbit_s", 12.0 / (20.0 * pace)),
-    ):
-        one = said[key]
-        assert one.verified
-        assert abs(one.relaxed_value - limit) <= 0.03 * abs(limit - one.value) + 1e-3
-        assert (one.relaxed_value - limit) * (limit - one.value) >= -1e-3
-    shortfall = said["constraints.data_mbit"].shortfall
-    assert shortfall == pytest.approx(3.0 - 5.0 * pace, abs=0.02)
-    assert said["constraints.data_mbit"].shortfall_unit == "Mbit"
+    one, limit = said["constraints.data_mbit"], 20.0 * pace
+    assert one.verified
+    assert limit - 0.03 * (12.0 - limit) - 1e-3 <= one.relaxed_value <= limit + 1e-3
+    assert one.shortfall == pytest.approx(3.0 - 5.0 * pace, abs=0.02)
+    assert one.shortfall_unit == "Mbit"
 
 
 def test_with_what_is_proposed_there_is_a_plan_and_with_less_there_is_none(case):
@@ -122,6 +115,5 @@ def test_with_what_is_proposed_there_is_a_plan_and_with_less_there_is_none(case)
         assert one.verified
         changed = with_value(problem, one.constraint, one.relaxed_value)
         assert solve_on(changed, belief, 0).verdict is Verdict.VERIFIED, one
-        if one.constraint != "planner.horizon":
-            less = with_value(problem, one.constraint, shorter(one.value, one.relaxed_value))
-            assert solve_on(less, belief, 0).verdict is Verdict.VIOLATED, one
+        less = with_value(problem, one.constraint, shorter(one.value, one.relaxed_value))
+        assert solve_on(less, belief, 0).verdict is Verdict.VIOLATED, one

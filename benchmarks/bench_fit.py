@@ -1,4 +1,4 @@
-"""Restricted maximum likelihood against the number of measurements, and its profiles."""
+"""Restricted maximum likelihood against the number of measurements."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from scenes import munich, sampled
 
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.profile_likelihood import profiles_around
 
 ROUNDS = 5
-PROFILED = 300
 
 
 @pytest.mark.parametrize("count", [102, 300, 500])
@@ -33,19 +31,3 @@ def test_reml(benchmark: BenchmarkFixture, table: Table, count: int) -> None:
     found = benchmark.pedantic(fit, rounds=ROUNDS, warmup_rounds=1)
     table.add("fit, reml", count, fit_s[-ROUNDS:])
     assert found.measurements == count
-
-
-def test_profiles(benchmark: BenchmarkFixture, table: Table) -> None:
-    """Profiles of xi, beta and omega for the fit's figure, at the most measurements they use."""
-    station = munich()[0].stations[0].site
-    measurements = sampled(PROFILED)
-    profile_s: list[float] = []
-
-    def profiles() -> int:
-        begun = perf_counter()
-        found = profiles_around(measurements, station)
-        profile_s.append(perf_counter() - begun)
-        return len(found)
-
-    assert benchmark.pedantic(profiles, rounds=ROUNDS, warmup_rounds=1) == 3
-    table.add("profiles of three parameters", PROFILED, profile_s[-ROUNDS:])

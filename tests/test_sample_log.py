@@ -7,10 +7,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import planopt
-from planopt.channel.estimation.profile_likelihood import profile_likelihood
 from planopt.problems.library import library_folder
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -45,20 +43,3 @@ def test_recipe_maps_both_contact_and_none() -> None:
     maps = planopt.channel.posterior_map(posterior, (-390.0, -360.0, 280.0, 370.0), 10.0, -83.0)
     assert fit.status != "degenerate"
     assert maps.connectivity.values.min() < 0.1 and maps.connectivity.values.max() > 0.9
-
-
-def test_little_multipath_is_nearly_as_likely() -> None:
-    """The fit tells of the maximum that the profile of multipath has at the end of its range."""
-    log = planopt.channel.read_log(LOG, planopt.channel.LogFormat(censored_column="at_floor"))
-    station = planopt.channel.Station((40.0, 0.0), height_m=43.5)
-    fit = planopt.channel.fit_channel(log, station)
-    (other,) = fit.other_modes
-    little, estimate = other.parameters.multipath_std_db, fit.parameters.multipath_std_db
-    between = np.sqrt(little * estimate)
-    profile = profile_likelihood(
-        log, station, "multipath_std_db", np.array([little, between, estimate])
-    )
-    low, middle, high = profile.drop[[0, 1, -1]]
-    assert high == 0.0 and middle < low - 0.1
-    assert fit.log_likelihood is not None
-    assert other.log_likelihood - fit.log_likelihood == pytest.approx(low, abs=0.02)

@@ -16,7 +16,6 @@ from planopt.channel.connection.serving_power import strongest_station as strong
 from planopt.channel.derivatives import posterior_derivatives as posterior_derivatives
 from planopt.channel.estimation.channel_fit import ChannelFit as ChannelFit
 from planopt.channel.estimation.fit import fit_channel as fit_channel
-from planopt.channel.estimation.profile_likelihood import profile_likelihood as profile_likelihood
 from planopt.channel.fields.field import conditional_field as conditional_field
 from planopt.channel.fields.field import scattered_field_db as scattered_field_db
 from planopt.channel.fields.field import shadow_field_db as shadow_field_db

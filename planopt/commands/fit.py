@@ -249,8 +249,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
     """Return the JSON keys of ``fit``; standard errors that are unknown are null.
 
     So is ``forgetting_s`` where the channel does not drift, ``reference_receiver`` where the log
-    has no receivers, and an end that an interval does not have. ``intervals_95`` has what is hardly
-    or not determined, ``other_modes`` what is nearly as likely.
+    has no receivers. ``other_modes`` has parameters that are nearly as likely.
     """
     from planopt.planning.files.record import finite
 
@@ -264,9 +263,6 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
         "station_height_m": parameters.station.height_m,
         "station_standard_errors_m": _station_errors_m(found),
         "standard_errors": {name: finite(found.standard_errors[name]) for name in UNITS},
-        "intervals_95": {
-            name: [finite(low), finite(high)] for name, (low, high) in found.intervals_95.items()
-        },
         "other_modes": [
             {
                 **{name: getattr(mode.parameters, name) for name in UNITS},

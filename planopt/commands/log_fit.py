@@ -137,24 +137,23 @@ def read_and_fit(options: LogOptions) -> LogFit:
     forgetting_s = _forgetting_s(options)
     read = read_power_log(options.log, log_format)
 
-    def find(measurements: Measurements, intervals: bool) -> ChannelFit:
+    def find(measurements: Measurements) -> ChannelFit:
         return fit_channel_and_station(
             measurements,
             chosen,
             forgetting_s=forgetting_s,
             station_method=search,
             loss=loss,
-            intervals=intervals,
         )
 
     def fit(measurements: Measurements) -> ChannelFit:
         if site is None:
-            return find(measurements, intervals=True)
+            return find(measurements)
         return fit_channel(measurements, site, chosen, forgetting_s, loss=loss)
 
     def learn(measurements: Measurements) -> ChannelParameters:
         if site is None:
-            return find(measurements, intervals=False).parameters
+            return find(measurements).parameters
         return fitted_parameters(measurements, site, chosen, forgetting_s, loss=loss)
 
     try:

@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
-from scipy.stats import chi2
+from artists import collection_of, drawn, labels_of, panel_of
 
-from planopt.channel.estimation.profile_likelihood import profiles_around
 from planopt.channel.measurements import Measurements
 from planopt.report.fit_figure import draw_fit
 
@@ -26,10 +24,6 @@ def test_units(figure):
         "covariance [dB²]",
         "distance between measurements [m]",
         "pairs [count]",
-        "log likelihood less its largest [1]",
-        "deviation of shadowing [dB]",
-        "decorrelation distance [m]",
-        "deviation of multipath [dB]",
     }
 
 
@@ -92,36 +86,6 @@ def test_errors_where_known(figure):
     texts = [text.get_text() for text in panel_of(figure, "covariance").get_legend().get_texts()]
     assert "fit: deviation 4 ± 0.5 dB, decorrelation 15 ± 3 m" in texts
     assert "with multipath, deviation 1.5 dB" in texts
-
-
-def test_profiles(figure, measurements, fit):
-    """A curve to 0 at its top, the chi-square cut, and a line at the fit's own estimate."""
-    for name, estimate in (("shadowing", 4.0), ("decorrelation: ", 15.0), ("multipath", 1.5)):
-        axes = panel_of(figure, name)
-        curve = line_of(axes, "profile of the restricted likelihood").get_ydata()
-        assert curve.max() == pytest.approx(0.0, abs=1e-2)
-        cut = line_of(axes, "95 % cut (chi-square)").get_ydata()
-        np.testing.assert_allclose(cut, -0.5 * chi2.ppf(0.95, 1), atol=1e-4)
-        np.testing.assert_array_equal(
-            line_of(axes, "estimate of reml").get_xdata(), [estimate, estimate]
-        )
-    assert legend_of(figure)[0] == "profile of the restricted likelihood"
-    (profile, *_) = profiles_around(measurements, fit.parameters.station)
-    low, high = profile.interval_95()
-    shown = [f"above {low:.3g} dB", f"below {high:.3g} dB", f"{low:.3g} to {high:.3g} dB"]
-    title = panel_of(figure, "shadowing").get_title(loc="left")
-    assert any(words in title for words in shown)
-
-
-def test_many_measurements_say_so(fit, monkeypatch):
-    """Where the profiles are of a part of the measurements the title has how many."""
-    monkeypatch.setattr("planopt.report.fit_figure.MOST_PROFILED", 300)
-    rng = np.random.default_rng(0)
-    many = Measurements(
-        rng.uniform(0.0, 80.0, (350, 2)), rng.normal(-70.0, 5.0, 350), np.zeros(350, bool)
-    )
-    figure = draw_fit(many, replace(fit, measurements=350), fit.parameters.station)
-    assert "profiles from 300 of them" in figure.get_suptitle()
 
 
 @pytest.mark.parametrize("count", [1, 2])

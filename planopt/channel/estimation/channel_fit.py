@@ -5,7 +5,7 @@ By which methods a channel is estimated, and what has a choice of loss.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
 import numpy as np
@@ -90,10 +90,6 @@ class ChannelFit:
     station_covariance_m2
         ``(2, 2)`` covariance of the station's x and y where its position is estimated, ``inf`` on
         the diagonal where it is not determined; None where it was given.
-    intervals_95
-        By parameter, for ``reml``: 95 % intervals of those that are hardly or not determined, by
-        the profile of the likelihood (for ``n_pl`` by its standard error); 0 and ``math.inf`` where
-        there is no end. Empty where none were asked for.
     other_modes
         Other maxima of the likelihood, for ``reml``, that are lower by no more than
         :data:`planopt.channel.estimation.likelihood_climb.NEARLY_AS_LIKELY`; the best first.
@@ -110,7 +106,6 @@ class ChannelFit:
     log_likelihood: float | None
     receiver_offsets: tuple[ReceiverOffset, ...] = ()
     station_covariance_m2: NDArray[np.float64] | None = None
-    intervals_95: dict[str, tuple[float, float]] = field(default_factory=lambda: {})
     other_modes: tuple[OtherMode, ...] = ()
 
     __repr__ = short_repr

@@ -79,15 +79,15 @@ class Estimate:
     reml: RemlFit | None = None
 
 
-def by_likelihood(given: GivenToFit, *, ends: bool = True, errors: bool = True) -> Estimate:
-    """Restricted maximum likelihood of all measurements; options as of :func:`reml_fit`."""
+def by_likelihood(given: GivenToFit, *, errors: bool = True) -> Estimate:
+    """Restricted maximum likelihood of all measurements; `errors` as in :func:`reml_fit`."""
     model, measurements, allows = given.model, given.measurements, given.allows
     line = least_squares(model, measurements)
     bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
     # Errors of path loss need n_PL before it is known: that of the least-squares line.
     rough = fallback_fit(line.variance_db2, allows.decorrelation_bounds_m, "a first guess")
     known = given.parameters(line.coefficients, rough.values)
-    found = reml_fit(model, measurements, bounds, known, ends=ends, errors=errors)
+    found = reml_fit(model, measurements, bounds, known, errors=errors)
     return Estimate(
         found.covariance,
         found.best.coefficients,

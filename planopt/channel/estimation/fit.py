@@ -12,7 +12,7 @@ Values that no channel has, and logs that look as if a floor had been taken for 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,6 @@ from planopt.channel.estimation.estimate import (
     from_limits_alone,
 )
 from planopt.channel.estimation.identifiability import examine
-from planopt.channel.estimation.profile import AXES, WORDS, ProfiledParameter, Ridge, interval_words
 from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.offsets import ReceiverOffset, receiver_offsets
@@ -56,9 +55,16 @@ WEAK_SHARE = 0.5
 """A deviation or distance whose standard error is more than this share of itself is hardly
 determined: the ends of its 95 % interval are a factor of seven apart."""
 
-Z_95 = 1.959964
+COVARIANCE_NAMES = ("shadow_std_db", "multipath_std_db", "decorrelation_m")
+"""Parameters of the covariance, as they are named in a :class:`ChannelParameters`."""
 
-Intervals = Mapping[str, tuple[float, float]]
+WORDS: dict[str, tuple[str, str]] = {
+    "n_pl": ("path loss exponent n_PL", ""),
+    "shadow_std_db": ("deviation of shadowing", "dB"),
+    "decorrelation_m": ("decorrelation distance", "m"),
+    "multipath_std_db": ("deviation of multipath", "dB"),
+}
+"""Names of parameters in messages, and their units."""
 
 
 def weak_parameters(
@@ -71,7 +77,7 @@ def weak_parameters(
     """
     weak = [
         name
-        for name in AXES
+        for name in COVARIANCE_NAMES
         if WEAK_SHARE * getattr(parameters, name) < standard_errors[name] < math.inf
     ]
     if not n_pl_is_assumed and PRIOR_N_PL_STD < standard_errors["n_pl"] < math.inf:
@@ -79,40 +85,14 @@ def weak_parameters(
     return tuple(weak)
 
 
-def profile_intervals(ridge: Ridge, names: Iterable[str]) -> dict[str, tuple[float, float]]:
-    """95 % intervals of those of `names` that have a profile of the likelihood."""
-    profiled: dict[str, ProfiledParameter] = {name: name for name in AXES}
-    return {name: ridge.interval_95(profiled[name]) for name in names if name in profiled}
-
-
-def normal_interval(value: float, standard_error: float) -> tuple[float, float]:
-    """The 95 % interval of a normal estimate."""
-    return value - Z_95 * standard_error, value + Z_95 * standard_error
-
-
 def weak_words(
-    name: str,
-    parameters: ChannelParameters,
-    standard_errors: Mapping[str, float],
-    intervals: Intervals,
+    name: str, parameters: ChannelParameters, standard_errors: Mapping[str, float]
 ) -> str:
-    """Say that a parameter is hardly determined, and what is known of it."""
+    """Say that a parameter is hardly determined."""
     called, unit = WORDS[name]
-    if name in intervals:
-        known = interval_words(*intervals[name], unit)
-    else:
-        value, error = getattr(parameters, name), standard_errors[name]
-        known = f"{value:.3g} with standard error {error:.2g} {unit}".rstrip()
+    value, error = getattr(parameters, name), standard_errors[name]
+    known = f"{value:.3g} with standard error {error:.2g} {unit}".rstrip()
     return f"the {called} is hardly determined: {known}"
-
-
-def bounded_words(names: Iterable[str], intervals: Intervals) -> tuple[str, ...]:
-    """Say what is known of parameters that are not determined."""
-    return tuple(
-        f"the {WORDS[name][0]}: {interval_words(*intervals[name], WORDS[name][1])}"
-        for name in names
-        if name in intervals
-    )
 
 
 def mode_words(parameters: ChannelParameters, below: float) -> str:
@@ -206,7 +186,6 @@ def fit_channel(
     forgetting_s: float = math.inf,
     *,
     loss: Loss = "squares",
-    intervals: bool = True,
 ) -> ChannelFit:
     """Estimate path loss, shadowing and multipath.
 
@@ -233,10 +212,6 @@ def fit_channel(
     loss
         What ``convex`` makes of the scatter about its line
         (:func:`planopt.channel.estimation.convex_fit.convex_fit`); others have squares.
-    intervals
-        Whether to look into what is in doubt, for ``reml``: intervals of what is hardly determined,
-        each end of which costs some ten to thirty evaluations of the likelihood, and other maxima
-        at the ends of the parameters' ranges. The estimate is the same without.
 
     Raises
     ------
@@ -246,7 +221,7 @@ def fit_channel(
     """
     given = _given(measurements, station, forgetting_s)
     chosen = _chosen(method, loss)
-    return _dressed(_estimate(given, chosen, loss, ends=intervals), given, chosen, intervals)
+    return _dressed(_estimate(given, chosen, loss), given, chosen)
 
 
 @one_blas_thread()
@@ -264,7 +239,7 @@ def fitted_parameters(
     as there.
     """
     given = _given(measurements, station, forgetting_s)
-    estimate = _estimate(given, _chosen(method, loss), loss, ends=False, errors=False)
+    estimate = _estimate(given, _chosen(method, loss), loss, errors=False)
     return given.parameters(estimate.coefficients, estimate.covariance.values)
 
 
@@ -292,22 +267,18 @@ def _given(measurements: Measurements | Table, station: Station, forgetting_s: f
     return GivenToFit(model, measurements, station, allows, forgetting_s)
 
 
-def _estimate(
-    given: GivenToFit, method: FitMethod, loss: Loss, *, ends: bool, errors: bool = True
-) -> Estimate:
-    """Estimate by the method, or by assumption; `ends` and `errors` are for ``reml``."""
+def _estimate(given: GivenToFit, method: FitMethod, loss: Loss, *, errors: bool = True) -> Estimate:
+    """Estimate by the method, or by assumption; `errors` is for ``reml``."""
     if given.measurements.censored.all():
         return from_limits_alone(given)
     if given.allows.covariance_reason is not None:
         return by_assumption(given, given.allows.covariance_reason)
     if method == "reml":
-        return by_likelihood(given, ends=ends, errors=errors)
+        return by_likelihood(given, errors=errors)
     return by_correlation(given, method, loss)
 
 
-def _dressed(
-    estimate: Estimate, given: GivenToFit, method: FitMethod, intervals: bool
-) -> ChannelFit:
+def _dressed(estimate: Estimate, given: GivenToFit, method: FitMethod) -> ChannelFit:
     """Everything as the user gets it."""
     covariance, allows, measurements = estimate.covariance, given.allows, given.measurements
     parameters = given.parameters(estimate.coefficients, covariance.values)
@@ -317,14 +288,7 @@ def _dressed(
     if allows.n_pl_reason is not None:
         doubts.insert(0, f"n_PL is assumed {PRIOR_N_PL:g}, not estimated: {allows.n_pl_reason}")
     weak = weak_parameters(parameters, errors, allows.n_pl_reason is not None)
-    known: dict[str, tuple[float, float]] = {}
     found = estimate.reml
-    if intervals and found is not None:
-        unknown = [name for name in AXES if math.isinf(errors[name])]
-        known = profile_intervals(found.ridge, [*weak, *unknown])
-        doubts += bounded_words(unknown, known)
-        if "n_pl" in weak:
-            known["n_pl"] = normal_interval(parameters.n_pl, errors["n_pl"])
     modes = () if found is None else found.others
     others = tuple(
         OtherMode(given.parameters(mode.coefficients, mode.covariance), mode.log_likelihood)
@@ -332,7 +296,7 @@ def _dressed(
     )
     floor = suspected_floor(measurements)
     faults = [
-        *(weak_words(name, parameters, errors, known) for name in weak),
+        *(weak_words(name, parameters, errors) for name in weak),
         *(
             mode_words(other.parameters, found.best.log_likelihood - other.log_likelihood)
             for other in others
@@ -358,7 +322,6 @@ def _dressed(
         warnings=(*doubts, *faults, *notes),
         log_likelihood=None if found is None else found.best.log_likelihood,
         receiver_offsets=_offsets(measurements, parameters),
-        intervals_95=known,
         other_modes=others,
     )
 

@@ -250,9 +250,6 @@ SCAN_TOLERANCE = 0.3
 LITTLE_MULTIPATH = 0.03
 """omega^2 / alpha of a point that is to all intents without multipath."""
 
-FAR_LOGS = 0.5
-"""An end of the box nearer than this, in its logarithm, is one with the best point."""
-
 THINNING_SEED = 20_000
 
 Logs = NDArray[np.float64]
@@ -352,30 +349,6 @@ def beyond_best(climb: LikelihoodClimb, best: Top, box: NDArray[np.float64]) -> 
     )
     logs = np.clip(np.log(there), *box.T)
     return [logs] if (climb.rise(logs, 1) < 0.0) == much else []
-
-
-def at_ends(climb: LikelihoodClimb, best: Top, box: NDArray[np.float64]) -> list[Logs]:
-    """Tops of three ends of the box, far from the best one, where the likelihood rises to the end.
-
-    There shadowing takes the place of multipath, or is as good as endless, or as good as none.
-    """
-    shadow, nugget, beta = variances(best[0])
-    total = shadow + nugget
-    least, low, high = (math.exp(float(end)) for end in (box[1, 0], *box[2]))
-    found: list[Logs] = []
-    for there, axis, way in (
-        ((total, least, beta * shadow / total), 1, -1.0),
-        ((shadow, nugget, high), 2, 1.0),
-        ((0.5 * total, 0.5 * total, low), 2, -1.0),
-    ):
-        start = np.clip(np.log(there), *box.T)
-        if abs(float(start[axis] - best[0][axis])) > FAR_LOGS:
-            fixed = box.copy()
-            fixed[axis] = start[axis]
-            logs, at = climb.to_top(start, fixed, ROUGH)
-            if way * float(at.gradient[axis]) > 0.0:
-                found.append(logs)
-    return found
 
 
 def _peaks(values: NDArray[np.float64]) -> list[int]:

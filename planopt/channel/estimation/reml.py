@@ -25,14 +25,12 @@ from planopt.channel.estimation.likelihood_climb import (
     FINE,
     LikelihoodClimb,
     Top,
-    at_ends,
     beyond_best,
     block_starts,
     dense_starts,
     variances,
 )
 from planopt.channel.estimation.likelihood_data import Covariance, Likelihood, likelihood_data
-from planopt.channel.estimation.profile import Ridge
 from planopt.channel.estimation.restricted_likelihood import DenseLikelihood
 from planopt.channel.intervals.censoring import needs_site
 from planopt.channel.measurements import Measurements
@@ -66,7 +64,6 @@ class RemlFit:
     covariance: CovarianceFit  # xi, omega, beta
     best: Mode  # The same with the mean, as a maximum of the likelihood
     others: tuple[Mode, ...]  # Other maxima that are nearly as likely, the best first
-    ridge: Ridge  # The likelihood around them
 
 
 def reml_fit(
@@ -75,7 +72,6 @@ def reml_fit(
     bounds: CovarianceBounds,
     known: ChannelParameters,
     *,
-    ends: bool = True,
     errors: bool = True,
 ) -> RemlFit:
     """Maximise the restricted likelihood within `bounds`."""
@@ -91,8 +87,6 @@ def reml_fit(
     climb = LikelihoodClimb(likelihood, fine)
     modes = climb.modes(starts, box)
     further = beyond_best(climb, modes[0], box)
-    if ends and len(measurements) <= MOST_DENSE:
-        further += at_ends(climb, modes[0], box)
     if further:
         modes = climb.modes([*further, *(logs for logs, _ in modes)], box)
     as_interval = needs_site(measurements, math.exp(modes[0][0][1]))
@@ -117,7 +111,6 @@ def reml_fit(
         covariance,
         best,
         tuple(others),
-        Ridge(climb, tuple(modes), box),
     )
 
 

@@ -317,9 +317,7 @@ def _joint_surface(
     From outside, a station farther off with a larger n_PL looks much the same.
     """
     station = _clear_of(measurements, station)
-    fitted = fit_channel(
-        measurements, station, forgetting_s=forgetting_s, intervals=False
-    ).parameters
+    fitted = fit_channel(measurements, station, forgetting_s=forgetting_s).parameters
     return station_surface(measurements, fitted, has_prior=True)
 
 

@@ -190,7 +190,6 @@ def fit_channel_and_station(
     *,
     station_method: StationMethod = "joint",
     loss: Loss = "squares",
-    intervals: bool = True,
 ) -> ChannelFit:
     """Estimate the station's position with the channel.
 
@@ -209,7 +208,7 @@ def fit_channel_and_station(
         ``joint``: maximum likelihood over position, theta and covariance. ``line``: the position
         from which the path loss line fits best. Of more than `MOST_DENSE` a fixed draw
         serves for the position.
-    loss, intervals
+    loss
         Of the final fit, as in :func:`planopt.channel.estimation.fit.fit_channel`.
 
     Returns
@@ -238,7 +237,7 @@ def fit_channel_and_station(
     measurements = measurements.by_place()
     _require_locating(measurements)
     station = locate(measurements, station_method, height_m, forgetting_s)
-    found = fit_channel(measurements, station, method, forgetting_s, loss=loss, intervals=intervals)
+    found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
     sample = measurements.take(thinned(len(measurements), MOST_DENSE))
     doubt = line_covariance_m2 if station_method == "line" else joint_covariance_m2
     covariance = doubt(sample, found.parameters)

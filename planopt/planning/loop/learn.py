@@ -25,7 +25,7 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
     if problem.channel.given is not None:
         fit, posterior = _given(problem, problem.channel.given, measurements, station)
     else:
-        fit = fit_channel(measurements, site, problem.channel.fit_method, intervals=False)
+        fit = fit_channel(measurements, site, problem.channel.fit_method)
         posterior = condition(fit.parameters, measurements)
     return Belief(fit, posterior)
 

@@ -148,7 +148,7 @@ class RadioTable(Table):
             station = Station(place)
             try:
                 measured = table.measurements(self, station, ground, folder)
-                fit = fit_channel(measured, station, intervals=False)
+                fit = fit_channel(measured, station)
                 posteriors.append(condition(fit.parameters, measured))
             except InputError as error:
                 key = f"radio.survey[{number}]" + (f".{error.key}" if error.key else "")

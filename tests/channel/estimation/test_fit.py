@@ -10,8 +10,6 @@ from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.fit import fit_channel, fitted_parameters
 from planopt.channel.estimation.least_squares import least_squares
-from planopt.channel.estimation.profile import CUT_95
-from planopt.channel.estimation.profile_likelihood import profile_likelihood
 from planopt.channel.logs.log_file import read_log
 from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import Measurements
@@ -52,7 +50,7 @@ def assert_usable(fit):
 def test_parameters_alone_are_those_of_the_fit(method: str, count: int):
     """Few that allow an assumption alone, one factor, and blocks."""
     data = simulated(CHANNEL, 3, count, 300.0)
-    whole = fit_channel(data, CHANNEL.station, method, intervals=False)
+    whole = fit_channel(data, CHANNEL.station, method)
     assert fitted_parameters(data, CHANNEL.station, method) == whole.parameters
 
 
@@ -67,7 +65,7 @@ def test_many_measurements_recover_the_channel(method):
     assert np.hypot(shadow, multipath) == pytest.approx(np.hypot(6.0, 2.0), rel=0.2)
     if method == "reml":
         # The places are too far apart to tell omega well.
-        assert fit.status == "weak" and set(fit.intervals_95) == {"multipath_std_db"}
+        assert fit.status == "weak" and "multipath is hardly determined" in fit.warnings[0]
         assert shadow == pytest.approx(6.0, rel=0.15)
         assert beta == pytest.approx(30.0, rel=0.35)
         assert multipath == pytest.approx(2.0, rel=0.4)
@@ -175,42 +173,19 @@ def test_both_maxima_are_reported():
 
 
 def test_what_is_hardly_determined_is_said():
-    """A few measurements: intervals of what they hardly tell, in words, and status `weak`."""
+    """A few measurements: status `weak`, and the parameter with its standard error in words."""
     fit = fit_channel(simulated(CHANNEL, 2, 30, 100.0), CHANNEL.station)
     assert fit.status == "weak"
-    low, high = fit.intervals_95["decorrelation_m"]
-    assert 0.0 < low < fit.parameters.decorrelation_m and high == math.inf
-    assert f"the decorrelation distance is hardly determined: above {low:.3g} m (95 %)" in (
-        fit.warnings
-    )
-    told = fit_channel(simulated(CHANNEL, 2, 30, 100.0), CHANNEL.station, intervals=False)
-    assert told.parameters == fit.parameters and told.intervals_95 == {}
-    assert any("with standard error" in text for text in told.warnings)
+    words = "the decorrelation distance is hardly determined: "
+    assert any(text.startswith(words) and "with standard error" in text for text in fit.warnings)
 
 
-def test_what_is_at_a_bound_has_an_interval():
-    """A parameter at the end of its range: no standard error, but one end of an interval."""
+def test_what_is_at_a_bound_is_degenerate():
+    """A parameter at the end of its range has no standard error."""
     fit = fit_channel(simulated(CHANNEL, 1, 30, 100.0), CHANNEL.station)
     assert fit.status == "degenerate"
     assert fit.standard_errors["multipath_std_db"] == math.inf
-    low, high = fit.intervals_95["multipath_std_db"]
-    assert low == 0.0 and fit.parameters.multipath_std_db < high < 10.0
-    assert f"the deviation of multipath: below {high:.3g} dB (95 %)" in fit.warnings
-
-
-def test_intervals_are_those_of_the_profile():
-    """At the ends log L, the others maximised, is below the top by the cut."""
-    measurements = simulated(CHANNEL, 0, 60, 100.0)
-    fit = fit_channel(measurements, CHANNEL.station)
-    assert fit.intervals_95
-    for name, ends in fit.intervals_95.items():
-        if name == "n_pl":
-            continue
-        values = np.array([end for end in ends if 0.0 < end < math.inf])
-        profile = profile_likelihood(measurements, CHANNEL.station, name, values)
-        for value in values:
-            drop = profile.drop[np.argmin(np.abs(profile.values - value))]
-            assert drop == pytest.approx(-CUT_95, abs=0.05)
+    assert any("omega" in text for text in fit.warnings)
 
 
 def test_mirroring_the_scene_changes_nothing():

@@ -252,12 +252,3 @@ def test_options_that_cannot_be_used(shared_log: Path, options, words, capsys) -
     assert main(["fit", str(shared_log), *options]) == 2
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1 and words in printed.err
-
-
-def test_the_earlier_name_of_lemma1(log: Path, capsys) -> None:
-    """`seed` is still understood, and the output has the current name."""
-    arguments = ["fit", str(log), "--station", "0,0", *COLUMNS, "--json", "--method"]
-    for name in ("lemma1", "seed"):
-        assert main([*arguments, name]) in FITTED
-    first, second = (json.loads(line) for line in capsys.readouterr().out.splitlines())
-    assert first == second and first["method"] == "lemma1"

@@ -10,9 +10,7 @@ from planopt.channel.connection.outage import LongestOutage as LongestOutage
 from planopt.channel.connection.outage import Traffic as Traffic
 from planopt.channel.connection.outage import delivered_data as delivered_data
 from planopt.channel.connection.outage import longest_outage as longest_outage
-from planopt.channel.connection.serving_power import SharedShadowing as SharedShadowing
 from planopt.channel.connection.serving_power import connected_to_any as connected_to_any
-from planopt.channel.connection.serving_power import strongest_station as strongest_station
 from planopt.channel.derivatives import posterior_derivatives as posterior_derivatives
 from planopt.channel.estimation.channel_fit import ChannelFit as ChannelFit
 from planopt.channel.estimation.fit import fit_channel as fit_channel
@@ -33,9 +31,6 @@ from planopt.channel.logs.log_format import LogFormat as LogFormat
 from planopt.channel.maps.posterior_map import PosteriorMap as PosteriorMap
 from planopt.channel.maps.posterior_map import posterior_map as posterior_map
 from planopt.channel.measurements import Measurements as Measurements
-from planopt.channel.multipath.multipath_connectivity import (
-    multipath_connectivity as multipath_connectivity,
-)
 from planopt.channel.multipath.multipath_models import Lognormal as Lognormal
 from planopt.channel.multipath.multipath_models import Nakagami as Nakagami
 from planopt.channel.multipath.multipath_models import Rician as Rician

@@ -167,7 +167,7 @@ def _fitted_truth(
 ) -> Truth:
     """Fit a station's log and draw the truth from the posterior."""
     radio = problem.stations[station]
-    fit = fit_channel(log, radio.site, problem.channel.fit_method, intervals=False)
+    fit = fit_channel(log, radio.site, problem.channel.fit_method)
     if len(log) > EXACT_LIMIT:
         log = log.take(np.sort(generator.choice(len(log), EXACT_LIMIT, replace=False)))
     floor = None if setup.floor_db is None else setup.floor_db + radio.transmit_power_dbm

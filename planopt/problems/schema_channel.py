@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.channel.estimation.channel_fit import FitMethod, current_name
+from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.multipath.multipath_models import Multipath, MultipathKind, multipath_of
 from planopt.errors import InputError
 from planopt.problems.channel_setup import (
@@ -234,11 +234,6 @@ class FitTable(Table):
         description="Parameters that are known and not estimated: shadow_std_db, decorrelation_m "
         "and multipath_std_db, and k_pl_db and n_pl or neither.",
     )
-
-    @field_validator("method", mode="before")
-    @classmethod
-    def _current_name(cls, method: object) -> object:
-        return current_name(method) if isinstance(method, str) else method
 
 
 class ChannelTable(Table):

@@ -118,10 +118,6 @@ def test_public_calls_take_lists_of_places() -> None:
             ).delivered_bits.draws
         ),
         lambda p, t: planopt.channel.connected_to_any([posterior], p, level),
-        lambda p, t: planopt.channel.strongest_station([posterior], p, level),
-        lambda p, t: planopt.channel.multipath_connectivity(
-            posterior, p, level, planopt.channel.Rician(10.0)
-        ),
         lambda p, t: planopt.channel.posterior_derivatives(posterior, p),
     ]
     forms = [(lists, times), (tuple(map(tuple, lists)), tuple(times))]

@@ -35,14 +35,6 @@ def test_left_out_keys_get_the_documented_defaults(tables: Tables, built: Build)
     assert problem.report.figures
 
 
-def test_the_earlier_name_of_lemma1(tables: Tables, built: Build) -> None:
-    """`seed` is still understood, and saved under the current name."""
-    tables["channel"]["fit"] = {"method": "seed"}
-    problem = built(tables)
-    assert problem.channel.fit_method == "lemma1"
-    assert problem_to_dict(problem)["channel"]["fit"] == {"method": "lemma1"}
-
-
 def test_values_land_in_the_right_fields(tables: Tables, built: Build) -> None:
     """Each value of the truth arrives under its own name, whole numbers as floats."""
     tables["channel"]["truth"] |= {"k_pl_db": -31, "floor_db": -120}

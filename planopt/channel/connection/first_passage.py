@@ -1,4 +1,4 @@
-"""The distance that a robot drives until it is connected, along a given path (equation 3.12).
+"""The distance that a robot drives until it is connected, along a given path (equation 3.10).
 
 The prior field along a straight line, place by place: exact and fast.
 
@@ -48,7 +48,7 @@ def line_prefix_probabilities(
     """P(event at places 1 .. k) for every k, before any measurement; ``(h,)``.
 
     J_0(s) = N(s; 0, xi^2) g_0(s), J_k(s) = g_k(s) int N(s; rho s', xi^2 (1 - rho^2)) J_{k-1}(s')
-    ds', rho = exp(-leg / beta), g_k(s) = P(event at k | shadowing s) (equation 3.11); the integral
+    ds', rho = exp(-leg / beta), g_k(s) = P(event at k | shadowing s) (equation 3.9); the integral
     of J_k is the value. Exact to about 1e-12.
     """
     places = require_places(positions_m)
@@ -150,7 +150,7 @@ def first_passage(
     disconnected_now: bool = False,
     tolerance: float = 1e-4,
 ) -> FirstPassage:
-    """Return the law of the first connection along a path, given measurements (equation 3.12).
+    """Return the law of the first connection along a path, given measurements (equation 3.10).
 
     pi_k = P(power < threshold at q_1 .. q_k) by the multivariate normal distribution. Chances at
     the places are not taken as independent, which would promise too much.

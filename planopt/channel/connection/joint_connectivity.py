@@ -215,7 +215,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class JointConnectivity:
-    """P(power >= threshold at every place) and its bounds (equations 3.8 to 3.10).
+    """P(power >= threshold at every place) and its bounds (equations 3.6 to 3.8).
 
     Attributes
     ----------
@@ -258,7 +258,7 @@ def joint_connectivity(
     generator: np.random.Generator | None = None,
     tolerance: float = 1e-4,
 ) -> JointConnectivity:
-    """Return P(power >= threshold at all places) and bounds (equations 3.8 to 3.10).
+    """Return P(power >= threshold at all places) and bounds (equations 3.6 to 3.8).
 
     With the exact value for reports, without for constraints: the bounds cost O(h^2).
 

@@ -1,6 +1,6 @@
 """An estimated channel: parameters, their errors, and what is in doubt.
 
-By which methods a channel is estimated, and what has a choice of loss.
+Names of the methods of estimation and of their losses.
 """
 
 from __future__ import annotations
@@ -20,25 +20,13 @@ FitMethod = Literal["lemma1", "capped", "convex", "nls", "reml"]
 
 Loss = Literal["squares", "huber", "absolute"]
 
-GivenMethod = FitMethod | Literal["seed"]
-"""What a caller may write: today's names and those of `ALIASES`."""
-
-ALIASES = {"seed": "lemma1"}
-"""Earlier names, which are still understood."""
-
-
-def current_name(method: str) -> str:
-    """Return the current name of a method that may be given by an earlier one."""
-    return ALIASES.get(method, method)
-
 
 def require_method(method: str, key: str) -> FitMethod:
     """Return the method of that name, or refuse; `key` is what it was given by."""
-    name = current_name(method)
-    if name not in get_args(FitMethod):
+    if method not in get_args(FitMethod):
         remedy = f"use {', '.join(get_args(FitMethod))}"
         raise InputError(f"{method!r} is no method", key=key, remedy=remedy)
-    return cast(FitMethod, name)
+    return cast(FitMethod, method)
 
 
 def require_loss(loss: str, method: FitMethod, key: str) -> None:

@@ -1,4 +1,4 @@
-"""Estimate the channel from power measurements, by any of five methods, with what is in doubt.
+"""Estimate the channel from power measurements, by one of five methods.
 
 Every method reports a status, standard errors and, in words, which parameter the measurements do
 not determine and what stands in for it. Nothing but an :class:`planopt.errors.InputError` leaves
@@ -21,7 +21,6 @@ from scipy.special import bdtrc  # pyright: ignore[reportUnknownVariableType]
 from planopt.channel.estimation.channel_fit import (
     ChannelFit,
     FitMethod,
-    GivenMethod,
     Loss,
     OtherMode,
     require_loss,
@@ -182,7 +181,7 @@ def _is_pile(counts: NDArray[np.intp]) -> bool:
 def fit_channel(
     measurements: Measurements | Table,
     station: Station,
-    method: GivenMethod = "reml",
+    method: FitMethod = "reml",
     forgetting_s: float = math.inf,
     *,
     loss: Loss = "squares",
@@ -199,7 +198,7 @@ def fit_channel(
     station
         The fixed station.
     method
-        ``lemma1``: Lemma 1 of [GM11] as printed (once ``seed``). ``capped``: the same with
+        ``lemma1``: Lemma 1 of [GM11] as printed. ``capped``: the same with
         a lag cap and weights n r^2. ``convex``: that as a convex programme with xi^2 <= alpha and
         beta bounded. ``nls``: the exponential fitted without logarithm to all bins. ``reml``:
         restricted maximum likelihood (default); of more than
@@ -228,7 +227,7 @@ def fit_channel(
 def fitted_parameters(
     measurements: Measurements | Table,
     station: Station,
-    method: GivenMethod = "reml",
+    method: FitMethod = "reml",
     forgetting_s: float = math.inf,
     *,
     loss: Loss = "squares",
@@ -243,7 +242,7 @@ def fitted_parameters(
     return given.parameters(estimate.coefficients, estimate.covariance.values)
 
 
-def _chosen(method: GivenMethod, loss: Loss) -> FitMethod:
+def _chosen(method: FitMethod, loss: Loss) -> FitMethod:
     """Return the method that is meant, which must have the loss."""
     chosen = require_method(method, "method")
     require_loss(loss, chosen, "loss")

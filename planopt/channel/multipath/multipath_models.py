@@ -22,10 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import (  # pyright: ignore[reportUnknownVariableType]  # pyright: ignore[reportUnknownVariableType]
-    chndtr,
-    gammaincc,
     gammaln,
-    ndtr,
     psi,
     zeta,  # pyright: ignore[reportUnknownVariableType]
 )
@@ -215,24 +212,6 @@ class Rician:
 
 
 Multipath = Lognormal | Nakagami | Rician
-
-
-def multipath_survival(multipath: Multipath, level_db: NDArray[np.float64]) -> NDArray[np.float64]:
-    """P(fading >= level), fading in dB with its mean subtracted; shape of `level_db`."""
-    # Above 300 dB a power's chance is nil, and its square would overflow.
-    level = np.minimum(level_db, 300.0)
-    match multipath:
-        case Lognormal(0.0):
-            return np.where(level <= 0.0, 1.0, 0.0)
-        case Lognormal(std_db):
-            return _array(ndtr(-level / std_db))
-        case Nakagami(m):
-            power = 10.0 ** ((level + nakagami_mean_db(m)) / 10.0)
-            return _array(gammaincc(m, m * power))
-        case Rician(k_factor):
-            # Twice (K + 1) times the power is noncentral chi-square of two degrees of freedom.
-            power = 10.0 ** ((level + rician_mean_db(k_factor)) / 10.0)
-            return 1.0 - _array(chndtr(2.0 * (k_factor + 1.0) * power, 2.0, 2.0 * k_factor))
 
 
 def _array(values: object) -> NDArray[np.float64]:

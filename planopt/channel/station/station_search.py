@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.cholesky import solve_lower
-from planopt.channel.estimation.channel_fit import ChannelFit, GivenMethod, Loss
+from planopt.channel.estimation.channel_fit import ChannelFit, FitMethod, Loss
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.identifiability import require_usable
 from planopt.channel.estimation.likelihood_climb import thinned
@@ -184,7 +184,7 @@ MIN_UNCENSORED = 8
 @one_blas_thread()
 def fit_channel_and_station(
     measurements: Measurements | Table,
-    method: GivenMethod = "reml",
+    method: FitMethod = "reml",
     height_m: float = 0.0,
     forgetting_s: float = math.inf,
     *,

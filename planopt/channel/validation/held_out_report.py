@@ -27,6 +27,7 @@ from planopt.channel.estimation.identifiability import examine, nearest_distance
 from planopt.channel.estimation.likelihood_climb import thinned
 from planopt.channel.measurement_covariance import pairwise_distance_m
 from planopt.channel.measurements import Measurements, Table, as_measurements
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.channel.validation.calibration import (
@@ -257,6 +258,7 @@ def predictors_of(
     return learn
 
 
+@one_blas_thread()
 def held_out_report(
     measurements: Measurements | Table,
     groups: NDArray[np.intp],

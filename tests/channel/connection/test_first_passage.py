@@ -71,7 +71,7 @@ def test_independent_places():
 
 
 def test_independence_promises_too_much():
-    """The product of misses is below pi_k in a positively correlated field (equation 3.12)."""
+    """The product of misses is below pi_k in a positively correlated field (equation 3.10)."""
     found = first_passage_on_line(CHANNEL, LINE, THRESHOLD)
     missed = 1.0 - PRIOR.connectivity(LINE[1:], THRESHOLD)
     assert np.prod(missed) < 0.5 * found.not_connected[-1]

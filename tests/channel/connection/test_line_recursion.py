@@ -46,7 +46,7 @@ def test_equals_the_multivariate_normal(event, sign, shadow, omega, beta):
 
 @pytest.mark.parametrize(("channel", "exact"), [((3.2, 3.02, 3.09), 0.461), ((4, 1.13, 20), 0.773)])
 def test_checked_values_of_the_theory(channel, exact):
-    """Equation 3.11: 20 places 1 m apart at 0.95; a flat mean by an exponent of zero."""
+    """Equation 3.9: 20 places 1 m apart at 0.95; a flat mean by an exponent of zero."""
     shadow, omega, beta = channel
     level = norm.ppf(0.95) * np.hypot(shadow, omega)
     flat = ChannelParameters(level, 0.0, shadow, beta, omega, Station((0.0, 0.0)))

@@ -136,6 +136,9 @@ def report(
 @bench.command("check")
 def check(
     references: ReferencesOption = None,
+    problems: Annotated[
+        str | None, typer.Option("--problems", metavar="A,B", help="Names; else the whole library.")
+    ] = None,
     workers: WorkersOption = 2,
     json: JsonOption = False,
 ) -> int:
@@ -147,7 +150,9 @@ def check(
 
     begun = perf_counter()
     known = read_references(references)
-    cases, worse = fast_cases(known)
+    cases, worse = fast_cases(
+        known, None if problems is None else listed(problems, "--problems", str)
+    )
     with progress("solving, cases:", len(cases)) as advance:
         rows = answers(cases, workers=workers, on_row=lambda _: advance())
     regressed, better = judged(rows, known, lambda row: f"{row.case}: no reference")

@@ -113,7 +113,6 @@ def drive(
     rows: list[tuple[float, ...]] = []
     if known_at is not None:
         rows.append(world.channel_row(0, robots.beliefs[0].posteriors, known_at))
-    threshold_dbm = problem.stations[0].true_threshold_dbm
     ended, blocked = _ending(robots), tuple[BlockedWay, ...]()
     while ended is None:
         try:
@@ -122,20 +121,10 @@ def drive(
             ended = Outcome.NO_PLAN, str(error)
             blocked = error.blocked if isinstance(error, BlockedError) else ()
             break
-        step, watch = len(robots.connected) + 1, robots.watches[-1]
+        step = len(robots.connected) + 1
         if step == 1 and on_start is not None:
             on_start(step_plans)
-        states = [plan.next_state for plan in step_plans]
-        here = np.array([state[:2] for state in states])
-        serving = [
-            world.serving_dbm(number, step, place[None])[0] for number, place in enumerate(here)
-        ]
-        robots.observe(
-            states,
-            world.measured(step, here),
-            np.array(serving) >= threshold_dbm,
-            None if watch is None else sense(watch.sensor, here, watch.true_m[step], generator),
-        )
+        _observe(robots, [plan.next_state for plan in step_plans], world, generator)
         if known_at is not None:
             rows.append(world.channel_row(step, robots.beliefs[0].posteriors, known_at))
         if on_step is not None:
@@ -160,6 +149,55 @@ def drive(
         channel=channel_log(rows) if rows else None,
         costs=world.costs(tracks, ended[0]),
         blocked=blocked,
+    )
+
+
+def first_steps(
+    problem: Problem,
+    belief: Belief,
+    world: World,
+    planning: Planning,
+    target: TargetWatch | None,
+    generator: np.random.Generator,
+    count: int,
+    recorded: Sequence[Sequence[Sequence[float]]] = (),  # (steps, robots, state)
+) -> tuple[list[list[Plan]], list[list[NDArray[np.float64]]]]:
+    """Return the plans and states of the first steps of a run, by step and robot.
+
+    Where states are recorded, the robots are moved there instead of to the end of their planned
+    step: rounding differences between processors then do not accumulate.
+    """
+    robots = Stepper(problem, belief, planning, target)
+    made: list[list[Plan]] = []
+    for step in range(len(recorded) or count):
+        if not recorded and _ending(robots) is not None:
+            break
+        made.append(robots.plan())
+        states = (
+            [np.array(state) for state in recorded[step]]
+            if recorded
+            else [plan.next_state for plan in made[-1]]
+        )
+        _observe(robots, states, world, generator)
+    by_robot = [driven[1:] for driven in robots.states]
+    return made, [list(states) for states in zip(*by_robot, strict=True)]
+
+
+def _observe(
+    robots: Stepper,
+    states: Sequence[NDArray[np.float64]],
+    world: World,
+    generator: np.random.Generator,
+) -> None:
+    """Move the robots to states, and take in what they measure and see there."""
+    step, watch = len(robots.connected) + 1, robots.watches[-1]
+    here = np.array([state[:2] for state in states])
+    serving = [world.serving_dbm(number, step, place[None])[0] for number, place in enumerate(here)]
+    robots.observe(
+        states,
+        world.measured(step, here),
+        np.array(serving) >= robots.problem.stations[0].true_threshold_dbm,
+        None if watch is None else sense(watch.sensor, here, watch.true_m[step], generator),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from planopt.errors import InputError
 from planopt.problems.library import list_problems
@@ -13,13 +13,16 @@ from planopt.problems.planner_kinds import planner_kind, planner_names
 from planopt.problems.problem import Problem
 
 PLAN, RUN = "plan", "run"
-"""Kinds of cases: one plan from the start, or a closed loop."""
+"""Kinds of cases: one plan from the start, or the first steps of a closed loop."""
+
+States = tuple[tuple[tuple[float, ...], ...], ...]
+"""States by step and robot."""
 
 HORIZONS = (5, 20)
 """Steps ahead that every problem is solved with, besides its own."""
 
 RUN_PLANNER = "auto"
-"""Planner of closed-loop cases, which take minutes where a plan takes a second."""
+"""Planner of closed-loop cases, which take longer than a single plan."""
 
 COSTS_TO_GO = ("connected", "geodesic")
 """Settings of problems with a goal."""
@@ -47,6 +50,8 @@ class Case:
 
     question: Question
     planner: str
+    # Of a closed loop: the states that its robots are moved to; empty if they follow their plans
+    states: States = field(default=(), compare=False)
 
     def __str__(self) -> str:
         """Return the case in words."""

@@ -19,7 +19,7 @@ from planopt.files.whole import write_text
 from planopt.planning.plan import Verdict
 from planopt.problems.library import library_folder
 from planopt.problems.load import load
-from planopt.studies.bench.cases import PLAN, RUN, Case, Question, library_names
+from planopt.studies.bench.cases import PLAN, RUN, Case, Question, States, library_names
 from planopt.studies.bench.row import Row
 
 OBJECTIVE_SHARE = 0.01
@@ -34,7 +34,7 @@ FAST_SEED = 0
 FAST_PLANNERS = ("auto", "scp", "lattice")
 """Planners of the fast share."""
 
-FAST_RUN_CPU_S = 5.0
+FAST_RUN_CPU_S = 3.0
 """Closed loops of the fast share took at most this long when they were frozen."""
 
 _ABOUT = (
@@ -58,15 +58,17 @@ class Reference:
     verdict: str
     outcome: str
     rungs: dict[str, int]  # Which fallbacks released how many steps
-    # Processor time that it took on the machine that made it; for choosing the fast share
-    cpu_s: float
+    cpu_s: float  # Processor time that it took on the machine that made it
     made_by: str  # The program that made it
+    # Of a closed loop: its states, which the check plans from again, so that rounding differences
+    # between processors do not accumulate
+    states: States = ()
 
     @property
     def case(self) -> Case:
         """Return the question, and of which planner it was asked."""
         question = Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
-        return Case(question, self.planner)
+        return Case(question, self.planner, self.states)
 
 
 References = Mapping[Case, Reference]
@@ -120,6 +122,7 @@ def reference_of(row: Row, made_by: str) -> Reference:
         rungs=row.rungs,
         cpu_s=round(row.cpu_s, 2),
         made_by=made_by,
+        states=row.states,
     )
 
 
@@ -205,15 +208,17 @@ def improvement(row: Row, reference: Reference) -> str | None:
     )
 
 
-def fast_cases(references: References) -> tuple[list[Case], list[str]]:
+def fast_cases(
+    references: References, problems: Sequence[str] | None = None
+) -> tuple[list[Case], list[str]]:
     """Return the fast share, and in words what the references lack for it.
 
-    Every library problem with its own horizon and settings: plans of `FAST_PLANNERS`, and closed
-    loops that are quick.
+    Library problems with their own horizon and settings, all of them if none is named: plans of
+    `FAST_PLANNERS`, and the first steps of closed loops that are quick.
     """
     cases: list[Case] = []
     missing: list[str] = []
-    names = library_names()
+    names = library_names() if problems is None else problems
     for name in names:
         problem = load(name)
         asked = (problem.planner.horizon, problem.cost_to_go or "")
@@ -231,7 +236,8 @@ def fast_cases(references: References) -> tuple[list[Case], list[str]]:
         cases += [*sorted(plans), *sorted(runs)]
     missing += [
         f"{name}: has references, but the library has no such problem"
-        for name in sorted({one.problem for one in references.values()}.difference(names))
+        for name in sorted({one.problem for one in references.values()}.difference(library_names()))
+        if problems is None
     ]
     return cases, missing
 

@@ -17,29 +17,30 @@ from numpy.typing import NDArray
 
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import NoPlanError
+from planopt.files.typed_json import encoded
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run, save_solution
-from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.files.saved import save_solution
+from planopt.planning.given import team_seeds, with_drawn_starts
+from planopt.planning.loop.drive import TrueWorld, first_steps
+from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solve import solve_on
+from planopt.planning.team.plan_step import planning
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
-from planopt.studies.bench.cases import RUN, Case, Question, problem_of
+from planopt.studies.bench.cases import RUN, Case, Question, States, problem_of
 from planopt.studies.study import run_key
 
 PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
-"""Outcomes of single plans; runs have those of :class:`planopt.planning.loop.log.Outcome`."""
+"""Outcomes of cases."""
 
-RUN_OBJECTIVES = {
-    "reach": "goal_time_s",
-    "track": "time_averaged_trace_p",
-    "learn": "trace_m_db",
-    "map": "rms_db",
-    "connect": "path_m",
-}
-"""Metric that a closed loop is compared by, by task; less is better. Others are not compared."""
+RUN_STEPS = 20
+"""Steps of a closed loop that are planned."""
+
+STATE_DIGITS = 4
+"""Decimals of recorded states: far below the distance that a robot may be off its plan."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +54,13 @@ class Row:
     seed: int
     planner: str
     sense: str  # max or min: whether more or less of the objective is better
-    # Of a plan its objective, of a run a metric (`RUN_OBJECTIVES`); None without a value
+    # Of a plan its objective, of a run the mean over its plans; None without a value
     objective: float | None
-    # As the planner says; of a run the worst verdict, and how often each fallback released a step
+    # As the planner says; of a run the worst, and how often each fallback released a step
     verdict: str
     termination: str
     rungs: dict[str, int]
-    outcome: str  # planned, no_plan or error; of a run how it ended
+    outcome: str  # planned, no_plan or error
     # Whether planopt check agrees, from the files alone; None where there is nothing to judge
     accepted: bool | None
     reasons: tuple[str, ...]  # Objections of the check, or the error
@@ -70,6 +71,7 @@ class Row:
     cpu_s: float
     steps: int  # Plans that were made, one a step and robot
     path_digest: str  # Of all places, to the millimetre: the same digest is the same path
+    states: States = ()  # Of a run: where its robots were after each step
     kkt_residual: float | None = None  # Of the certificate; of a run None
     min_clearance_m: float | None = None
     min_connectivity: float | None = None
@@ -82,7 +84,7 @@ class Row:
     @property
     def case(self) -> Case:
         """Return the question, and of which planner it was asked."""
-        return Case(self.question, self.planner)
+        return Case(self.question, self.planner, self.states)
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,7 @@ def key_of(case: Case) -> dict[str, Any]:
         "planner_version": planner_kind(case.planner).version,
         "kind": case.question.kind,
         "name": case.question.problem,
+        "states": encoded(case.states),
     }
 
 
@@ -128,7 +131,7 @@ def answer(case: Case, start: Start) -> Row:
     begun = process_time()
     try:
         if case.question.kind == RUN:
-            return _run_row(problem, nothing, start)
+            return _run_row(problem, nothing, start, case.states)
         return _plan_row(problem, nothing, start)
     except NoPlanError as error:
         outcome, words = NO_PLAN, str(error)
@@ -148,7 +151,7 @@ def _nothing(case: Case, problem: Problem) -> Row:
         horizon=question.horizon,
         seed=question.seed,
         planner=case.planner,
-        sense="min" if is_run else problem.sense,
+        sense=problem.sense,
         objective=None,
         verdict=Verdict.NONE.value,
         termination="" if is_run else Termination.NO_PATH.value,
@@ -191,24 +194,34 @@ def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
     )
 
 
-def _run_row(problem: Problem, nothing: Row, start: Start) -> Row:
+def _run_row(problem: Problem, nothing: Row, start: Start, recorded: States) -> Row:
     begun = process_time()
-    run = simulate(problem, seed=nothing.seed, scenes=start.scenes, prepared=start.prepared)
-    plans = tuple(plan for each in run.plans for plan in each)
+    problem = with_drawn_starts(problem, nothing.seed)
+    seeds = team_seeds(problem, nothing.seed)
+    scenes = start.scenes if problem.task == "reach" else None
+    steps, states = first_steps(
+        problem,
+        start.prepared.belief,
+        TrueWorld(problem, start.prepared.truths, list),
+        planning(problem, scenes, seeds),
+        watch_target(problem, seeds.target),
+        seeds.target,
+        RUN_STEPS,
+        recorded,
+    )
     cpu_s = process_time() - begun
-    with tempfile.TemporaryDirectory() as folder:
-        save_run(run, Path(folder))
-        accepted, reasons = _judged(Path(folder))
+    plans = [plan for each in steps for plan in each]
+    found = (plan.objective for plan in plans)
     return replace(
         nothing,
         **_totals(plans),
-        objective=_finite(run.metrics.get(RUN_OBJECTIVES.get(problem.task, ""), math.nan)),
+        objective=_finite(sum(found) / len(plans)) if plans else None,
         verdict=_worst(Verdict, (plan.verdict.value for plan in plans)),
-        outcome=run.outcome.value,
-        accepted=accepted,
-        reasons=reasons,
+        outcome=PLANNED,
         cpu_s=cpu_s,
-        path_digest=_digest(one.log.positions_m for one in run.runs),
+        path_digest=_digest(plan.positions_m for plan in plans),
+        states=recorded
+        or tuple(tuple(tuple(s.round(STATE_DIGITS).tolist()) for s in each) for each in states),
     )
 
 

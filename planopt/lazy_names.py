@@ -10,22 +10,17 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from importlib import import_module
-from importlib.machinery import ModuleSpec
-from types import FrameType, ModuleType
-from typing import Any, cast
-from warnings import warn
+from types import FrameType
+from typing import Any
 
 LIKE = 0.75
 """Names at least so alike are taken for each other."""
 
 
 def lazy_names(
-    package: str,
-    file: str,
-    former: Mapping[str, str] | None = None,
-    moved_to: Sequence[str] = (),
+    package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy public names."""
     modules = _listed_names(f"{file}i")
@@ -35,15 +30,10 @@ def lazy_names(
             return import_module(f"{package}.{name}")
         if name in modules:
             return getattr(import_module(modules[name]), name)
-        new = _replacement(package, name, former or {}, moved_to)
-        if new is None:
-            words = f"module {package!r} has no attribute {name!r}{_hint(package, name)}"
-            caller = sys._getframe(1)  # pyright: ignore[reportPrivateUsage]
-            # Python replaces an AttributeError of "from package import name" by words of its own.
-            raise (ImportError if _is_import(caller) else AttributeError)(words)
-        home, _, current = new.rpartition(".")
-        warn(f"{package}.{name} is now {new}", DeprecationWarning, stacklevel=2)
-        return getattr(import_module(home), current)
+        words = f"module {package!r} has no attribute {name!r}{_hint(package, name)}"
+        caller = sys._getframe(1)  # pyright: ignore[reportPrivateUsage]
+        # Python replaces an AttributeError of "from package import name" by words of its own.
+        raise (ImportError if _is_import(caller) else AttributeError)(words)
 
     def names() -> list[str]:
         return sorted({*vars(import_module(package)), *modules})
@@ -90,47 +80,3 @@ def _hint(package: str, name: str) -> str:
         if close:
             return f": did you mean {home}.{close[0]}?"
     return f": see dir({package})"
-
-
-def _replacement(
-    package: str, name: str, former: Mapping[str, str], moved_to: Sequence[str]
-) -> str | None:
-    """Return the full name that replaces a former one; None if it never was a name."""
-    if name in former:
-        return f"{package}.{former[name]}"
-    # Python and its tools ask any module for names with underscores.
-    if name.startswith("_"):
-        return None
-    homes = (home for home in moved_to if name in import_module(home).__all__)
-    return next((f"{home}.{name}" for home in homes), None)
-
-
-class _FormerModules:
-    """Import modules that documents named formerly, as those that have their names now."""
-
-    def __init__(self, former: Mapping[str, str]) -> None:
-        self._former = former
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        """Return how a former module is loaded; None for any other."""
-        return ModuleSpec(fullname, cast("Any", self)) if fullname in self._former else None
-
-    def create_module(self, spec: ModuleSpec) -> None:
-        """Leave making the module to Python."""
-
-    def exec_module(self, module: ModuleType) -> None:
-        """Give a former module the names of its successor."""
-        name = module.__name__
-        new = self._former[name]
-        warn(f"{name} is now {new}", DeprecationWarning, stacklevel=2)
-        home = import_module(new)
-        module.__dict__.update(
-            {key: value for key, value in vars(home).items() if not key.startswith("__")}
-        )
-
-
-def forward_modules(former: Mapping[str, str]) -> None:
-    """Let former modules be imported, with a warning; `former` has their successors."""
-    sys.meta_path.append(_FormerModules(former))

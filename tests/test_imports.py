@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 import subprocess
 import sys
@@ -86,23 +85,6 @@ def test_public_name(package: ModuleType, name: str) -> None:
     assert name in dir(package)
 
 
-@pytest.mark.parametrize(
-    ("package", "name", "home", "now"),
-    [
-        (planopt, "Station", planopt.channel, "Station"),
-        (planopt, "load_system", planopt.problems, "load_system"),
-        (planopt, "OwnRule", planopt.extend, "OwnRule"),
-        (planopt, "compare_horizons", planopt, "compare"),
-        (planopt.objectives, "OwnTerm", planopt.extend, "OwnTerm"),
-    ],
-)
-def test_a_name_that_moved(package: ModuleType, name: str, home: ModuleType, now: str) -> None:
-    """It is had from where it was, and the warning says where it is."""
-    said = f"{package.__name__}.{name} is now {home.__name__}.{now}$"
-    with pytest.warns(DeprecationWarning, match=said):
-        assert getattr(package, name) is getattr(home, now)
-
-
 def test_public_names_are_few() -> None:
     """Who completes ``planopt.`` sees what most problems need; four packages have the rest."""
     assert len(planopt.__all__) <= 35
@@ -115,6 +97,7 @@ def test_public_names_are_few() -> None:
     [
         (planopt.problems, "ReachObjective", "it is planopt.objectives.ReachObjective"),
         (planopt.channel, "Problem", "it is planopt.Problem"),
+        (planopt, "OwnRule", "it is planopt.extend.OwnRule"),
         (planopt.objectives, "problems", "it is planopt.problems"),
         (planopt, "simulte", "did you mean planopt.simulate?"),
         (planopt, "ReachObjectiv", "did you mean planopt.objectives.ReachObjective?"),
@@ -136,27 +119,6 @@ def test_private_names_have_no_hint() -> None:
     """Tools ask any module for them."""
     with pytest.raises(AttributeError, match=r"'__wrapped__'$"):
         planopt.__wrapped__  # noqa: B018
-
-
-@pytest.mark.parametrize(
-    ("former", "name"),
-    [
-        ("planopt.planning.programme.offenders", "lines_about"),
-        ("planopt.planning.proof.apart", "judge_apart"),
-        ("planopt.planning.rule_result", "RuleResult"),
-        ("planopt.planning.team.crew", "plan_together"),
-        ("planopt.report.belief_map", "draw_belief"),
-        ("planopt.robots.carrot", "PurePursuit"),
-        ("planopt.targets.target_model", "TargetModel"),
-    ],
-)
-def test_former_modules(former: str, name: str) -> None:
-    """The names that they were documented for are had from them, with a warning."""
-    now = planopt.FORMER_MODULES[former]
-    sys.modules.pop(former, None)
-    with pytest.warns(DeprecationWarning, match=f"^{former} is now {now}$"):
-        found = getattr(importlib.import_module(former), name)
-    assert found is getattr(importlib.import_module(now), name)
 
 
 def test_settings_of_the_report_are_public() -> None:

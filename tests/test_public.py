@@ -58,12 +58,6 @@ def test_a_refusal_is_an_error_of_no_plan() -> None:
     assert error.blocked == ()
 
 
-def test_former_names_warn_and_give_their_successors() -> None:
-    """Code that was written for an earlier version goes on, and says what to change."""
-    with pytest.warns(DeprecationWarning, match="planopt.TeamSolution is now planopt.Solution"):
-        assert planopt.TeamSolution is planopt.Solution
-
-
 def test_problems_of_a_system_are_sent_to_their_own_methods() -> None:
     """Every function that plans motion says so, and shows them in a few lines."""
     system = planopt.problems.load_system("pursuit_static")

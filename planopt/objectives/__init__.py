@@ -5,4 +5,4 @@ Names are imported when they are first used; the stub ``__init__.pyi`` lists the
 
 from planopt.lazy_names import lazy_names
 
-__getattr__, __dir__, __all__ = lazy_names(__name__, __file__, moved_to=("planopt.extend",))
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

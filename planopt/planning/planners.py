@@ -15,8 +15,6 @@ from planopt.planning.baselines.strategies import (
     StrategyPlanner,
     informed_disk,
     path_loss_only,
-    remembered_reward,
-    require_tracking,
     unaware,
 )
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -87,14 +85,6 @@ def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Gene
 def one_step_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
     """Make the baseline that looks one step ahead."""
     return OneStepPlanner(problem, ground)
-
-
-def one_step_revisits_planner(
-    problem: Problem, ground: Ground, _generator: np.random.Generator
-) -> Planner:
-    """Make the baseline that looks one step ahead and knows multipath where it was measured."""
-    require_tracking(problem)
-    return OneStepPlanner(problem, ground, remembered_reward)
 
 
 def largest_deviation_planner(

@@ -103,7 +103,6 @@ OWN = {
             for name, solves in (("auto", True), ("nlp", True), ("scp", True), ("lattice", False))
         ),
         PlannerKind("one_step", f"{_HOME}:one_step_planner"),
-        PlannerKind("one_step_revisits", f"{_HOME}:one_step_revisits_planner", tracks=True),
         PlannerKind("largest_deviation", f"{_HOME}:largest_deviation_planner"),
         PlannerKind("random", f"{_HOME}:random_planner"),
         PlannerKind("random_disk", f"{_HOME}:disk_walk_planner"),

@@ -15,7 +15,7 @@ from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.planning.baselines.foresight import best_nodes, clairvoyant_paths, oracle_paths
-from planopt.planning.baselines.strategies import StrategyPlanner, remembered_reward
+from planopt.planning.baselines.strategies import StrategyPlanner
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
 from planopt.planning.prepare import prepare
@@ -47,32 +47,6 @@ def test_plans_are_verified_by_what_is_known(name):
     np.testing.assert_allclose(
         plan.connectivity[1:], belief.posterior.connectivity(path, -40.0), atol=1e-12
     )
-
-
-def test_places_measured_before_are_known():
-    """Where no measurement is within the spacing the plan is the one-step planner's.
-
-    A robot beside a measurement that reached the threshold counts on it, whatever is predicted; one
-    that did not is nothing.
-    """
-    problem = terms_problem(TRACKING, horizon=1)
-    situation, belief = situation_of(problem)
-    far = replace(problem, channel=replace(problem.channel, measure_spacing_m=0.0))
-    plans = [
-        plan_of(name, far, replace(situation, problem=far), belief)
-        for name in ("one_step", "one_step_revisits")
-    ]
-    np.testing.assert_allclose(plans[0].positions_m, plans[1].positions_m, atol=1e-9)
-    measured = belief.posterior.measurements
-    places = measured.positions_m + [0.1, 0.2]
-    told = remembered_reward(situation, places[:, None])
-    target, sensor = situation.target_m[0], problem.terms[0].sensor
-    sensed = sensing_information(sensor, places, target)
-    connected = measured.power_dbm >= problem.stations[0].threshold_dbm
-    assert connected.any() and not connected.all()
-    np.testing.assert_allclose(told, np.where(connected, sensed, 0.0))
-    with pytest.raises(InputError, match="one_step_revisits, which tracks a target"):
-        plan_of("one_step_revisits", terms_problem(LEARNING), situation, belief)
 
 
 def test_unaware_plans_as_if_the_threshold_were_nothing():

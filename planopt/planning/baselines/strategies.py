@@ -16,12 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.place_tree import PlaceTree
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
-from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
-from planopt.objectives.measuring import SAME_PLACE_M
 from planopt.planning.baselines.baseline import released
 from planopt.planning.history import BEGINNING
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -33,7 +30,6 @@ from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem
-from planopt.targets.sensor import sensing_information
 
 EDGE_STD_DB = 0.1
 """Deviation of power at the edge of a disc: connection is certain or ruled out but for a rim of
@@ -69,27 +65,6 @@ def require_tracking(problem: Problem) -> None:
             key="planner.name",
             remedy="use auto",
         )
-
-
-def remembered_reward(situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the information that the last step of paths (c, N, 2) is expected to send; ``(c,)``.
-
-    Multipath keeps its value at a place. Nearer than the measuring distance to an earlier
-    measurement a packet therefore arrives if what was measured reaches the threshold, and else not.
-    """
-    ends, stage = ways_m[:, -1], ways_m.shape[1] - 1
-    power, threshold = situation.power(ends), situation.thresholds_dbm[0]
-    chance = connection_probability(power.mean_db, power.deviation_db, threshold)
-    measured = situation.posterior.measurements
-    if len(measured):
-        nearest, away = PlaceTree(measured.positions_m).nearest(ends, 1)
-        known = away[:, 0] < max(situation.problem.channel.measure_spacing_m, SAME_PLACE_M)
-        chance = np.where(known, measured.power_dbm[nearest[:, 0]] >= threshold, chance)
-    target = situation.target_m
-    if target is None:
-        raise AssertionError("tracking has a target")
-    sensor = next(term.sensor for term in situation.problem.terms if term.sensor is not None)
-    return chance * sensing_information(sensor, ends, target[stage])
 
 
 class StrategyPlanner:

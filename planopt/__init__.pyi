@@ -27,7 +27,7 @@ from planopt.problems.settings import PlannerSettings as PlannerSettings
 from planopt.problems.target import Target as Target
 from planopt.studies.compare import compare as compare
 from planopt.studies.comparison import Comparison as Comparison
-from planopt.studies.comparison_files import load_result as load_result
+from planopt.studies.comparison import load_result as load_result
 from planopt.world.moving_obstacle import MovingObstacle as MovingObstacle
 from planopt.world.obstacle_sources import obstacles_from as obstacles_from
 from planopt.world.workspace import Obstacle as Obstacle

@@ -89,7 +89,7 @@ def compare(
     from planopt.report.comparison_table import comparison_text
     from planopt.studies.compare import compare as compared
     from planopt.studies.compare import exit_code
-    from planopt.studies.comparison_files import (
+    from planopt.studies.comparison import (
         COMPARISON,
         comparison_json,
         no_comparison_json,
@@ -157,7 +157,7 @@ def compare(
 
 def _where_all_is(folder: Path | None) -> str:
     """Say where every number is, with its interval."""
-    from planopt.studies.comparison_files import COMPARISON_FILE
+    from planopt.studies.comparison import COMPARISON_FILE
 
     words = "all numbers with their intervals:"
     if folder is None:

@@ -22,17 +22,17 @@ from planopt.report.style import (
     plain_log_ticks,
 )
 from planopt.report.tables import BAND_ENDS, BANDS, interval_words, metric_name
-from planopt.studies.comparison import (
-    Comparison,
+from planopt.studies.comparison import Comparison
+from planopt.studies.comparison_rows import (
     Row,
     has_horizon,
+    mean_interval,
     runs_by_setting,
     setting_of,
     setting_words,
     short_keys,
     sweep_words,
 )
-from planopt.studies.comparison_rows import mean_interval
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence

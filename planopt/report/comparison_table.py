@@ -15,8 +15,8 @@ from planopt.report.tables import (
     metric_name,
     reliability_lines,
 )
-from planopt.studies.comparison import (
-    Comparison,
+from planopt.studies.comparison import Comparison
+from planopt.studies.comparison_rows import (
     Row,
     has_horizon,
     setting_of,

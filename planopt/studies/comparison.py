@@ -1,80 +1,53 @@
-"""A paired comparison of horizons, planners and costs to go over the same seeds: its data."""
+"""A paired comparison of settings over the same seeds, and the folder that it is saved in."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-import numpy as np
-
-from planopt.channel.validation.calibration import ReliabilityBin, reliability
-from planopt.errors import A_FOLDER, path_of
-from planopt.planning.run import RunSummary
-from planopt.problems.planner_kinds import OWN
+from planopt.channel.validation.calibration import ReliabilityBin
+from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
+from planopt.files.regular import read_text
+from planopt.files.result_folder import replaced_results
+from planopt.files.typed_json import decoded, encoded
+from planopt.files.whole import strict_text, write_text, write_whole
+from planopt.planning.check.check import load_result as load_plan_or_run
+from planopt.planning.files.record import finite
+from planopt.planning.files.run_json import reliability_json, summary_json
+from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
+from planopt.planning.files.steps_file import require_pandas
+from planopt.planning.run import Run, RunSummary
+from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
-from planopt.problems.systems import SystemProblem
+from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.problems.systems import SystemProblem, system_from_tables
 from planopt.short_repr import short_repr
+from planopt.studies.comparison_rows import (
+    Row,
+    comparison_rows,
+    runs_by_setting,
+    runs_reliability,
+)
+from planopt.studies.study import cpu_name, digest_of_tables, program
 
+COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE = "comparison.json", "manifest.json", "runs.jsonl"
+PARQUET_FILE = "runs.parquet"
 
-@dataclass(frozen=True)
-class Row:
-    """One metric of one setting over all seeds.
+COMPARISON = (
+    *(COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE, PARQUET_FILE),
+    *("comparison.png", "reliability.png", "traces.png"),
+)
+"""The files of a comparison with its pictures."""
 
-    Attributes
-    ----------
-    horizon, planner, cost_to_go
-        The setting.
-    seeds
-        How many runs.
-    stalled
-        How many of them did not do what the problem asks: reach the goal, connect, go on.
-    metric
-        Its name (`goal_time_s`, `true_connected_share`, ...).
-    mean, ci_low, ci_high
-        Mean over the runs for which the metric exists and its 95 % Student interval, cut to the
-        values that the metric can have; None if there is none. With fewer than five runs the
-        interval is None.
-    count
-        How many runs the mean is over: `goal_time_s` exists only where the goal was reached.
-    paired_ratio
-        Geometric mean over seeds of this metric divided by that of the reference setting (the
-        first), where both exist and are positive; None otherwise.
-    verified_rate
-        Share of released steps that were verified, over all runs; None where nothing is verified.
-    p50_step_s, p95_step_s
-        Median and 95 % quantile of the planning time of a step, over all runs; None without steps.
-    paired_difference, difference_low, difference_high
-        Mean over seeds of this metric less that of the reference setting, where both exist, and
-        its 95 % Student interval; None if there is none. Metrics in dB have no ratios.
-    ratio_low, ratio_high
-        95 % Student interval of the paired ratio, over logarithms; None if there is none.
-    problem, sweep
-        Name of the problem, and what was changed of it.
-    """
-
-    horizon: int
-    planner: str
-    cost_to_go: str | None
-    seeds: int
-    stalled: int
-    metric: str
-    mean: float | None
-    ci_low: float | None
-    ci_high: float | None
-    count: int
-    paired_ratio: float | None
-    verified_rate: float | None
-    p50_step_s: float | None
-    p95_step_s: float | None
-    paired_difference: float | None = None
-    difference_low: float | None = None
-    difference_high: float | None = None
-    ratio_low: float | None = None
-    ratio_high: float | None = None
-    problem: str = ""
-    sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
+REMEDY = "run the comparison again"
 
 
 @dataclass(frozen=True)
@@ -123,8 +96,6 @@ class Comparison:
         InputError
             A problem has parts from Python, which no file can hold, or pyarrow is missing.
         """
-        from planopt.studies.comparison_files import save_comparison
-
         save_comparison(self, path_of("folder", folder, A_FOLDER), parquet=parquet)
 
     def to_dataframe(self) -> Any:
@@ -135,9 +106,6 @@ class Comparison:
         InputError
             pandas is not installed.
         """
-        from planopt.planning.files.steps_file import require_pandas
-        from planopt.studies.comparison_files import run_columns
-
         return require_pandas().DataFrame(run_columns(self))
 
     @property
@@ -146,78 +114,226 @@ class Comparison:
         return runs_reliability(self.runs)
 
 
-def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
-    """Tabulate predicted against true connection over the steps of runs.
+def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = False) -> None:
+    """Save a comparison; :func:`load_result` reads it."""
+    if parquet:
+        require_pyarrow()
+    tables = [_tables(problem) for problem in (comparison.problem, *comparison.others)]
+    data = {**comparison_json(comparison), "problem_file": tables[0], "other_problems": tables[1:]}
+    with replaced_results(folder, COMPARISON) as new:
+        write_text(new / RUNS_FILE, "".join(_run_line(run) for run in comparison.runs))
+        write_text(new / MANIFEST_FILE, strict_text(manifest(comparison, tables)))
+        if parquet:
+            write_whole(new / PARQUET_FILE, lambda path: _write_parquet(comparison, path))
+        write_text(new / COMPARISON_FILE, strict_text(data))
 
-    Runs of one seed share a channel and are one group, whatever their settings.
+
+def save_no_comparison(problem: Problem | SystemProblem, message: str, folder: Path) -> None:
+    """Save that there is no plan, in place of what there was."""
+    data = {**no_comparison_json(problem.name, message), "problem_file": _tables(problem)}
+    with replaced_results(folder, COMPARISON) as new:
+        write_text(new / COMPARISON_FILE, strict_text(data))
+
+
+def load_result(path: Path | str) -> Solution | Run | Comparison:
+    """Read a plan, run or comparison that a command or a result's ``save`` has saved.
+
+    Predictions, certificates, metrics and tables are computed again from what is saved. Whether the
+    files of a plan or run say the same is for :func:`planopt.check` to judge.
+
+    Parameters
+    ----------
+    path
+        The folder, or its ``plan.json``, ``run.json`` or ``comparison.json``.
+
+    Returns
+    -------
+    Solution | Run | Comparison
+        As what the folder holds. Files have no constraint multipliers, and of the plans of a run
+        neither wall times nor iterations: these are empty or zero.
+
+    Raises
+    ------
+    InputError
+        A file is missing, damaged, or contradicts the others.
+    NoPlanError
+        The folder says that there is no plan.
+
+    Examples
+    --------
+    >>> import planopt, tempfile
+    >>> solution = planopt.solve(planopt.load("open_field"), horizon=2)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     solution.save(folder)
+    ...     planopt.load_result(folder).plan.objective == solution.plan.objective
+    True
     """
-    seeds = [np.full(len(run.connectivity), run.seed, dtype=np.intp) for run in runs]
-    return reliability(
-        np.concatenate([run.connectivity for run in runs]),
-        np.concatenate([run.connected for run in runs]),
-        np.concatenate(seeds),
-    )
+    given = path_of("path", path, "give the folder that a result was saved in")
+    folder = given.parent if given.name == COMPARISON_FILE else given
+    others = (folder / name for name in (PLAN_FILE, RUN_FILE))
+    named = given.name == COMPARISON_FILE
+    if named or ((folder / COMPARISON_FILE).is_file() and not any(map(Path.is_file, others))):
+        return _load_comparison(folder)
+    return load_plan_or_run(given)
 
 
-def runs_by_setting(runs: Sequence[RunSummary]) -> list[list[RunSummary]]:
-    """Divide runs by their settings, in the order in which these occur."""
-    found: dict[Hashable, list[RunSummary]] = {}
-    for run in runs:
-        found.setdefault(setting_of(run), []).append(run)
-    return list(found.values())
+def _load_comparison(folder: Path) -> Comparison:
+    file = folder / COMPARISON_FILE
+    try:
+        data = json.loads(read_text(file))
+        if data["outcome"] == "no_plan":
+            raise NoPlanError(str(data["message"]))
+        problems = [
+            _problem(each, file) for each in (data["problem_file"], *data["other_problems"])
+        ]
+        wall_s, resumed = float(data["wall_s"]), int(data["resumed"])
+        file = folder / RUNS_FILE
+        runs = tuple(_run(line) for line in read_text(file).splitlines())
+        if not runs:
+            raise InputError("has no run", file=file, remedy=REMEDY)
+        rows = tuple(comparison_rows(runs))
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+        raise InputError(f"cannot be read: {error!r}", file=file, remedy=REMEDY) from None
+    return Comparison(problems[0], runs, rows, wall_s, resumed, tuple(problems[1:]))
 
 
-def setting_of(one: RunSummary | Row) -> tuple[str, str, str | None, str, int]:
-    """Return what tells settings apart: problem, sweep, cost to go, planner and horizon."""
-    return one.problem, sweep_words(one), one.cost_to_go, one.planner, one.horizon
+def _tables(problem: Problem | SystemProblem) -> dict[str, Any]:
+    return problem_to_dict(problem) if isinstance(problem, Problem) else problem.tables()
 
 
-def has_horizon(one: RunSummary | Row) -> bool:
-    """Return whether a setting's horizon matters: bounds foresee the whole run, whatever it is."""
-    kind = OWN.get(one.planner)
-    return kind is None or not kind.foresees
+def _problem(tables: Any, file: Path) -> Problem | SystemProblem:
+    found = system_from_tables(tables, folder=file.absolute().parent, file=file)
+    return problem_from_dict(tables, file=file) if found is None else found
 
 
-def sweep_words(
-    one: RunSummary | Row, left_out: str | None = None, names: Mapping[str, str] | None = None
-) -> str:
-    """Return the changed keys of a setting with their values, in words."""
-    called = names or {}
-    return ", ".join(
-        f"{called.get(key, key)} = {value}" for key, value in one.sweep.items() if key != left_out
-    )
+def _run_line(run: RunSummary) -> str:
+    """A line of JSON: numbers that do not exist are null."""
+    data = encoded(run)
+    data["metrics"] = {name: None if v == "nan" else v for name, v in data["metrics"].items()}
+    data["verified_rate"] = finite(run.verified_rate)
+    return strict_text(data)
 
 
-def setting_words(
-    one: RunSummary | Row, names: Mapping[str, str], *, several_problems: bool
-) -> str:
-    """Return a setting in words; parameters as of :func:`sweep_words`."""
-    own = {
-        "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost to go",
-        "planner.name": f"planner {one.planner}",
-        "planner.horizon": f"horizon {one.horizon}" if has_horizon(one) else None,
-    }
-    parts = (
-        one.problem if several_problems else None,
-        sweep_words(one, names=names),
-        *(words for key, words in own.items() if key not in one.sweep),
-    )
-    return ", ".join(part for part in parts if part)
+def _run(line: str) -> RunSummary:
+    data = json.loads(line)
+    data["metrics"] = {name: "nan" if v is None else v for name, v in data["metrics"].items()}
+    if data["verified_rate"] is None:
+        data["verified_rate"] = "nan"
+    # Comparisons that were saved before there were any.
+    data.setdefault("traces", {})
+    return decoded(RunSummary, data)
 
 
-def short_keys(settings: Iterable[RunSummary | Row]) -> dict[str, str]:
-    """Return the swept keys with as many of their last parts as tell them apart."""
-    keys = list(dict.fromkeys(key for one in settings for key in one.sweep))
-    if len(keys) < 2:
-        return {key: key for key in keys}
-    ends = {key: [key.split(".")[-n:] for n in range(1, key.count(".") + 2)] for key in keys}
+def comparison_json(comparison: Comparison) -> dict[str, Any]:
+    """Return the JSON keys of ``compare``."""
     return {
-        key: ".".join(
-            next(
-                end
-                for end in ends[key]
-                if end == ends[key][-1] or sum(end in ends[other] for other in keys) == 1
-            )
-        )
-        for key in keys
+        "problem": comparison.problem.name,
+        "outcome": "compared",
+        "rows": [_row_json(row) for row in comparison.rows],
+        "reliability": {
+            "all": reliability_json(comparison.reliability),
+            "settings": [
+                {
+                    "problem": runs[0].problem,
+                    "sweep": runs[0].sweep,
+                    "horizon": runs[0].horizon,
+                    "planner": runs[0].planner,
+                    "cost_to_go": runs[0].cost_to_go,
+                    "bins": reliability_json(runs_reliability(runs)),
+                }
+                for runs in runs_by_setting(comparison.runs)
+            ],
+        },
+        "runs": [
+            {"problem": run.problem, "sweep": run.sweep, **summary_json(run)}
+            for run in comparison.runs
+        ],
+        "wall_s": finite(comparison.wall_s),
+        "resumed": comparison.resumed,
+        "message": "",
     }
+
+
+def no_comparison_json(name: str, message: str) -> dict[str, Any]:
+    """The same keys where there provably is no plan; `message` says why."""
+    return {
+        "problem": name,
+        "outcome": "no_plan",
+        "rows": [],
+        "reliability": {"all": [], "settings": []},
+        "runs": [],
+        "wall_s": None,
+        "resumed": 0,
+        "message": message,
+    }
+
+
+def _row_json(row: Row) -> dict[str, Any]:
+    table = asdict(row)
+    return {name: finite(v) if isinstance(v, float) else v for name, v in table.items()}
+
+
+def manifest(comparison: Comparison, tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return all that a reader needs to make the same runs: program, machine, seeds, settings."""
+    settings = runs_by_setting(comparison.runs)
+    return {
+        "program": dict(program()),
+        "python": platform.python_version(),
+        "machine": {
+            "cpu": cpu_name(),
+            "cores": os.cpu_count(),
+            "system": platform.platform(),
+        },
+        "problems": [
+            {"name": each["problem"]["name"], "sha256": digest_of_tables(each)} for each in tables
+        ],
+        "settings": [
+            {
+                "problem": runs[0].problem,
+                "sweep": runs[0].sweep,
+                "horizon": runs[0].horizon,
+                "planner": runs[0].planner,
+                "cost_to_go": runs[0].cost_to_go,
+            }
+            for runs in settings
+        ],
+        "seeds": [run.seed for run in settings[0]],
+        "runs": len(comparison.runs),
+        "wall_s": finite(comparison.wall_s),
+        "resumed": comparison.resumed,
+    }
+
+
+def run_columns(comparison: Comparison) -> dict[str, list[Any]]:
+    """Return the runs as columns: a row for each, with a column for each swept key and metric."""
+    runs = comparison.runs
+    swept = dict.fromkeys(key for run in runs for key in run.sweep)
+    metrics = dict.fromkeys(name for run in runs for name in run.metrics)
+    columns: dict[str, list[Any]] = {"problem": [run.problem for run in runs]}
+    for key in swept:
+        values = [run.sweep.get(key) for run in runs]
+        kinds = {type(value).__name__ for value in values if value is not None}
+        plain = len(kinds) == 1 and not kinds & {"list", "dict"}
+        columns[key] = (
+            values if plain else [None if each is None else json.dumps(each) for each in values]
+        )
+    for name in ("horizon", "planner", "cost_to_go", "seed", "outcome", "reason", "exit_code"):
+        columns[name] = [getattr(run, name) for run in runs]
+    columns["verified_rate"] = [float(run.verified_rate) for run in runs]
+    for name in metrics:
+        columns[name] = [float(run.metrics.get(name, math.nan)) for run in runs]
+    columns["steps"] = [len(run.step_s) for run in runs]
+    columns["step_s"] = [run.step_s.tolist() for run in runs]
+    return columns
+
+
+def require_pyarrow() -> None:
+    """Raise an InputError that says what to install if pyarrow is missing."""
+    if find_spec("pyarrow") is None:
+        raise InputError("Parquet files need pyarrow", remedy="pip install 'planopt[parquet]'")
+
+
+def _write_parquet(comparison: Comparison, path: Path) -> None:
+    arrow = cast("Any", import_module("pyarrow"))
+    parquet = cast("Any", import_module("pyarrow.parquet"))
+    parquet.write_table(arrow.table(run_columns(comparison)), path)

@@ -13,6 +13,7 @@ import hashlib
 import json
 import logging
 import os
+import platform
 import signal
 import sys
 import threading
@@ -134,6 +135,18 @@ def program() -> tuple[tuple[str, str], ...]:
         ("source", _digest(source)),
         *((name, version(name)) for name in LIBRARIES),
     )
+
+
+def cpu_name() -> str:
+    """Return the processor's name, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    for line in lines:
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
 
 
 def _digest(content: bytes) -> str:

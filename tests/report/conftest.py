@@ -28,7 +28,8 @@ from planopt.problems.objective import ReachObjective
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
-from planopt.studies.comparison import Comparison, Row
+from planopt.studies.comparison import Comparison
+from planopt.studies.comparison_rows import Row
 from planopt.world.raster import Raster
 from planopt.world.workspace import Obstacle, Workspace
 

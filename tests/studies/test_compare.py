@@ -16,8 +16,8 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Metrics, Outcome
 from planopt.planning.run import summary_of
 from planopt.studies.compare import compare
-from planopt.studies.comparison import Comparison, Row
-from planopt.studies.comparison_rows import log_ratios, mean_interval, tabulate
+from planopt.studies.comparison import Comparison
+from planopt.studies.comparison_rows import Row, log_ratios, mean_interval, tabulate
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6
 TIMES = {"p50_step_s", "p95_step_s"}

@@ -20,8 +20,8 @@ from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.report.comparison_figure import axis_of, draw_comparison
 from planopt.report.comparison_table import comparison_text
-from planopt.studies.comparison import Comparison, short_keys
-from planopt.studies.comparison_files import run_columns
+from planopt.studies.comparison import Comparison, run_columns
+from planopt.studies.comparison_rows import short_keys
 from planopt.studies.study import run_key
 from planopt.studies.variants import settings_of
 

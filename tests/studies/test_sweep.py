@@ -251,7 +251,7 @@ def test_as_a_table(comparison, tmp_path: Path) -> None:
 
 def test_parquet_without_pyarrow(comparison, tmp_path: Path, monkeypatch) -> None:
     """It is said before anything is written."""
-    monkeypatch.setattr("planopt.studies.comparison_files.find_spec", lambda name: None)
+    monkeypatch.setattr("planopt.studies.comparison.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"planopt\[parquet\]"):
         comparison.save(tmp_path / "out", parquet=True)
     assert not (tmp_path / "out").exists()

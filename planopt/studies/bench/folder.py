@@ -29,7 +29,7 @@ from planopt.problems.load import load
 from planopt.studies.bench.cases import Case
 from planopt.studies.bench.references import OBJECTIVE_SHARE
 from planopt.studies.bench.row import Row, answer, key_of, start_of
-from planopt.studies.study import FinishedRuns, Study, program, run_key, run_study
+from planopt.studies.study import FinishedRuns, Study, cpu_name, program, run_key, run_study
 
 MANIFEST, ROWS, TABLE = "bench.json", "rows", "rows.csv"
 
@@ -66,7 +66,7 @@ def manifest_of(problems: Sequence[str]) -> Manifest:
     return Manifest(
         program=dict(program()),
         python=platform.python_version(),
-        cpu=_cpu_name(),
+        cpu=cpu_name(),
         cores=os.cpu_count() or 1,
         tolerances={**known, "objective_share": OBJECTIVE_SHARE},
         problems={name: _problem_digest(name) for name in problems},
@@ -183,15 +183,3 @@ def _cell(value: object) -> object:
     if isinstance(value, tuple):
         return "; ".join(str(part) for part in value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
     return value
-
-
-def _cpu_name() -> str:
-    """Return the processor's name, as far as the system tells."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    for line in lines:
-        if line.startswith("model name"):
-            return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

@@ -1,6 +1,6 @@
 # make demo   the main job, end to end, with pictures in demo/
 # make test   everything that is checked: style, types, imports, tests with coverage
-# make quick  the tests but for the slowest fifth
+# make quick  the tests of what has changed since the last commit but one, for half a minute
 # make bench  the benchmarks        make docs   the documentation in docs/_build/html
 # make regression  the fast share of the solver regression suite
 # make pictures  the pictures of README and documentation, drawn again
@@ -65,7 +65,7 @@ tests: $(VENV)/.installed-dev
 		--cov-fail-under=90 $(TEST_OPTIONS)
 
 quick: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n 2 --benchmark-disable -m "not slow and not long"
+	$(BIN)/python -m pytest -n 2 --maxschedchunk 4 --benchmark-disable --quick 25
 
 bench: $(VENV)/.installed-bench
 	$(BIN)/python -m pytest benchmarks --benchmark-sort=name $(BENCH_OPTIONS)

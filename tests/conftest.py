@@ -1,62 +1,82 @@
-"""Mark the slowest fifth of the tests ``long``: ``make quick`` runs the others.
+"""Run the tests of what has changed, in a given time: ``make quick``.
 
-``tests/long_tests.txt`` names them, a test function a line. All tests run with ``make tests
-TEST_OPTIONS=--record-long`` measure them again and write the file.
+With ``--quick SECONDS`` only the tests are collected that stand where the files that changed since
+the last commit but one do (``planopt/channel/maps/tile.py``: ``tests/channel/maps``), and the
+golden cases. The first test of every file runs, then the second of every file, and so on until the
+time is over. No list of tests has to be kept up to date.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
+import subprocess
+import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
-LONG_TESTS = Path(__file__).parent / "long_tests.txt"
-LONG_SHARE = 0.2
-SECONDS = pytest.StashKey[dict[str, float]]()
+TESTS = Path(__file__).parent
+ALWAYS = ("golden", "test_public.py", "test_imports.py")
+CHANGED = pytest.StashKey[frozenset[Path]]()
+BEGUN = pytest.StashKey[float]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option that writes the list."""
-    parser.addoption("--record-long", action="store_true", help=f"write {LONG_TESTS.name} anew")
+    """Add the option."""
+    parser.addoption("--quick", type=float, metavar="SECONDS", help="only what has changed")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Begin to add up times where they are asked for."""
-    if config.getoption("--record-long"):
-        config.stash[SECONDS] = defaultdict(float)
-        config.pluginmanager.register(Times(config.stash[SECONDS]))
+    """Start the clock, and find what has changed."""
+    if config.getoption("--quick") is not None:
+        config.stash[BEGUN] = time.monotonic()
+        config.stash[CHANGED] = changed_tests()
 
 
-class Times:
-    """Adds up how long each test function takes, over its cases and with its fixtures."""
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Collect only what has changed."""
+    chosen = config.stash.get(CHANGED, None)
+    if chosen is None or any(
+        one.is_relative_to(collection_path) or collection_path.is_relative_to(one) for one in chosen
+    ):
+        return None
+    return True
 
-    def __init__(self, seconds: dict[str, float]) -> None:
-        self._seconds = seconds
 
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Count one phase of one case."""
-        self._seconds[function_of(report.nodeid)] += report.duration
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the list, where it was asked for, from the process that all reports come to."""
-    seconds = session.config.stash.get(SECONDS, None)
-    if seconds is None or hasattr(session.config, "workerinput"):
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Take turns of all files."""
+    if config.getoption("--quick") is None:
         return
-    slowest = sorted(seconds, key=lambda name: -seconds[name])
-    names = sorted(slowest[: round(LONG_SHARE * len(slowest))])
-    LONG_TESTS.write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that the list names."""
-    names = set(LONG_TESTS.read_text(encoding="utf-8").splitlines())
+    taken: Counter[Path] = Counter()
+    turns: dict[pytest.Item, int] = {}
     for item in items:
-        if function_of(item.nodeid) in names:
-            item.add_marker(pytest.mark.long)
+        turns[item] = taken[item.path]
+        taken[item.path] += 1
+    items.sort(key=lambda item: turns[item])
 
 
-def function_of(node_id: str) -> str:
-    """The name of a test function from that of one of its cases, below ``tests``."""
-    return node_id.split("[")[0].removeprefix("tests/")
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test when the time is over."""
+    seconds = item.config.getoption("--quick")
+    if seconds is not None and time.monotonic() - item.config.stash[BEGUN] > seconds:
+        pytest.skip(f"{seconds:g} s are over")
+
+
+def changed_tests() -> frozenset[Path]:
+    """Return the folders and files of tests for all that has changed, as far as git tells."""
+    listed = subprocess.run(
+        ["git", "diff", "--name-only", "HEAD~1"],
+        cwd=TESTS,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    found = {TESTS / name for name in ALWAYS}
+    for name in listed.stdout.splitlines():
+        top, *parts = Path(name).parts
+        if top in ("planopt", "tests") and parts:
+            place = TESTS.joinpath(*parts)
+            while not place.exists():
+                place = place.parent
+            found |= {place} - {TESTS}
+    return frozenset(found)

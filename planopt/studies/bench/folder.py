@@ -142,7 +142,7 @@ def _is_possible(row: Row) -> bool:
 def rows_csv(rows: Sequence[Row]) -> str:
     """Return rows as a CSV table for people and other programs."""
     text = io.StringIO()
-    names = [part.name for part in fields(Row)]
+    names = [part.name for part in fields(Row) if part.name != "states"]
     table = csv.writer(text, lineterminator="\n")
     table.writerow(names)
     for row in rows:

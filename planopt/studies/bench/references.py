@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from planopt.errors import InputError
@@ -111,19 +111,11 @@ def write_references(references: References, file: Path) -> None:
 
 def reference_of(row: Row, made_by: str) -> Reference:
     """Return a row as a reference."""
-    objective = None if row.objective is None else float(f"{row.objective:.{DIGITS}g}")
-    return Reference(
-        **{name: getattr(row, name) for name in Question.__dataclass_fields__},
-        planner=row.planner,
-        sense=row.sense,
-        objective=objective,
-        verdict=row.verdict,
-        outcome=row.outcome,
-        rungs=row.rungs,
-        cpu_s=round(row.cpu_s, 2),
-        made_by=made_by,
-        states=row.states,
-    )
+    names = [part.name for part in fields(Reference) if part.name != "made_by"]
+    kept = {name: getattr(row, name) for name in names}
+    if row.objective is not None:
+        kept["objective"] = float(f"{row.objective:.{DIGITS}g}")
+    return Reference(**{**kept, "cpu_s": round(row.cpu_s, 2)}, made_by=made_by)
 
 
 def frozen(
@@ -192,7 +184,9 @@ def regressions(row: Row, reference: Reference) -> list[str]:
             found.append(
                 f"objective {row.objective:.6g}, was {reference.objective:.6g}: {share:.1%} worse"
             )
-    return [f"{row.case}: {words}" for words in _with_reasons(found, row.reasons)]
+    if found and row.reasons:
+        found[0] += f" ({'; '.join(row.reasons[:3])})"
+    return [f"{row.case}: {words}" for words in found]
 
 
 def improvement(row: Row, reference: Reference) -> str | None:
@@ -256,10 +250,3 @@ def judged(
         worse += regressions(row, reference)
         better += [words for words in (improvement(row, reference),) if words is not None]
     return worse, better
-
-
-def _with_reasons(found: list[str], reasons: Sequence[str]) -> list[str]:
-    """Add what the check or the error says to the first of the words."""
-    if not found or not reasons:
-        return found
-    return [f"{found[0]} ({'; '.join(reasons[:3])})", *found[1:]]

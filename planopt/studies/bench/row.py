@@ -7,7 +7,7 @@ import math
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -55,26 +55,26 @@ class Row:
     planner: str
     sense: str  # max or min: whether more or less of the objective is better
     # Of a plan its objective, of a run the mean over its plans; None without a value
-    objective: float | None
+    objective: float | None = None
     # As the planner says; of a run the worst, and how often each fallback released a step
-    verdict: str
-    termination: str
-    rungs: dict[str, int]
-    outcome: str  # planned, no_plan or error
+    verdict: str = Verdict.NONE.value
+    termination: str = ""
+    rungs: dict[str, int] = field(default_factory=dict[str, int])
+    outcome: str = ""  # planned, no_plan or error
     # Whether planopt check agrees, from the files alone; None where there is nothing to judge
-    accepted: bool | None
-    reasons: tuple[str, ...]  # Objections of the check, or the error
-    iterations: int  # Of the solver, its time, and the time of planning
-    solve_s: float
-    wall_s: float
+    accepted: bool | None = None
+    reasons: tuple[str, ...] = ()  # Objections of the check, or the error
+    iterations: int = 0  # Of the solver, its time, and the time of planning
+    solve_s: float = 0.0
+    wall_s: float = 0.0
     # Processor time of the case, without drawing the channel, fitting it and building the scene
-    cpu_s: float
-    steps: int  # Plans that were made, one a step and robot
-    path_digest: str  # Of all places, to the millimetre: the same digest is the same path
-    states: States = ()  # Of a run: where its robots were after each step
+    cpu_s: float = 0.0
+    steps: int = 0  # Plans that were made, one a step and robot
+    path_digest: str = ""  # Of all places, to the millimetre: the same digest is the same path
     kkt_residual: float | None = None  # Of the certificate; of a run None
     min_clearance_m: float | None = None
     min_connectivity: float | None = None
+    states: States = ()  # Of a run: where its robots were after each step
 
     @property
     def question(self) -> Question:
@@ -142,30 +142,9 @@ def answer(case: Case, start: Start) -> Row:
 
 def _nothing(case: Case, problem: Problem) -> Row:
     """Return the row of a case without an answer."""
-    question = case.question
-    is_run = question.kind == RUN
-    return Row(
-        problem=question.problem,
-        kind=question.kind,
-        cost_to_go=question.cost_to_go,
-        horizon=question.horizon,
-        seed=question.seed,
-        planner=case.planner,
-        sense=problem.sense,
-        objective=None,
-        verdict=Verdict.NONE.value,
-        termination="" if is_run else Termination.NO_PATH.value,
-        rungs={},
-        outcome="",
-        accepted=None,
-        reasons=(),
-        iterations=0,
-        solve_s=0.0,
-        wall_s=0.0,
-        cpu_s=0.0,
-        steps=0,
-        path_digest="",
-    )
+    no_path = "" if case.question.kind == RUN else Termination.NO_PATH.value
+    question = asdict(case.question)
+    return Row(**question, planner=case.planner, sense=problem.sense, termination=no_path)
 
 
 def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:

@@ -178,7 +178,6 @@ CASES: dict[str, tuple[Any, ...]] = {
         plan,
         "outdoor_map",
         {
-            RULE: "stated_times",
             "constraints.p_min": 0.9999,
             "constraints.connected_times_s": [2.0, 4.0],
         },

@@ -22,11 +22,8 @@ def check(
     """Audit saved results from their files alone. Exit code 0 agrees, 3 rejects."""
     from planopt.planning.certificate import excused_in_words, excused_steps
     from planopt.planning.check.check import check as judge
-    from planopt.planning.files.solution_json import (
-        certificate_json,
-        excused_json,
-        no_certificate_json,
-    )
+    from planopt.planning.files.record import plain
+    from planopt.planning.files.solution_json import certificate_json, no_certificate_json
     from planopt.planning.plan import Verdict
 
     with progress("checking"):
@@ -42,7 +39,7 @@ def check(
     data = {
         "verdict": result.verdict.value,
         "certificate": certificate,
-        "excused": excused_json(excused),
+        "excused": plain(excused),
         "reasons": list(result.reasons),
         "remarks": list(result.remarks),
     }

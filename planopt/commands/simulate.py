@@ -31,7 +31,7 @@ def simulate(asked: Asked) -> int:
     from planopt.planning.files.run_json import no_run_json, run_json
     from planopt.planning.files.saved import PLAN_OR_RUN, RUN_FILE, save_no_plan, save_run
     from planopt.planning.loop.closed_loop import simulate as drive
-    from planopt.planning.run import exit_code
+    from planopt.planning.run_summary import exit_code
 
     problem, seed = asked.problem, asked.seed
     with results_folder(asked.out) as folder:

@@ -115,9 +115,10 @@ class Solution:
         InputError
             pandas is not installed.
         """
-        from planopt.planning.files.steps_file import joined_steps, steps_dataframe, steps_of_plan
+        from planopt.files.tables import dataframe
+        from planopt.planning.files.run_tables import step_columns, steps_of_plans
 
-        return steps_dataframe(joined_steps([steps_of_plan(plan) for plan in self.plans]))
+        return dataframe(step_columns(self.problem), steps_of_plans(self.problem, self.plans))
 
 
 def exit_code(solution: Solution) -> int:

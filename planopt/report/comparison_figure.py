@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from planopt.planning.run import RunSummary
+    from planopt.planning.run_summary import RunSummary
 
 SPREAD = 0.6
 """Width that the settings of one horizon share, in distances between horizons."""

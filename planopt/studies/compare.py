@@ -15,7 +15,7 @@ from planopt.parts import parts_of
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.prepare import Prepared, prepare
-from planopt.planning.run import RunSummary, summary_of
+from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scenes
 from planopt.problems.problem import Problem
 from planopt.problems.systems import Request, SystemProblem, system_from_tables

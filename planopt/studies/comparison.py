@@ -17,14 +17,15 @@ from planopt.channel.validation.calibration import ReliabilityBin
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
 from planopt.files.regular import read_text
 from planopt.files.result_folder import replaced_results
+from planopt.files.tables import require_pandas
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text, write_whole
 from planopt.planning.check.check import load_result as load_plan_or_run
 from planopt.planning.files.record import finite
 from planopt.planning.files.run_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
-from planopt.planning.files.steps_file import require_pandas
-from planopt.planning.run import Run, RunSummary
+from planopt.planning.run import Run
+from planopt.planning.run_summary import RunSummary
 from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict

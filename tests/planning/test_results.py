@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planopt.planning.files.steps_file import joined_steps, steps_of_plan, steps_of_run, steps_text
 from team_scene import two_trackers
 
 import planopt
 from planopt import Run, Solution
 from planopt.planning.files.saved import save_no_plan
 from planopt.planning.files.solution_json import no_plan_json
-from planopt.planning.files.steps_file import joined_steps, steps_of_plan, steps_of_run, steps_text
 
 
 @pytest.fixture(scope="module")

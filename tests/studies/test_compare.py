@@ -14,7 +14,7 @@ from planopt.errors import InputError
 from planopt.planning.loop.clairvoyant import COSTS as COST_METRICS
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Metrics, Outcome
-from planopt.planning.run import summary_of
+from planopt.planning.run_summary import summary_of
 from planopt.studies.compare import compare
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import Row, log_ratios, mean_interval, tabulate

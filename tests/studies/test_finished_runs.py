@@ -12,7 +12,7 @@ import pytest
 
 from planopt import load
 from planopt.files.whole import write_whole
-from planopt.planning.run import RunSummary
+from planopt.planning.run_summary import RunSummary
 from planopt.problems.load import problem_from_tables
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_to_dict

@@ -17,7 +17,7 @@ from planopt.cli import main
 from planopt.commands.compare import asked_seeds, swept
 from planopt.files.typed_json import encoded
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.run import RunSummary, summary_of
+from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.problems import FunctionTruth
 from planopt.problems.overrides import with_changes
 from planopt.report.comparison_figure import axis_of, draw_comparison, looks_of

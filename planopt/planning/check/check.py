@@ -1,50 +1,42 @@
-"""Judge a saved plan or run again from its files alone, or read it back as an object.
+"""Judge a saved plan or run from its files alone, or read it back as an object.
 
-Nothing the planner computed is taken for granted: places come from ``steps.csv``, the ground truth
-from the problem and the seed, the channel is fitted and conditioned again on the saved
-measurements, and the verifier decides. From that everything that the files say is computed again
-and compared, key by key and cell by cell. A key that cannot be computed again, wall times for one,
-must at least fit the others; a key that is not known is rejected.
+The initial data are drawn again from problem and seed, the channel is fitted again, the saved
+trajectories are driven and verified again (:mod:`planopt.planning.check.replay`), and the document
+that results is compared with the saved one (:mod:`planopt.files.compare`).
 
-Nothing in a file proves that its problem is the one that was meant: a file with another ``p_min``
-asks another question. Its difference from the library's problem of that name is said; it is no
-reason to reject.
+Nothing in a file proves that its problem is the one that was meant. Its difference from the
+library's problem of that name is a remark, no reason to reject.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError, path_of
+from planopt.files.compare import DIGEST, differences, digest, in_words
+from planopt.files.tables import REMEDY, comparable
 from planopt.planning.certificate import Certificate, dearest, worst_result
-from planopt.planning.check.agreement import disagreements, in_words, without_searched
-from planopt.planning.check.check_belief import given_again, has_no_truth, learnt_again
-from planopt.planning.check.check_plan import check_plan, no_way_faults, rebuilt_solution
-from planopt.planning.check.check_plan import length_faults as plan_length_faults
-from planopt.planning.check.check_run import check_run, length_faults, rebuilt_run
-from planopt.planning.check.check_steps import label_reasons
+from planopt.planning.check.replay import Start, plan_reasons, replay_run, replay_solution, start_of
+from planopt.planning.check.replay_belief import belief_reasons
+from planopt.planning.files.belief_file import belief_of_plan, beliefs_of_run
 from planopt.planning.files.read_saved import Saved, read_object, read_saved, saved_from
-from planopt.planning.files.record import REMEDY
-from planopt.planning.files.run_json import RunRecord, no_run_json
-from planopt.planning.files.saved import FORMAT, PLAN_FILE
-from planopt.planning.files.solution_json import (
-    NoPlanRecord,
-    PlanRecord,
-    explanation_again,
-    no_plan_json,
-)
-from planopt.planning.given import Given, with_drawn_starts
-from planopt.planning.plan import Verdict
+from planopt.planning.files.run_json import no_run_json
+from planopt.planning.files.run_tables import STEPS_FILE, run_tables, steps_of_plans
+from planopt.planning.files.saved import FORMAT, PLAN_FILE, plan_data, run_data
+from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, no_plan_json
+from planopt.planning.given import with_drawn_starts
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
-from planopt.planning.team.reservations import least_of
+from planopt.planning.team.reservations import least_of, worst_of_robots
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_at, problem_of_robot
 from planopt.problems.save import problem_to_dict
 from planopt.problems.systems import judge_saved
 from planopt.short_repr import short_repr
@@ -69,7 +61,7 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
         return [f"{file}, key problem_file: cannot be compared with the library's: {error}"]
     said = _but_overrides(problem_to_dict(problem))
     remarks: list[str] = []
-    if has_no_truth(problem) and "truth" in meant["channel"]:
+    if problem.channel.truth is None and "truth" in meant["channel"]:
         remarks.append(
             f"{file}, key problem_file.channel: has no ground truth and no first measurements, as "
             f"where they are from Python; the library's {problem.name} has"
@@ -78,11 +70,8 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
             channel = {key: value for key, value in tables["channel"].items() if key != "truth"}
             measured = {k: v for k, v in channel["measurements"].items() if k != "count"}
             tables["channel"] = {**channel, "measurements": measured}
-    return remarks + in_words(
-        file,
-        disagreements(said, meant, "problem_file"),
-        f"in the library's {problem.name}",
-    )
+    found = differences(said, meant, "problem_file", accepted=frozenset())
+    return remarks + in_words(file, found, f"in the library's {problem.name}")
 
 
 def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
@@ -136,60 +125,105 @@ def check(path: Path | str) -> CheckResult:
     if judged is not None:
         return CheckResult(Verdict.VIOLATED if judged else Verdict.VERIFIED, (), tuple(judged))
     saved = saved_from(file, data)
-    problem, record, name = saved.problem, saved.record, saved.file.name
-    remarks = library_remarks(name, problem, record.seed)
-    if saved.former:
-        remarks.append(
-            f"{name} has the form of an earlier version, which the next version will not read"
-        )
-    if isinstance(record, NoPlanRecord):
+    name = saved.file.name
+    remarks = library_remarks(name, saved.problem, saved.record.seed)
+    if isinstance(saved.record, NoPlanRecord):
         return CheckResult(Verdict.NONE, (), tuple(_no_plan_reasons(saved)), tuple(remarks))
-    reasons = label_reasons(name, record)
-    if reasons:
-        return CheckResult(Verdict.VIOLATED, (), tuple(reasons), tuple(remarks))
-    given, more = given_again(problem, record.seed)
-    remarks += [*more, *_not_judged(saved, given)]
-    if isinstance(record, PlanRecord):
-        certificates, reasons = check_plan(saved, record, given)
-    else:
-        certificates, reasons = check_run(saved, record, given)
+    made = list[tuple[Plan, ...]]()
+    reasons = [f"{name}, {text}" for text in _unreplayable(saved)]
+    if not reasons:
+        try:
+            start = start_of(saved)
+        except InputError as error:
+            reasons = [f"{saved.beliefs[0].file.name}: the channel cannot be fitted again: {error}"]
+        else:
+            remarks += start.remarks
+            made, reasons = (_judged_plan if name == PLAN_FILE else _judged_run)(saved, start)
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
-    return CheckResult(verdict, tuple(certificates), tuple(reasons), tuple(remarks))
+    certificates = tuple(
+        worst_of_robots({plan.robot: plan.certificate for plan in plans}) for plans in made
+    )
+    return CheckResult(verdict, certificates, tuple(reasons), tuple(remarks))
 
 
-def _not_judged(saved: Saved, given: Given | None) -> list[str]:
-    """Return what only planning again, or the ground truth, could tell."""
-    remarks: list[str] = []
-    problem = saved.problem
-    if any(term.steers for term in problem.terms):
-        remarks.append(
-            "the ways that a term steers along (steering_m, steering_turns_m) are taken as they "
-            "stand"
-        )
-    if given is None and isinstance(saved.record, RunRecord) and problem.task != "reach":
-        remarks.append("knowledge.csv is taken as it stands, because there is no truth")
-    if saved.former and isinstance(saved.record, RunRecord) and problem.task == "reach":
-        remarks.append("costs are taken as they stand: that version charged steps by their ends")
-    return remarks
+def _unreplayable(saved: Saved) -> Iterator[str]:
+    """Yield labels that planopt never gives, and plans of another length than the problem's."""
+    horizon = saved.problem.planner.horizon
+    for number, plans in enumerate(saved.plans):
+        for step, plan in enumerate(plans):
+            key = f"robots[{number}]"
+            if saved.file.name != PLAN_FILE:
+                key = f"plans[{number}].released[{step}]"
+            labels: tuple[tuple[str, str, type[StrEnum]], ...] = (
+                ("termination", plan.termination, Termination),
+                ("rung", plan.rung, Rung),
+            )
+            for name, label, known in labels:
+                if label not in set(known):
+                    yield f'key {key}.{name}: "{label}", should be one of {", ".join(known)}'
+            if len(plan.path_m) != horizon + 1:
+                steps = len(plan.path_m) - 1
+                yield f"key {key}: has {steps} steps, planner.horizon is {horizon}"
+
+
+def _judged_plan(saved: Saved, start: Start) -> tuple[list[tuple[Plan, ...]], list[str]]:
+    """Return the plans found again, and every reason to reject what is said of them."""
+    solution = replay_solution(saved, start)
+    reasons = [
+        f"{plan.robot}: {reason}" if len(solution.plans) > 1 else reason
+        for number, plan in enumerate(solution.plans)
+        for reason in plan_reasons(problem_of_robot(saved.problem, number), plan)
+    ]
+    found = {STEPS_FILE: steps_of_plans(saved.problem, solution.plans)}
+    reasons += _document_reasons(saved, plan_data(solution), found)
+    reasons += belief_reasons(saved.beliefs[0], belief_of_plan(solution.belief), saved.record.seed)
+    return [solution.plans], reasons
+
+
+def _judged_run(saved: Saved, start: Start) -> tuple[list[tuple[Plan, ...]], list[str]]:
+    """Return the plans of each step found again, and every reason to reject the run."""
+    run = replay_run(saved, start)
+    reasons: list[str] = []
+    for number, plans in enumerate(run.plans):
+        for step, plan in enumerate(plans):
+            own = problem_of_robot(problem_at(saved.problem, step), number)
+            where = f"plans[{number}].released[{step}], the plan for step {step + 1}"
+            reasons += [
+                f"{saved.file.name}, key {where}: {reason}" for reason in plan_reasons(own, plan)
+            ]
+    if len(run.plans[0]) < len(saved.plans[0]):
+        late = f"the run goes on after step {len(run.plans[0])}, {run.reason}"
+        reasons.append(f"{saved.file.name}, key plans: {late}")
+    found = {name: table for name, (_, table) in run_tables(run).items()}
+    reasons += _document_reasons(saved, run_data(run), found)
+    for belief, arrays in zip(saved.beliefs, beliefs_of_run(run), strict=True):
+        reasons += belief_reasons(belief, arrays, saved.record.seed)
+    return list(zip(*run.plans, strict=True)), reasons
+
+
+def _document_reasons(saved: Saved, data: dict[str, Any], tables: dict[str, Any]) -> list[str]:
+    """Return the differences of JSON object and tables from those found again."""
+    # What was asked is not judged: library_remarks says what there is to say.
+    found = {**data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
+    reasons = in_words(saved.file.name, differences(saved.data, found))
+    for name, table in tables.items():
+        said = comparable(saved.tables[name])
+        reasons += in_words(name, differences(said, comparable(table)))
+    return reasons
 
 
 def _no_plan_reasons(saved: Saved) -> list[str]:
     """Return that there is nothing to judge, and what the file says besides that is not so."""
-    message, seed = str(saved.data["message"]), saved.record.seed
-    found: dict[str, Any] = {"format": FORMAT, "problem_file": saved.data["problem_file"]}
-    faults: list[str] = []
-    if saved.file.name == PLAN_FILE and isinstance(saved.record, NoPlanRecord):
-        explanation = explanation_again(saved.record.explanation)
-        found |= no_plan_json(saved.problem, seed, message, explanation)
-        faults = no_way_faults(saved.problem, explanation)
+    message, record = str(saved.data["message"]), saved.record
+    found: dict[str, Any]
+    if saved.file.name == PLAN_FILE and isinstance(record, NoPlanRecord):
+        found = no_plan_json(saved.problem, record.seed, message, record.explanation)
     else:
-        found |= {**no_run_json(saved.problem, seed, message), "plans": []}
-    said, meant = without_searched(saved.data), without_searched(found)
-    return [
-        f"there is no plan to judge: {message}",
-        *in_words(saved.file.name, disagreements(said, meant)),
-        *(f"{saved.file.name}, key {fault}" for fault in faults),
-    ]
+        found = {**no_run_json(saved.problem, record.seed, message), "plans": []}
+    found |= {"format": FORMAT, DIGEST: digest(saved.data)}
+    found |= {key: saved.data[key] for key in ("problem_file", "blocked") if key in saved.data}
+    words = in_words(saved.file.name, differences(saved.data, found))
+    return [f"there is no plan to judge: {message}", *words]
 
 
 def _worst(certificates: Sequence[Certificate]) -> Certificate:
@@ -221,16 +255,14 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
 def load_result(path: Path | str) -> Solution | Run:
     """Read a saved plan or run, as :func:`planopt.load_result` does."""
     saved = read_saved(Path(path))
-    record = saved.record
-    if isinstance(record, NoPlanRecord):
-        raise NoPlanError(record.message)
-    faults = label_reasons(saved.file.name, record)
-    is_plan = isinstance(record, PlanRecord)
-    faults += plan_length_faults(saved) if is_plan else length_faults(saved, record)
-    learnt, unfitted = learnt_again(saved.problem, saved.beliefs)
-    if faults or unfitted:
-        raise InputError([*faults, *unfitted][0], file=saved.file, remedy=REMEDY)
-    if is_plan:
-        return rebuilt_solution(saved, record, learnt[0])[0]
-    given, _ = given_again(saved.problem, record.seed)
-    return rebuilt_run(saved, record, learnt, () if given is None else given.truths).run
+    if isinstance(saved.record, NoPlanRecord):
+        raise NoPlanError(saved.record.message)
+    for fault in _unreplayable(saved):
+        raise InputError(fault, file=saved.file, remedy=REMEDY)
+    start = start_of(saved)
+    if isinstance(saved.record, PlanRecord):
+        return replay_solution(saved, start)
+    run = replay_run(saved, start)
+    if run.outcome.value != saved.record.outcome:
+        raise InputError(run.reason, file=saved.file, key="outcome", remedy=REMEDY)
+    return run

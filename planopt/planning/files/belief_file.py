@@ -11,10 +11,11 @@ The arrays of the first station have plain names; those of further stations begi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,13 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import ChannelPosterior, condition, extend
 from planopt.errors import InputError
 from planopt.files.npz import read_npz
+from planopt.files.tables import LARGEST, REMEDY
 from planopt.files.whole import write_whole
-from planopt.planning.files.record import LARGEST, REMEDY
+
+if TYPE_CHECKING:
+    from planopt.planning.run import Run
 
 
 @dataclass(frozen=True)
@@ -121,28 +124,69 @@ def station_prefix(station: int) -> str:
     return f"stations[{station}]." if station else ""
 
 
-def write_belief(
-    path: Path,
-    belief: Belief,
-    known_before_step: NDArray[np.int64],  # (steps,)
-    further_known: Sequence[NDArray[np.int64]] = (),
-) -> None:
-    """Save a belief, whole or not at all."""
-    arrays = belief_arrays(belief, known_before_step)
-    for station, (own, known) in enumerate(
-        zip(belief.further, further_known, strict=True), start=1
-    ):
-        prefix = station_prefix(station)
-        arrays |= {prefix + name: array for name, array in belief_arrays(own, known).items()}
+Arrays = dict[str, NDArray[Any]]
 
-    def write(temporary: Path) -> None:
+
+def write(path: Path, arrays: Arrays) -> None:
+    """Save arrays, whole or not at all."""
+
+    def write_to(temporary: Path) -> None:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
 
-    write_whole(path, write)
+    write_whole(path, write_to)
+
+
+def belief_of_plan(belief: Belief) -> Arrays:
+    """Return the arrays of what a plan was made from."""
+    return _of_stations(belief, lambda _own, _first: np.zeros(0, dtype=np.int64))
+
+
+def beliefs_of_run(run: Run) -> list[Arrays]:
+    """Return the arrays of each robot's belief, with what was known before each step."""
+    tracks = [one.log.positions_m for one in run.runs]
+    shared = run.problem.channel.share_measurements
+    return [
+        _of_stations(
+            belief,
+            partial(known_before_steps, tracks_m=tracks if shared else [track]),
+        )
+        for belief, track in zip(run.beliefs, tracks, strict=True)
+    ]
+
+
+def _of_stations(
+    belief: Belief, known: Callable[[Belief, int], NDArray[np.int64]]
+) -> dict[str, NDArray[Any]]:
+    return {
+        station_prefix(station) + name: array
+        for station, own in enumerate((belief, *belief.further))
+        for name, array in belief_arrays(own, known(own, own.fit.measurements)).items()
+    }
+
+
+def known_before_steps(
+    belief: Belief,
+    first: int,
+    tracks_m: Sequence[NDArray[np.float64]],  # (steps + 1, 2) each
+) -> NDArray[np.int64]:
+    """Return how many measurements each step was planned on; ``(steps,)``.
+
+    Measurements of the run are taken at the places driven to, in order, each place at most once
+    a visit; so going along both finds the step of each.
+    """
+    taken = belief.posterior.measurements.positions_m
+    count = first
+    known: list[int] = []
+    for places in list(zip(*tracks_m, strict=True))[1:]:
+        known.append(count)
+        for place in places:
+            if count < len(taken) and np.array_equal(taken[count], place):
+                count += 1
+    return np.array(known, dtype=np.int64)
 
 
 def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """Return what :func:`write_belief` writes, by name."""
+    """Return the arrays of one station."""
     fit, posterior = belief.fit, belief.posterior
     measurements = posterior.measurements
     return {
@@ -151,7 +195,7 @@ def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> dict[
         "censored": measurements.censored,
         **{name: getattr(measurements, name) for name in OPTIONAL_NAMES},
         "receiver": measurements.receiver,
-        **parameter_arrays(posterior.parameters),
+        **parameter_arrays(fit.parameters),
         "first_measurements": np.array(fit.measurements),
         "known_before_step": known_before_step,
         "theta": posterior.theta,
@@ -177,7 +221,7 @@ def parameter_arrays(parameters: ChannelParameters) -> dict[str, NDArray[Any]]:
 
 
 def read_belief(path: Path, stations: int = 1) -> SavedBelief:
-    """Read what :func:`write_belief` wrote of so many stations."""
+    """Read the belief about so many stations."""
     arrays = saved_arrays(path)
     further: list[SavedBelief] = []
     for station in range(1, stations):
@@ -222,47 +266,6 @@ def _saved(arrays: NpzArrays) -> SavedBelief:
         noise_variance_db2=noise,
         arrays=arrays.arrays,
     )
-
-
-def first_posterior(saved: SavedBelief) -> ChannelPosterior:
-    """Return what was believed before the first step."""
-    return condition(
-        saved.parameters,
-        saved.measurements.take(slice(saved.first)),
-        theta="known" if saved.theta_known else "estimated",
-    )
-
-
-def first_posteriors(saved: SavedBelief) -> tuple[ChannelPosterior, ...]:
-    """Return what was believed of each station before the first step."""
-    return tuple(first_posterior(own) for own in saved.stations)
-
-
-def posteriors_at(
-    saved: SavedBelief, posteriors: Sequence[ChannelPosterior], step: int
-) -> tuple[ChannelPosterior, ...]:
-    """`posteriors` of all stations, grown to what step number `step` was planned on."""
-    return tuple(
-        grown_posterior(own, posterior, int(own.known_before_step[step - 1]))
-        for own, posterior in zip(saved.stations, posteriors, strict=True)
-    )
-
-
-def last_posteriors(
-    saved: SavedBelief, posteriors: Sequence[ChannelPosterior]
-) -> tuple[ChannelPosterior, ...]:
-    """`posteriors` of all stations, grown to all that the file has."""
-    return tuple(
-        grown_posterior(own, posterior, len(own.measurements))
-        for own, posterior in zip(saved.stations, posteriors, strict=True)
-    )
-
-
-def grown_posterior(
-    saved: SavedBelief, posterior: ChannelPosterior, count: int
-) -> ChannelPosterior:
-    """`posterior` extended to the first `count` measurements of the file."""
-    return extend(posterior, saved.measurements.take(slice(len(posterior.measurements), count)))
 
 
 def _optional(arrays: NpzArrays, count: int) -> dict[str, NDArray[Any]]:

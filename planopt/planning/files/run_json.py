@@ -16,16 +16,13 @@ from pydantic import Field
 
 from planopt.channel.validation.calibration import ReliabilityBin
 from planopt.planning.certificate import excused_steps
-from planopt.planning.files.drive_table import drive_json
-from planopt.planning.files.record import NotNegative, Number, Record, finite, finite_list
+from planopt.planning.files.record import NotNegative, Record, finite, finite_list, plain
+from planopt.planning.files.run_tables import drive_json
 from planopt.planning.files.solution_json import (
-    AimRecord,
     BlockedRecord,
-    PivotRecord,
-    RobotRecord,
+    TrajectoryRecord,
     aim_json,
     blocked_json,
-    excused_json,
     holes_json,
     pivot_json,
 )
@@ -33,24 +30,16 @@ from planopt.planning.loop.clairvoyant import COSTS
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Plan
-from planopt.planning.run import Run, RunSummary, summary_of
+from planopt.planning.run import Run
+from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
 
 
-class ReleasedRecord(Record):
-    """A plan of a run: its places, now included, and what only the planner knows."""
+class ReleasedRecord(TrajectoryRecord):
+    """A released plan of a run."""
 
-    x_m: list[Number] = Field(min_length=2)
-    y_m: list[Number]
-    termination: str
-    verdict: str
-    rung: str
-    lattice_objective: float
     kkt_residual: NotNegative | None
-    aim: AimRecord
-    drive: dict[str, list[Number | None]] | None = None
-    pivot: PivotRecord | None = None
 
 
 class RobotPlansRecord(Record):
@@ -60,21 +49,11 @@ class RobotPlansRecord(Record):
     released: list[ReleasedRecord]
 
 
-class StepTimesRecord(Record):
-    """Planning times of the steps."""
-
-    p50: NotNegative | None
-    p95: NotNegative | None
-    max: NotNegative | None
-
-
 class RunRecord(Record):
-    """The contents of ``run.json`` that judging starts from."""
+    """The contents of ``run.json`` that a replay starts from."""
 
     seed: int = Field(ge=0)
     outcome: str
-    step_s: StepTimesRecord
-    robots: list[RobotRecord] = Field(min_length=1)
     plans: list[RobotPlansRecord]
     blocked: list[BlockedRecord] = Field(default=[])
     problem_file: dict[str, Any]
@@ -183,7 +162,7 @@ def _robot(problem: Problem, run: RobotRun, plans: Sequence[Plan]) -> dict[str, 
         "measured_steps": metrics.measured_steps,
         "rungs": run.rungs,
         "verified_rate": finite(run.verified_rate),
-        "excused": excused_json(excused_steps([plan.certificate for plan in plans])),
+        "excused": plain(excused_steps([plan.certificate for plan in plans])),
         **(holes if problem.task == "reach" else {}),
     }
 

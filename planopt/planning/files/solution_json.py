@@ -1,58 +1,40 @@
 """Solved problems as the JSON object that ``planopt solve --json`` prints and ``plan.json`` holds.
 
 Keys of the whole are sums over the robots, the worst, or one text of all; each robot has its own
-besides. What is read back for judging is described beside what is written.
+besides. Records type what is read back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from enum import Enum
-from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BeforeValidator, Field, TypeAdapter
 
-from planopt.errors import InputError
-from planopt.planning.certificate import Certificate, Excused
+from planopt.planning.certificate import Certificate
 from planopt.planning.explain.explanation import Crossing, Relaxation
-from planopt.planning.files.drive_table import drive_json
 from planopt.planning.files.record import (
-    REMEDY,
     NotNegative,
     Number,
+    Place,
     Record,
     finite,
     finite_list,
+    plain,
 )
+from planopt.planning.files.run_tables import drive_json
 from planopt.planning.holes import BlockedWay, Hole
 from planopt.planning.plan import Pivot, Plan, Termination, Verdict, share_gained
-from planopt.planning.solution import Solution
 from planopt.planning.team.reservations import worst_of_robots
 from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
 
+if TYPE_CHECKING:
+    from planopt.planning.solution import Solution
+
 _AnyLabel = TypeVar("_AnyLabel", bound=Enum)
-
-Place = Annotated[list[Number], Field(min_length=2, max_length=2)]
-
-
-class RobotRecord(Record):
-    """One robot's trajectory: places after each step, with the probability of connection."""
-
-    name: str
-    t_s: list[Number] = Field(min_length=1)
-    x_m: list[Number]
-    y_m: list[Number]
-    connectivity: list[float | None]
-
-
-class CertificateRecord(Record):
-    """The part of a plan's certificate that only the solver knows."""
-
-    kkt_residual: NotNegative | None
 
 
 class PivotRecord(Record):
@@ -64,6 +46,31 @@ class PivotRecord(Record):
     metre_cost: float = Field(default=1.0, ge=1, le=1e7)
 
 
+class AimRecord(Record):
+    """External inputs of an objective: expected target and steering path, if any."""
+
+    target_x_m: list[Number] | None
+    target_y_m: list[Number] | None
+    steering_m: Place | None
+    # The path to there, its start and its end included
+    steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
+    # Places of each plan of another robot that was counted
+    pending_m: list[list[Place]] = Field(default=[])
+
+
+class TrajectoryRecord(Record):
+    """A plan: its places, the robot's own first, and what only its planner knows."""
+
+    x_m: list[Number] = Field(min_length=2)
+    y_m: list[Number]
+    termination: str
+    rung: str
+    lattice_objective: float
+    aim: AimRecord
+    drive: dict[str, list[Number | None]] | None = None
+    pivot: PivotRecord | None = None
+
+
 class RouteRecord(Record):
     """The rest of the way to a goal, as the search found it."""
 
@@ -71,34 +78,20 @@ class RouteRecord(Record):
     y_m: list[Number] = Field(default=[], max_length=10**6)
 
 
-class AimRecord(Record):
-    """External inputs of an objective: expected target and steering path, if any.
+class ResidualRecord(Record):
+    """The part of a plan's certificate that only the solver knows."""
 
-    `steering_turns_m` is the way there, its start and its end included. `pending_m` has the places
-    of each plan of another robot that was counted.
-    """
-
-    target_x_m: list[Number] | None
-    target_y_m: list[Number] | None
-    steering_m: Place | None
-    steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
-    pending_m: list[list[Place]] = Field(default=[])
+    kkt_residual: NotNegative | None
 
 
-class RelaxationRecord(BaseModel):
-    """One change by which there would be a verified plan."""
+class RobotPlanRecord(TrajectoryRecord):
+    """One robot's plan."""
 
-    model_config = ConfigDict(strict=True, allow_inf_nan=False, frozen=True, extra="forbid")
-
-    constraint: str
-    unit: str
-    value: float | None
-    stages: list[int]
-    shortfall: float | None = Field(ge=0)
-    shortfall_unit: str
-    relaxed_value: float | None
-    verified: bool
-    robot: str
+    wall_s: NotNegative
+    solve_s: NotNegative
+    iterations: int = Field(ge=0, le=10**9)
+    certificate: ResidualRecord
+    route: RouteRecord | None = None
 
 
 class CrossingRecord(Record):
@@ -129,28 +122,17 @@ class BlockedRecord(Record):
     holes: list[HoleRecord]
 
 
-class RobotPlanRecord(RobotRecord):
-    """One robot's plan: its trajectory, and what only its planner knows."""
+_RELAXATIONS = TypeAdapter(tuple[Relaxation, ...])
 
-    termination: str
-    verdict: str
-    rung: str
-    wall_s: NotNegative
-    solve_s: NotNegative
-    iterations: int = Field(ge=0, le=10**9)
-    lattice_objective: float
-    certificate: CertificateRecord
-    aim: AimRecord
-    pivot: PivotRecord | None = None
-    route: RouteRecord = RouteRecord()
+Explanation = Annotated[tuple[Relaxation, ...], BeforeValidator(_RELAXATIONS.validate_python)]
 
 
 class PlanRecord(Record):
-    """The contents of ``plan.json`` that judging starts from."""
+    """The contents of ``plan.json`` that a replay starts from."""
 
     seed: int = Field(ge=0)
-    explanation: list[RelaxationRecord]
-    crossings: list[CrossingRecord] = Field(default_factory=list[CrossingRecord])
+    explanation: Explanation
+    crossings: list[CrossingRecord] = Field(default=[])
     robots: list[RobotPlanRecord] = Field(min_length=1)
     problem_file: dict[str, Any]
 
@@ -160,8 +142,8 @@ class NoPlanRecord(Record):
 
     seed: int = Field(ge=0)
     message: str
-    explanation: list[RelaxationRecord] = Field(default_factory=list[RelaxationRecord])
-    robots: list[RobotRecord] = Field(max_length=0)
+    explanation: Explanation = ()
+    robots: list[Any] = Field(max_length=0)
     problem_file: dict[str, Any]
 
 
@@ -244,44 +226,6 @@ def blocked_json(ways: Iterable[BlockedWay]) -> dict[str, Any]:
     return {"blocked": found} if found else {}
 
 
-def blocked_again(
-    said: Iterable[BlockedRecord], names: Collection[str], file: Path
-) -> tuple[BlockedWay, ...]:
-    """Return the ways of the key ``blocked``, of which nothing is judged."""
-    for number, one in enumerate(said):
-        if one.robot not in names:
-            raise InputError(
-                f"{one.robot!r} is no robot of it",
-                file=file,
-                key=f"blocked[{number}].robot",
-                remedy=REMEDY,
-            )
-        if len(one.x_m) != len(one.y_m):
-            raise InputError(
-                f"has {len(one.x_m)} x_m and {len(one.y_m)} y_m",
-                file=file,
-                key=f"blocked[{number}]",
-                remedy=REMEDY,
-            )
-    return tuple(
-        BlockedWay(
-            one.robot,
-            np.stack([one.x_m, one.y_m], axis=1),
-            tuple(
-                Hole(
-                    (hole.x_m[0], hole.y_m[0]),
-                    (hole.x_m[1], hole.y_m[1]),
-                    hole.length_m,
-                    hole.min_connectivity,
-                    hole.to_end,
-                )
-                for hole in one.holes
-            ),
-        )
-        for one in said
-    )
-
-
 def holes_json(holes: Iterable[Hole]) -> list[dict[str, Any]]:
     """Stretches of a way to a goal that miss the bound on connectivity."""
     return [
@@ -296,11 +240,6 @@ def holes_json(holes: Iterable[Hole]) -> list[dict[str, Any]]:
     ]
 
 
-def excused_json(steps: Iterable[Excused]) -> list[dict[str, Any]]:
-    """Steps that miss the bound, and what excuses each."""
-    return [asdict(one) for one in steps]
-
-
 def pivot_json(pivot: Pivot | None) -> dict[str, float] | None:
     """The way beyond the horizon, which the objective charges."""
     if pivot is None:
@@ -310,51 +249,21 @@ def pivot_json(pivot: Pivot | None) -> dict[str, float] | None:
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
-    """A certificate; the clearance is null where there is no obstacle.
+    """Return a certificate; the clearance is null where there is no obstacle.
 
     A rule of connectivity has its key only where it is another than p_min at each step.
     """
-    rule = certificate.rule
-    return {
-        "min_clearance_m": finite(certificate.min_clearance_m),
-        "min_separation_m": finite(certificate.min_separation_m),
-        "min_moving_clearance_m": finite(certificate.min_moving_clearance_m),
-        "min_connectivity": finite(certificate.min_connectivity),
-        "dynamics_defect": finite(certificate.dynamics_defect),
-        "kkt_residual": finite(certificate.kkt_residual),
-        "posterior": certificate.posterior,
-        "relaxed_steps": list(certificate.relaxed_steps),
-        "relaxation_db": finite_list(certificate.relaxation_db),
-        "best_margin_db": finite_list(certificate.best_margin_db),
-        "path_cost_m": finite(certificate.path_cost_m),
-        "best_cost_m": finite(certificate.best_cost_m),
-        "step_cost_m": finite(certificate.step_cost_m),
-        "step_excess_m": finite(certificate.step_excess_m),
-        "reasons": list(certificate.reasons),
-        **({} if rule is None else {"rule": asdict(rule)}),
-    }
+    found: dict[str, Any] = plain(certificate)
+    if found["rule"] is None:
+        del found["rule"]
+    return found
 
 
 def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
-    """The keys of a certificate where there is no plan to certify; `reasons` say why."""
-    return {
-        **dict.fromkeys(
-            (
-                "min_clearance_m",
-                "min_separation_m",
-                "min_moving_clearance_m",
-                "min_connectivity",
-                "dynamics_defect",
-                "kkt_residual",
-                "posterior",
-            )
-        ),
-        "relaxed_steps": [],
-        "relaxation_db": [],
-        "best_margin_db": [],
-        **dict.fromkeys(("path_cost_m", "best_cost_m", "step_cost_m", "step_excess_m")),
-        "reasons": list(reasons),
-    }
+    """Return the keys of a certificate where there is no plan to certify; `reasons` say why."""
+    names = [part.name for part in fields(Certificate) if part.name != "rule"]
+    lists = dict[str, Any](relaxed_steps=[], relaxation_db=[], best_margin_db=[])
+    return {**dict.fromkeys(names), **lists, "reasons": list(reasons)}
 
 
 def _question(problem: Problem, seed: int) -> dict[str, Any]:
@@ -369,22 +278,8 @@ def _question(problem: Problem, seed: int) -> dict[str, Any]:
 
 
 def explanation_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
-    """Every change that would help as a table."""
-    return [
-        {
-            "robot": one.robot,
-            "constraint": one.constraint,
-            "unit": one.unit,
-            "value": one.value,
-            "stages": list(one.stages),
-            "shortfall": one.shortfall,
-            "shortfall_unit": one.shortfall_unit,
-            "relaxed_value": one.relaxed_value,
-            "verified": one.verified,
-        }
-        for one in explanation
-        if isinstance(one, Relaxation)
-    ]
+    """Return every change that would help as a table."""
+    return [plain(one) for one in explanation if isinstance(one, Relaxation)]
 
 
 def crossings_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
@@ -403,24 +298,6 @@ def crossings_json(explanation: Iterable[object]) -> list[dict[str, Any]]:
     ]
 
 
-def explanation_again(records: Iterable[RelaxationRecord]) -> tuple[Relaxation, ...]:
-    """Return what :func:`explanation_json` wrote."""
-    return tuple(
-        Relaxation(
-            one.constraint,
-            one.unit,
-            one.value,
-            tuple(one.stages),
-            one.shortfall,
-            one.shortfall_unit,
-            one.relaxed_value,
-            one.verified,
-            one.robot,
-        )
-        for one in records
-    )
-
-
 def aim_json(aim: Aim) -> dict[str, Any]:
     """The aim of one plan; null where there is none."""
     x, y = (None, None) if aim.target_m is None else aim.target_m.T
@@ -433,17 +310,6 @@ def aim_json(aim: Aim) -> dict[str, Any]:
         "steering_turns_m": None if turns is None else [finite_list(turn) for turn in turns],
         **({"pending_m": planned} if planned else {}),
     }
-
-
-def aim_again(record: AimRecord, watched: Aim) -> Aim:
-    """The aim as it must be: what is `watched` as found again, the rest as it stands."""
-    turns = record.steering_turns_m
-    planned = tuple(np.array(path, dtype=np.float64).reshape(-1, 2) for path in record.pending_m)
-    return replace(
-        watched,
-        steering_turns_m=None if turns is None else np.array(turns),
-        pending=replace(watched.pending, planned_m=planned),
-    )
 
 
 def _robot(problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:

@@ -23,8 +23,8 @@ from planopt.coverage.optima import cost_bound
 from planopt.coverage.simulation import ABSENT, NetworkRun, residual_m
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
+from planopt.files.compare import differences, in_words
 from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
-from planopt.planning.check.agreement import disagreements, in_words
 from planopt.problems.systems import SystemProblem
 from planopt.systems.coverage.build import CoverageProblem, overlapping
 from planopt.systems.coverage.results import (
@@ -104,7 +104,7 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
         **{"faults": moved, "verified_rate": 1.0},
         **kept,
     }
-    return reasons + in_words(file.name, disagreements(data, found))
+    return reasons + in_words(file.name, differences(data, found))
 
 
 def deployment_json(
@@ -142,7 +142,7 @@ def _deployment(file: Path, data: Mapping[str, Any], problem: CoverageProblem) -
         return [f"{file.name}: an agent is where none may be"]
     found = deployment_json(problem, places, cost_bound(problem.ground, len(places)))
     kept = {key: value for key, value in data.items() if key not in found}
-    return in_words(file.name, disagreements(data, {**kept, **found}))
+    return in_words(file.name, differences(data, {**kept, **found}))
 
 
 def _targets(driven: Driven) -> list[str]:

@@ -16,7 +16,7 @@ from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.simulation import ABSENT, NetworkRun
 from planopt.files.csv_tables import csv_text
 from planopt.files.whole import write_text
-from planopt.planning.files.solution_json import finite
+from planopt.planning.files.record import finite
 from planopt.systems.coverage.build import CoverageProblem
 
 STEPS_FILE, NETWORK_FILE, EVENTS_FILE = "steps.csv", "network.csv", "events.csv"

@@ -17,8 +17,8 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.files.compare import differences, in_words
 from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
-from planopt.planning.check.agreement import disagreements, in_words
 from planopt.problems.systems import SystemProblem
 from planopt.pursuit.knowledge import Track
 from planopt.pursuit.records import Record
@@ -68,7 +68,7 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
     ]
     kept = {key: data.get(key) for key in ("wall_s", "step_s", "problem_file")}
     found = {"problem": problem.name, **run_json(driven), "faults": faults(driven), **kept}
-    return reasons + in_words(file.name, disagreements(data, found))
+    return reasons + in_words(file.name, differences(data, found))
 
 
 def _moves(driven: Driven) -> list[str]:

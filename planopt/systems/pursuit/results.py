@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.files.csv_tables import csv_text
 from planopt.files.whole import write_text
-from planopt.planning.files.solution_json import finite
+from planopt.planning.files.record import finite
 from planopt.pursuit.guarantees import Guarantee, Inequality, Theorem
 from planopt.systems.pursuit.driving import Driven
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.check.agreement import disagreements, in_words
-from planopt.planning.files.solution_json import finite
+from planopt.files.compare import differences, in_words
+from planopt.planning.files.record import finite
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.systems import Answer, Request, System, SystemProblem
 from planopt.pursuit.design import (
@@ -100,7 +100,7 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
     seed = data.get("seed")
     again = solve(problem, Request(seed if isinstance(seed, int) else 0)).data
     timed = {"wall_s": data.get("wall_s"), "problem_file": data.get("problem_file")}
-    return reasons + in_words(file.name, disagreements(data, {**again, **timed}))
+    return reasons + in_words(file.name, differences(data, {**again, **timed}))
 
 
 def tables(problem: SystemProblem) -> dict[str, Any]:

@@ -23,7 +23,8 @@ from planopt.planning.files.run_json import run_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome, StepLog
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.run import Run, exit_code
+from planopt.planning.run import Run
+from planopt.planning.run_summary import exit_code
 from planopt.problems.channel_setup import LoggedMeasurements
 
 SEEDS = (0, 1, 2)

@@ -1,15 +1,15 @@
-"""Where what a file says and what was found again disagree."""
+"""Differences of a saved document from the same document computed again."""
 
 import math
 
 import pytest
 
-from planopt.planning.check.agreement import disagreements, in_words, same_words
+from planopt.files.compare import differences, digest, in_words, same_words
 
 
 def keys(said: object, found: object) -> list[str]:
     """Where they disagree."""
-    return [difference.key for difference in disagreements(said, found)]
+    return [difference.key for difference in differences(said, found)]
 
 
 def test_every_leaf_is_compared() -> None:
@@ -24,7 +24,7 @@ def test_keys_of_one_alone() -> None:
     """A missing key and one too many are both disagreements; so is another length."""
     assert keys({"a": 1}, {"b": 1}) == ["b", "a"]
     assert keys({"a": [1, 2]}, {"a": [1]}) == ["a"]
-    missing, unknown = disagreements({"a": 1}, {"b": 2})
+    missing, unknown = differences({"a": 1}, {"b": 2})
     assert (missing.said, missing.found) == ("is missing", "2")
     assert (unknown.said, unknown.found) == ("1", "no such key")
 
@@ -80,7 +80,7 @@ def test_texts_with_numbers_in_them(said: str, found: str, same: bool) -> None:
 def test_few_of_many_alike_are_shown() -> None:
     """A wrong seed changes every row: three stand for all."""
     said, found = {"x": [0.0] * 9, "y": 1}, {"x": [1.0] * 9, "y": 2}
-    words = in_words("run.json", disagreements(said, found))
+    words = in_words("run.json", differences(said, found))
     assert words == [
         "run.json, key x[0]: 0, found 1",
         "run.json, key x[1]: 0, found 1",
@@ -90,24 +90,28 @@ def test_few_of_many_alike_are_shown() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("said", "name"),
-    [
-        (1.000001, "connectivity"),
-        (-1e-9, "connectivity"),
-        (1.0 + 1e-12, "min_connectivity"),
-        (1.0 + 1e-7, "true_connected_share"),
-        (1.0 + 1e-7, "verified_rate"),
-        (-1e-7, "deviation_db"),
-        (-1e-7, "path_m"),
-    ],
-)
-def test_what_no_number_of_its_kind_can_be(said: float, name: str) -> None:
-    """However near: no probability is above 1, no length below 0; the message shows the digits."""
-    found = 1.0 if said > 1.0 else 0.0
-    (difference,) = disagreements({name: [said]}, {name: [found]})
-    assert difference.key == f"{name}[0]" and difference.said != difference.found
-    assert keys({name: [found]}, {name: [found]}) == []
+def test_wall_times_and_fallbacks_are_accepted() -> None:
+    """But not in the tables of a problem."""
+    said = {"planner": {"step_s": 1.0}, "rung": "plan", "robots": [{"wall_s": 1.0}]}
+    found = {"planner": {"step_s": 2.0}, "rung": "stop", "robots": [{"wall_s": 9.0}]}
+    assert keys(said, found) == []
+    (difference,) = differences(said["planner"], found["planner"], accepted=frozenset())
+    assert difference.key == "step_s"
+
+
+def test_the_digest_covers_what_planning_alone_determines() -> None:
+    """Every number below these keys, wherever they are; the problem has none of them."""
+    data = {"seed": 1, "plans": [{"released": [{"x_m": [0.0, 1.5], "objective": 2.0}]}]}
+    changed = {"seed": 1, "plans": [{"released": [{"x_m": [0.0, 1.5000001], "objective": 2.0}]}]}
+    other = {"seed": 1, "plans": [{"released": [{"x_m": [0.0, 1.5], "objective": 3.0}]}]}
+    assert digest(data) == digest(other) == digest({**data, "problem_file": {"x_m": 1}})
+    assert digest(changed) != digest(data) != digest({**data, "seed": 2})
+
+
+def test_rows_of_tables_are_named() -> None:
+    """Counted from the header, as a text editor does."""
+    words = in_words("steps.csv", differences({"x_m": [0.0, 1.0]}, {"x_m": [0.0, 2.0]}))
+    assert words == ["steps.csv, row 3, key x_m: 1, found 2"]
 
 
 @pytest.mark.parametrize(("said", "found"), [("1.001", "1"), ("1.0", "1"), ("plan1", "plan")])

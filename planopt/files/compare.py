@@ -1,0 +1,191 @@
+"""Compare a saved document with the same document computed again.
+
+A document is a tree of tables, lists, numbers and texts. One table of tolerances, by the name of a
+key or column, says how far numbers may be apart: another machine rounds differently. Values that
+nothing else determines are covered by a digest, or listed in `ACCEPTED`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, cast
+
+
+class Tolerance(NamedTuple):
+    """Largest difference of two numbers that count as equal."""
+
+    absolute: float
+    relative: float
+
+
+EXACT = Tolerance(1e-6, 1e-9)  # Computed from saved numbers; the default
+PREDICTION = Tolerance(1e-3, 1e-9)  # dB or probability: large logs are predicted in groups
+FIT = Tolerance(1e-6, 1e-3)  # From an iteration
+SITE = Tolerance(1e-5, 1e-5)  # From an iteration that stops at 1e-7
+
+TOLERANCES = {
+    **dict.fromkeys(
+        (
+            *("achieved", "anmse_db", "best_margin_db", "connectivity", "deviation_db"),
+            *("log_det_m", "mean_squared_error_db2", "min_connectivity", "path_loss_variance_db2"),
+            *("predicted_connectivity", "predicted_db", "predicted_min_connectivity"),
+            *("relaxation_db", "rms_db", "rms_without_multipath_db", "slack_db", "trace_m_db"),
+        ),
+        PREDICTION,
+    ),
+    **dict.fromkeys(("parameters", "standard_errors", "theta", "theta_covariance"), FIT),
+    **dict.fromkeys(("precision", "precision_mean"), SITE),
+}
+"""Tolerances of keys and columns that are not `EXACT`."""
+
+ACCEPTED = frozenset(("iterations", "rung", "solve_s", "step_s", "termination", "wall_s"))
+"""Wall times, effort, and names of fallbacks and solver states: planning alone determines them."""
+
+TAKEN = frozenset(
+    (
+        *("aim", "blocked", "crossings", "drive", "explanation", "kkt_residual"),
+        *("lattice_objective", "pivot", "route", "seed", "x_m", "y_m"),
+    )
+)
+"""Results of planning that a replay starts from; the digest covers all that is below these keys."""
+
+DIGEST = "digest"
+
+SHOWN_ALIKE = 3
+"""Number of differences reported one by one where only an index differs."""
+
+_NUMBER = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
+_INDEX = re.compile(r"\[\d+\]")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One value that is not as computed again."""
+
+    key: str  # Such as robots[0].x_m[3]
+    said: str  # As shown to people
+    found: str
+
+
+def differences(
+    said: object,
+    found: object,
+    key: str = "",
+    name: str = "",
+    accepted: frozenset[str] = ACCEPTED,
+) -> Iterator[Difference]:
+    """Yield every leaf that differs, and keys that only one document has."""
+    if name in accepted:
+        return
+    if isinstance(said, Mapping) and isinstance(found, Mapping):
+        table, other = cast("Mapping[str, object]", said), cast("Mapping[str, object]", found)
+        for part in dict.fromkeys([*other, *table]):
+            where = f"{key}.{part}".removeprefix(".")
+            if part not in table:
+                yield Difference(where, "is missing", _shown(other[part]))
+            elif part not in other:
+                yield Difference(where, _shown(table[part]), "no such key")
+            else:
+                yield from differences(table[part], other[part], where, part, accepted)
+    elif isinstance(said, list) and isinstance(found, list):
+        these, those = cast("list[object]", said), cast("list[object]", found)
+        if len(these) != len(those):
+            yield Difference(key, _shown(these), _shown(those))
+            return
+        for index, (one, other_one) in enumerate(zip(these, those, strict=True)):
+            yield from differences(one, other_one, f"{key}[{index}]", name, accepted)
+    elif not _same(cast("object", said), found, name):
+        value = cast("object", said)
+        one, other = _shown(value), _shown(found)
+        yield Difference(key, repr(value) if one == other else one, other)
+
+
+def in_words(file: str, found: Iterable[Difference], source: str = "found") -> list[str]:
+    """Return a line for each difference, with few of those that differ only in an index."""
+    by_kind: dict[str, list[Difference]] = {}
+    for one in found:
+        by_kind.setdefault(_INDEX.sub("[]", one.key), []).append(one)
+    words: list[str] = []
+    for kind, alike in by_kind.items():
+        words += [f"{file}, {_at(file, d.key)}: {d.said}, {source} {d.found}" for d in alike[:3]]
+        if len(alike) > SHOWN_ALIKE:
+            words.append(f"{file}, key {kind}: {len(alike) - SHOWN_ALIKE} more like these")
+    return words
+
+
+def _at(file: str, key: str) -> str:
+    """Return the place of a difference; in a CSV table the row counts from the header."""
+    column, _, index = key.rstrip("]").rpartition("[")
+    if file.endswith(".csv") and index.isdecimal():
+        return f"row {int(index) + 2}, key {column}"
+    return f"key {key}"
+
+
+def digest(data: Mapping[str, object]) -> str:
+    """Return a digest of the values below the keys of `TAKEN`, but for those of the problem."""
+    taken = list(_taken({key: part for key, part in data.items() if key != "problem_file"}))
+    return hashlib.sha256(json.dumps(taken).encode()).hexdigest()[:16]
+
+
+def _taken(data: object) -> Iterator[tuple[str, object]]:
+    if isinstance(data, Mapping):
+        for name, part in sorted(cast("Mapping[str, object]", data).items()):
+            if name in TAKEN:
+                yield name, part
+            else:
+                yield from _taken(part)
+    elif isinstance(data, Sequence) and not isinstance(data, str):
+        for part in cast("Sequence[object]", data):
+            yield from _taken(part)
+
+
+def same_words(said: str, found: str) -> bool:
+    """Return whether two texts are equal but for the last shown digit of decimal numbers."""
+    these, those = _NUMBER.split(said), _NUMBER.split(found)
+    # The separators of the split, at odd indices, are numbers.
+    return len(these) == len(those) and all(
+        one == other or (index % 2 == 1 and _same_shown(one, other))
+        for index, (one, other) in enumerate(zip(these, those, strict=True))
+    )
+
+
+def _same_shown(said: str, found: str) -> bool:
+    """Return whether two printed numbers differ by no more than rounding the last digit."""
+    if "e" in said + found:
+        return math.isclose(float(said), float(found), rel_tol=0.1)
+    digits = max(len(number.partition(".")[2]) for number in (said, found))
+    return digits > 0 and abs(float(said) - float(found)) < 1.5 * 10.0**-digits
+
+
+def _same(said: object, found: object, name: str) -> bool:
+    if isinstance(said, bool) or isinstance(found, bool):
+        return said is found
+    if isinstance(said, (int, float)) and isinstance(found, (int, float)):
+        if said == found:
+            return True
+        try:
+            one, other = float(said), float(found)
+        except OverflowError:  # A whole number of hundreds of digits
+            return False
+        absolute, relative = TOLERANCES.get(name, EXACT)
+        both_none = math.isnan(one) and math.isnan(other)
+        return both_none or math.isclose(one, other, rel_tol=relative, abs_tol=absolute)
+    if isinstance(said, str) and isinstance(found, str):
+        # Labels are exact; numbers in sentences were rounded.
+        return said == found or (" " in said and same_words(said, found))
+    return said is None and found is None
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, dict):
+        return "a table"
+    if isinstance(value, list):
+        return f"{len(cast('list[object]', value))} values"
+    if isinstance(value, float):
+        return "empty" if math.isnan(value) else f"{value:.9g}"
+    return json.dumps(value, ensure_ascii=False, default=str)

@@ -1,0 +1,153 @@
+"""Tables of results: columns declared once, for CSV files, DataFrames, documentation and checks.
+
+Numbers are written to the last digit; an empty cell says that there is no value.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.files.regular import read_text
+
+LARGEST = 1e9
+"""Positions, times, powers and parameters beyond this in a saved file are a fault."""
+
+REMEDY = "save the result again"
+
+LARGEST_BYTES = 512 * 2**20
+"""Size limit of a table."""
+
+Data = Mapping[str, NDArray[Any]]
+"""Columns of equal length by name; NaN and empty text where there is no value."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table."""
+
+    name: str
+    meaning: str
+    unit: str = ""
+    # A flag is saved as 1 or 0
+    kind: Literal["number", "count", "text", "flag"] = "number"
+    required: bool = False  # Whether no cell may be empty
+
+
+def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
+    """Return the header of a table."""
+    return tuple(column.name for column in columns)
+
+
+def table_text(columns: Sequence[Column], data: Data) -> str:
+    """Return a table as CSV."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names_of(columns))
+    writer.writerows(zip(*(_cells(data[column.name]) for column in columns), strict=True))
+    return text.getvalue()
+
+
+def _cells(values: NDArray[Any]) -> list[Any]:
+    if values.dtype.kind != "f":
+        return values.tolist()
+    return ["" if not np.isfinite(value) else value for value in values.tolist()]
+
+
+def read_table(path: Path, columns: Sequence[Column]) -> dict[str, NDArray[Any]]:
+    """Read a table of exactly these columns."""
+    cells: dict[str, list[Any]] = {column.name: [] for column in columns}
+    for line, row in read_rows(path, names_of(columns)):
+        for column, cell in zip(columns, row, strict=True):
+            try:
+                cells[column.name].append(_value(column, cell))
+            except ValueError as error:
+                raise InputError(
+                    str(error), file=path, key=column.name, row=line, remedy=REMEDY
+                ) from None
+    dtypes: dict[str, Any] = {"number": np.float64, "count": np.int64}
+    return {
+        column.name: np.array(cells[column.name], dtype=dtypes.get(column.kind, np.str_))
+        for column in columns
+    }
+
+
+def read_rows(path: Path, header: Sequence[str]) -> Iterable[tuple[int, list[str]]]:
+    """Yield line number and cells of every row below the header."""
+    text = read_text(path, LARGEST_BYTES)
+    try:
+        rows = list(csv.reader(io.StringIO(text), strict=True))
+    except csv.Error as error:
+        raise InputError(f"cannot be read: {error}", file=path, remedy=REMEDY) from None
+    if not rows or rows[0] != list(header):
+        raise InputError(f"the header is not {','.join(header)}", file=path, row=1, remedy=REMEDY)
+    for line, cells in enumerate(rows[1:], start=2):
+        if len(cells) != len(header):
+            message = f"{len(cells)} cells where {len(header)} should be"
+            raise InputError(message, file=path, row=line, remedy=REMEDY)
+        yield line, cells
+
+
+def _value(column: Column, cell: str) -> float | int | str:
+    """Return a cell's value; a ValueError says what is wrong with it."""
+    if column.kind == "text":
+        return cell
+    if not cell and not column.required:
+        return np.nan if column.kind == "number" else ""
+    if column.kind == "flag":
+        if cell not in ("0", "1"):
+            raise ValueError(f"{cell!r} is neither 0 nor 1")
+        return cell
+    try:
+        number = float(cell)
+    except ValueError:
+        number = np.nan
+    if not abs(number) <= LARGEST:
+        raise ValueError(f"{cell!r} is not a finite number")
+    if column.kind == "count":
+        if number != int(number):
+            raise ValueError(f"{cell!r} is not a whole number")
+        return int(number)
+    return number
+
+
+def comparable(data: Data) -> dict[str, list[Any]]:
+    """Return a table as lists, for comparisons."""
+    return {name: values.tolist() for name, values in data.items()}
+
+
+def require_pandas() -> Any:
+    """Return the module pandas, or raise an InputError that says what to install."""
+    try:
+        return import_module("pandas")
+    except ImportError:
+        raise InputError("pandas is not installed", remedy="pip install pandas") from None
+
+
+def dataframe(columns: Sequence[Column], data: Data) -> Any:
+    """Return a table as a pandas DataFrame; flags are nullable booleans."""
+    pandas = require_pandas()
+    frame: dict[str, Any] = {}
+    for column in columns:
+        values = data[column.name]
+        if column.kind == "flag":
+            flags = [{"1": True, "0": False}.get(cell) for cell in values.tolist()]
+            frame[column.name] = pandas.array(flags, dtype="boolean")
+        else:
+            frame[column.name] = values.tolist() if column.kind == "text" else values
+    return pandas.DataFrame(frame)
+
+
+def documented(columns: Iterable[Column]) -> str:
+    """Return the columns as a Markdown table."""
+    rows = [f"| `{column.name}` | {column.unit} | {column.meaning} |" for column in columns]
+    return "\n".join(["| column | unit | meaning |", "|---|---|---|", *rows])

@@ -1,0 +1,344 @@
+"""Replay a saved plan or run: its trajectories are driven again, and each plan is verified again.
+
+The loop is that of the simulation, with the saved trajectories in place of a planner. Ground truth
+and first measurements are drawn again where the problem has a truth; otherwise they are those of
+the files. Nothing is planned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.fields.truth import Truth
+from planopt.channel.measurements import Measurements
+from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import Prediction, connection_probability
+from planopt.errors import InputError
+from planopt.objectives.mapping import Region
+from planopt.planning.certificate import plan_message
+from planopt.planning.check.replay_belief import initial_belief
+from planopt.planning.files.read_saved import Saved, SavedPlan
+from planopt.planning.files.run_json import RunRecord
+from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
+from planopt.planning.free_space import obstacles_met
+from planopt.planning.given import Given, draw, team_seeds
+from planopt.planning.holes import BlockedError, holes_on
+from planopt.planning.loop.clairvoyant import COSTS
+from planopt.planning.loop.drive import TrueWorld, World, drive
+from planopt.planning.loop.log import Outcome
+from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
+from planopt.planning.proof.circumstances import Circumstances, circumstances_of
+from planopt.planning.proof.goal_paths import GoalGrid
+from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.verify import judge
+from planopt.planning.roads import build_roads
+from planopt.planning.run import Run
+from planopt.planning.solution import Solution
+from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
+from planopt.planning.team.reservations import beside, others_of
+from planopt.planning.worth.left_to_learn import workspace_region
+from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.worth.reach_cost import ReachCost
+from planopt.planning.worth.situation import Aim, Situation, counts_others, places_of_others
+from planopt.planning.worth.steering_way import steering_way
+from planopt.problems.problem import Problem, problem_of_robot
+from planopt.world.clearance import ObstacleIndex, index_obstacles
+from planopt.world.road_map import RoadMap
+
+SAME_PLACE_M = 1e-6
+"""A saved measurement belongs to the place of a step that is nearer than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Initial data of a replay."""
+
+    given: Given  # Truth where it is known, and first measurements
+    drawn: bool  # Whether truth and first measurements follow from problem and seed
+    belief: Belief
+    remarks: list[str] = field(default_factory=list[str])
+
+
+def start_of(saved: Saved) -> Start:
+    """Draw the initial data again, or take what cannot be drawn from the files.
+
+    Raises
+    ------
+    InputError
+        The first measurements cannot be fitted.
+    """
+    problem, seed = saved.problem, saved.record.seed
+    first = [own.measurements.take(slice(own.first)) for own in saved.beliefs[0].stations]
+    try:
+        given, drawn, remarks = draw(problem, seed), True, list[str]()
+    except InputError as error:
+        remarks = [f"first measurements are taken from the file, as none can be drawn: {error}"]
+        try:
+            given, drawn = draw(problem, seed, first), False
+        except InputError:  # A file that the truth is read from is gone
+            stations = [Given(None, own) for own in first]
+            given, drawn = replace(stations[0], further=tuple(stations[1:])), False
+    if not given.truths:
+        remarks.append("true powers are taken from the file, which has no ground truth")
+    return Start(given, drawn, initial_belief(problem, given, saved.beliefs[0]), remarks)
+
+
+def replay_solution(saved: Saved, start: Start) -> Solution:
+    """Return the plans of a saved solution, verified again."""
+    problem, seed = saved.problem, saved.record.seed
+    watch = watch_target(problem, team_seeds(problem, seed).target)
+    robots = Stepper(problem, start.belief, _planning(saved), watch)
+    plans = tuple(robots.plan())
+    aims = tuple(aim for (aim,) in robots.aims)
+    told = saved.explanation(plans)
+    return Solution(problem, seed, start.belief, plans, aims, told)
+
+
+def replay_run(saved: Saved, start: Start) -> Run:
+    """Return a saved run, driven again."""
+    problem, seeds = saved.problem, team_seeds(saved.problem, saved.record.seed)
+    truths = start.given.truths
+    world: World = SavedWorld(saved)
+    if truths:
+        world = TrueWorld(problem, truths, partial(_road_maps, problem))
+    target = watch_target(problem, seeds.target)
+    return drive(
+        problem, saved.record.seed, start.belief, world, _planning(saved), target, seeds.target
+    )
+
+
+def _road_maps(problem: Problem) -> list[RoadMap]:
+    if problem.task != "reach":
+        return []
+    owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
+    return [build_roads(own, np.asarray(own.goal_m)) for own in owns]
+
+
+@dataclass(frozen=True, eq=False)
+class SavedWorld:
+    """A world of which only the files tell: true powers and measurements are taken from them."""
+
+    saved: Saved
+
+    @property
+    def truths(self) -> tuple[Truth, ...]:
+        """Return nothing: there is no ground truth."""
+        return ()
+
+    def serving_dbm(
+        self, number: int, step: int, places_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the saved true powers of the rows from a step on."""
+        steps = self.saved.tables[STEPS_FILE]
+        own = steps["true_db"][steps["robot"] == self.saved.problem.robots[number].name]
+        found = np.full(len(places_m), np.nan)
+        rows = own[step : step + len(places_m)]
+        found[: len(rows)] = rows
+        return found
+
+    def measured(self, step: int, places_m: NDArray[np.float64]) -> list[list[Measurements]]:
+        """Return the saved measurements of a step at each robot's place."""
+        shared = self.saved.problem.channel.share_measurements
+        found: list[list[Measurements]] = []
+        for number, place in enumerate(places_m):
+            belief = self.saved.beliefs[0 if shared else number]
+            found.append([])
+            for own in belief.stations:
+                counts = [*own.known_before_step.tolist(), len(own.measurements)]
+                rows = np.arange(*(counts[step - 1 : step + 1] if step < len(counts) else (0, 0)))
+                away = np.linalg.norm(own.measurements.positions_m[rows] - place, axis=1)
+                found[-1].append(own.measurements.take(rows[away <= SAME_PLACE_M]))
+        return found
+
+    def channel_row(
+        self, step: int, posteriors: Sequence[ChannelPosterior], places_m: NDArray[np.float64]
+    ) -> tuple[float, ...]:
+        """Return the saved row."""
+        table = self.saved.tables[KNOWLEDGE_FILE]
+        names = [column.name for column in KNOWLEDGE_COLUMNS[1:]]
+        return tuple(float(table[name][min(step, len(table[name]) - 1)]) for name in names)
+
+    def costs(self, tracks_m: Sequence[NDArray[np.float64]], outcome: Outcome) -> dict[str, float]:
+        """Return the saved costs."""
+        said: dict[str, Any] = dict(self.saved.data.get("metrics", {}))
+        return {
+            key: np.nan if said[key] is None else float(said[key]) for key in COSTS if key in said
+        }
+
+
+def _planning(saved: Saved) -> Planning:
+    """Return what releases the saved trajectories step by step, each verified again."""
+    by_robot = saved.plans
+
+    def made(problem: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
+        owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
+        index = index_obstacles(problem.workspace)
+        region = None if problem.task == "reach" else workspace_region(problem)
+        grids: list[GoalGrid | None] = [None for _ in owns]
+
+        def plan_step(at: TeamMoment) -> tuple[list[Plan], list[Aim]]:
+            step = at.driven
+            if step >= len(by_robot[0]):
+                raise _no_plan(saved)
+            motions = [made[step].motion for made in by_robot]
+            plans: list[Plan] = []
+            aims: list[Aim] = []
+            for number, own in enumerate(owns):
+                moving = beside(problem, step, others_of(motions, number))
+                posteriors = at.beliefs[number].posteriors
+                under = circumstances_of(
+                    own, posteriors, at.histories[number], moving, grids[number]
+                )
+                aim = by_robot[number][step].aim(at.watched[number])
+                if counts_others(own):
+                    driven_m = places_of_others(at.driven_m, number)
+                    aim = replace(aim, pending=replace(aim.pending, driven_m=driven_m))
+                case = _Case(own, index, region, posteriors, at.states[number], aim, under)
+                plans.append(_verified_again(case, by_robot[number][step]))
+                aims.append(aim)
+                grids[number] = under.laid_grid
+            return plans, aims
+
+        return plan_step
+
+    return made
+
+
+def _no_plan(saved: Saved) -> BlockedError:
+    """Return why there is no further plan; whether there is one is not judged."""
+    steps = len(saved.plans[0])
+    message = (
+        f"the run ends after step {steps}, planner.max_steps is "
+        f"{saved.problem.planner.max_steps}, and neither its task nor a standstill ended it"
+    )
+    if isinstance(saved.record, RunRecord) and saved.record.outcome == Outcome.NO_PLAN.value:
+        message = str(saved.data.get("message"))
+    return BlockedError(message, saved.blocked)
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """Context of one plan of one robot."""
+
+    problem: Problem  # With this robot alone
+    index: ObstacleIndex
+    region: Region | None  # Where the map is wanted; None on the way to a goal
+    posteriors: Sequence[ChannelPosterior]
+    state: NDArray[np.float64]  # (s,)
+    aim: Aim
+    circumstances: Circumstances
+
+
+def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
+    """Return a saved plan with everything that follows from its trajectory."""
+    problem, path_m, drive = case.problem, saved.path_m.copy(), saved.drive
+    path_m[0] = case.state[:2]
+    if drive is not None:
+        drive = replace(drive, states=np.vstack([case.state, drive.states[1:]]))
+    judgement = judge(
+        problem,
+        case.index,
+        case.posteriors[0],
+        case.state,
+        path_m,
+        saved.kkt_residual,
+        case.circumstances,
+        drive,
+    )
+    power = judgement.power
+    if power is None:
+        raise AssertionError("saved places are finite")
+    if problem.task == "reach":
+        objective = _reach_cost(case, replace(saved, path_m=path_m, drive=drive), power)
+    else:
+        objective = _worth(case, path_m)
+    holes = ()
+    if problem.task == "reach" and saved.route_m is not None:
+        places = np.vstack([path_m, saved.route_m])
+        ahead = search_prediction(case.posteriors[0], places, case.circumstances.broad)
+        holes = holes_on(problem, ahead, places)
+    return Plan(
+        robot=problem.robots[0].name,
+        t_s=problem.planner.step_s * np.arange(len(path_m), dtype=np.float64),
+        positions_m=path_m,
+        mean_dbm=power.mean_db,
+        deviation_db=power.deviation_db,
+        connectivity=connection_probability(
+            power.mean_db, power.deviation_db, problem.stations[0].threshold_dbm
+        ),
+        objective=objective,
+        lattice_objective=saved.lattice_objective,
+        termination=Termination(saved.termination),
+        verdict=judgement.verdict,
+        rung=Rung(saved.rung),
+        certificate=judgement.certificate,
+        wall_s=saved.wall_s,
+        solve_s=saved.solve_s,
+        iterations=saved.iterations,
+        message=plan_message(judgement.certificate, path_m),
+        pivot=saved.pivot,
+        sense=problem.sense,
+        drive=drive,
+        route_m=np.zeros((0, 2)) if saved.route_m is None else saved.route_m,
+        holes=holes,
+    )
+
+
+def _reach_cost(case: _Case, saved: SavedPlan, power: Prediction) -> float:
+    """Return the cost of a path to a goal, at the power that the verifier predicted along it."""
+
+    def certified(places_m: NDArray[np.float64]) -> Prediction:
+        if np.array_equal(places_m, saved.path_m):
+            return power
+        return search_prediction(case.posteriors[0], places_m, case.circumstances.broad)
+
+    pivot = saved.pivot
+
+    ahead = None if pivot is None else partial(_same_pivot, pivot)
+    priced = saved.rung != Rung.DIRECT.value
+    cost = ReachCost(case.problem, saved.path_m[0], certified, ahead, priced)
+    return cost(saved.path_m[1:], saved.drive)
+
+
+def _same_pivot(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
+    return pivot
+
+
+def _worth(case: _Case, path_m: NDArray[np.float64]) -> float:
+    """Return the weighted sum of the terms of a path."""
+    problem, aim = case.problem, case.aim
+    if case.region is None:
+        raise AssertionError("terms have a region")
+    steering = None
+    if aim.steering_turns_m is not None:
+        steering = steering_way(problem, case.index, aim.steering_turns_m)
+    situation = Situation(
+        problem,
+        case.posteriors[0],
+        path_m[0],
+        aim.target_m,
+        case.region,
+        steering,
+        aim.information,
+        circumstances=case.circumstances,
+        pending=aim.pending,
+        held=aim.held,
+    )
+    return PathWorth(situation)(path_m[1:])
+
+
+def plan_reasons(problem: Problem, plan: Plan) -> list[str]:
+    """Return the verifier's objections to a plan of the problem's first robot."""
+    if plan.verdict is Verdict.VERIFIED:
+        return []
+    index = index_obstacles(problem.workspace)
+    met = [] if plan.drive is not None else obstacles_met(problem, index, plan.positions_m)
+    return [*met, *plan.certificate.reasons]

@@ -1,0 +1,75 @@
+"""Beliefs of a replay: learnt again from the initial data, and compared with ``belief.npz``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.posterior import condition
+from planopt.files.compare import differences, in_words
+from planopt.planning.files.belief_file import Arrays, SavedBelief, station_prefix
+from planopt.planning.given import Given
+from planopt.planning.loop.learn import learn_stations
+from planopt.problems.problem import Problem
+
+VALUES, NOISE = "values_db", "noise_variance_db2"
+"""Arrays of the Gaussian sites."""
+
+
+def initial_belief(problem: Problem, given: Given, saved: SavedBelief) -> Belief:
+    """Return the belief before the first step: the fit made again, predictions as they were saved.
+
+    Saved parameters are those of the predictions, because a fit on another machine differs a
+    little. They are compared with the fit made again.
+    """
+    learnt = learn_stations(problem, given)
+    each = [
+        _with_parameters(replace(own, further=()), said)
+        for own, said in zip((learnt, *learnt.further), saved.stations, strict=True)
+    ]
+    return replace(each[0], further=tuple(each[1:]))
+
+
+def _with_parameters(belief: Belief, saved: SavedBelief) -> Belief:
+    """Return a belief conditioned with the saved parameters."""
+    learnt = belief.posterior
+    if saved.parameters == learnt.parameters:
+        return belief
+    posterior = condition(
+        saved.parameters,
+        learnt.measurements,
+        theta="known" if learnt.theta_known else "estimated",
+    )
+    return replace(belief, posterior=posterior)
+
+
+def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
+    """Return the differences of the saved arrays from those found again."""
+    said = {
+        station_prefix(station) + name: array
+        for station, own in enumerate(saved.stations)
+        for name, array in own.arrays.items()
+    }
+    return in_words(
+        saved.file.name,
+        differences(_comparable(said), _comparable(found)),
+        f"found with seed {seed}",
+    )
+
+
+def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return arrays as lists, and Gaussian sites in natural units, in which they converge."""
+    lists = {name: array.tolist() for name, array in arrays.items()}
+    for name in list(arrays):
+        if name.endswith(NOISE):
+            values = name.removesuffix(NOISE) + VALUES
+            precision = 1.0 / arrays[name]
+            lists[name] = {"precision": precision.tolist()}
+            if values in arrays and np.shape(arrays[values]) == np.shape(precision):
+                lists[values] = {"precision_mean": (arrays[values] * precision).tolist()}
+    return lists

@@ -15,6 +15,8 @@ from team_scene import two_trackers
 
 import planopt
 from planopt import Run, Solution
+from planopt.files.tables import table_text
+from planopt.planning.files.run_tables import step_columns, steps_of_plans, steps_of_runs
 from planopt.planning.files.saved import save_no_plan
 from planopt.planning.files.solution_json import no_plan_json
 
@@ -34,10 +36,10 @@ def results() -> dict[str, Solution | Run]:
 
 def table_of(result: Solution | Run) -> str:
     """The text of ``steps.csv`` from the result's own arrays."""
+    columns = step_columns(result.problem)
     if isinstance(result, Solution):
-        return steps_text(joined_steps([steps_of_plan(plan) for plan in result.plans]))
-    tables = [steps_of_run(one.robot, one.log, one.drive) for one in result.runs]
-    return steps_text(joined_steps(tables))
+        return table_text(columns, steps_of_plans(result.problem, result.plans))
+    return table_text(columns, steps_of_runs(result.problem, result.runs))
 
 
 @pytest.mark.parametrize("name", ["plan", "plans", "run", "team"])
@@ -98,7 +100,7 @@ def test_without_pandas_there_is_an_error_that_names_it(
         return real(name, *rest)
 
     real = importlib.import_module
-    monkeypatch.setattr("planopt.planning.files.steps_file.import_module", missing)
+    monkeypatch.setattr("planopt.files.tables.import_module", missing)
     with pytest.raises(planopt.InputError, match="pip install pandas"):
         results["plan"].to_dataframe()
 

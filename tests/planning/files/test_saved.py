@@ -11,13 +11,12 @@ import pytest
 
 from planopt import load
 from planopt.errors import InputError, OutputError
+from planopt.files.tables import documented
 from planopt.planning.files import saved as saved_module
+from planopt.planning.files.belief_file import known_before_steps
 from planopt.planning.files.read_saved import read_saved
-from planopt.planning.files.saved import (
-    known_before_steps,
-    save_run,
-    save_solution,
-)
+from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
+from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
@@ -82,8 +81,9 @@ def test_what_is_read_is_what_was_saved(plan_folder: Path, solution: Solution) -
     """Places, problem and measurements come back exactly, by folder and by file."""
     for path in (plan_folder, plan_folder / "plan.json"):
         back = read_saved(path)
-        [steps], [belief] = back.steps, back.beliefs
-        assert np.array_equal(steps.positions_m, solution.plan.positions_m)
+        [[plan]], [belief] = back.plans, back.beliefs
+        assert np.array_equal(plan.path_m, solution.plan.positions_m)
+        assert np.array_equal(back.tables["steps.csv"]["x_m"], solution.plan.positions_m[:, 0])
         assert back.problem.robots == solution.problem.robots
         assert np.array_equal(
             belief.measurements.power_dbm, solution.belief.posterior.measurements.power_dbm
@@ -118,7 +118,7 @@ def test_an_earlier_result_stays_until_the_new_one_is_whole(
     def fail(*_: object) -> None:
         raise OutputError("disk full")
 
-    monkeypatch.setattr(saved_module, "write_belief", fail)
+    monkeypatch.setattr(saved_module, "write", fail)
     with pytest.raises(OutputError):
         save_solution(solution, run_folder)
     assert {file.name: file.read_bytes() for file in run_folder.iterdir()} == before
@@ -160,10 +160,10 @@ PLAN_DAMAGE = {
     "empty json": (edit_text("plan.json", lambda t: ""), "plan.json", None),
     "json is a list": (edit_text("plan.json", lambda t: "[1]"), "plan.json", None),
     "key missing": (edit_json("plan.json", lambda d: d.pop("seed")), "plan.json", "seed"),
-    "a number for a verdict": (
-        edit_json("plan.json", lambda d: d["robots"][0].update(verdict=1)),
+    "a number for a rung": (
+        edit_json("plan.json", lambda d: d["robots"][0].update(rung=1)),
         "plan.json",
-        "robots[0].verdict",
+        "robots[0].rung",
     ),
     "a key twice": (
         edit_text("plan.json", lambda t: t.replace("{", '{"verdict": "verified", ', 1)),
@@ -195,16 +195,6 @@ PLAN_DAMAGE = {
         edit_json("plan.json", lambda d: d["problem_file"]["robots"][0].update(speed_max_m_s=-1)),
         "plan.json",
         "robots[0].speed_max_m_s",
-    ),
-    "row missing": (
-        edit_text("steps.csv", lambda t: t[: t.rstrip().rfind("\n") + 1]),
-        "steps.csv",
-        None,
-    ),
-    "row out of order": (
-        edit_text("steps.csv", lambda t: t.replace("rover,2,", "rover,7,")),
-        "steps.csv",
-        "step",
     ),
     "row cut": (edit_text("steps.csv", lambda t: t.rstrip()[:-20]), "steps.csv", None),
     "column renamed": (edit_text("steps.csv", lambda t: t.replace("x_m", "x")), "steps.csv", None),
@@ -245,12 +235,7 @@ def test_a_damaged_plan_is_an_error(plan_folder: Path, name: str) -> None:
 
 RUN_DAMAGE = {
     "plan missing": (edit_json("run.json", lambda d: d["plans"].pop()), "run.json", "plans"),
-    "released plan missing": (
-        edit_json("run.json", lambda d: d["plans"][0]["released"].pop()),
-        "run.json",
-        "plans[0].released",
-    ),
-    "another format": (edit_json("run.json", lambda d: d.update(format=3)), "run.json", "format"),
+    "another format": (edit_json("run.json", lambda d: d.update(format=2)), "run.json", "format"),
     "plan cut": (
         edit_json("run.json", lambda d: d["plans"][0]["released"][1]["y_m"].pop()),
         "run.json",
@@ -271,15 +256,13 @@ def test_a_damaged_run_is_an_error(run_folder: Path, name: str) -> None:
     assert raised.value.key == key
 
 
-def test_a_run_with_the_belief_of_a_plan_is_an_error(run_folder: Path, plan_folder: Path) -> None:
-    """A belief without counts for the steps does not belong to a run."""
-    (plan_folder / "belief.npz").replace(run_folder / "belief.npz")
-    with pytest.raises(InputError) as raised:
-        read_saved(run_folder)
-    assert raised.value.key == "known_before_step"
-
-
 def test_a_named_file_that_is_not_there(tmp_path: Path) -> None:
     """The JSON file itself, when it does not exist."""
     with pytest.raises(InputError, match="there is no such file"):
         read_saved(tmp_path / "plan.json")
+
+
+def test_columns_are_documented() -> None:
+    """The page of files has the columns as they are declared."""
+    page = (Path(__file__).parents[3] / "docs" / "files.md").read_text()
+    assert documented(STEP_COLUMNS) in page and documented(KNOWLEDGE_COLUMNS) in page

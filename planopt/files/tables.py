@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.files.regular import read_text
+from planopt.files.whole import write_text
 
 LARGEST = 1e9
 """Positions, times, powers and parameters beyond this in a saved file are a fault."""
@@ -41,6 +43,15 @@ class Column:
     # A flag is saved as 1 or 0
     kind: Literal["number", "count", "text", "flag"] = "number"
     required: bool = False  # Whether no cell may be empty
+    largest: float = LARGEST  # Of the magnitude of a number
+
+
+_DTYPES: dict[str, Any] = {
+    "number": np.float64,
+    "count": np.int64,
+    "text": np.str_,
+    "flag": np.str_,
+}
 
 
 def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
@@ -57,10 +68,30 @@ def table_text(columns: Sequence[Column], data: Data) -> str:
     return text.getvalue()
 
 
+def write_tables(folder: Path, tables: Mapping[str, tuple[Sequence[Column], Data]]) -> None:
+    """Write tables into a folder, by file name."""
+    for name, (columns, data) in tables.items():
+        write_text(folder / name, table_text(columns, data))
+
+
 def _cells(values: NDArray[Any]) -> list[Any]:
     if values.dtype.kind != "f":
         return values.tolist()
     return ["" if not np.isfinite(value) else value for value in values.tolist()]
+
+
+def table_of_rows(columns: Sequence[Column], rows: Iterable[Sequence[object]]) -> Data:
+    """Return a table of rows; None and empty text where there is no value."""
+    cells = list(zip(*rows, strict=True)) or [() for _ in columns]
+    return {
+        column.name: np.array(
+            [np.nan if cell is None or cell == "" else cell for cell in values]
+            if column.kind == "number"
+            else values,
+            dtype=_DTYPES[column.kind],
+        )
+        for column, values in zip(columns, cells, strict=True)
+    }
 
 
 def read_table(path: Path, columns: Sequence[Column]) -> dict[str, NDArray[Any]]:
@@ -74,10 +105,8 @@ def read_table(path: Path, columns: Sequence[Column]) -> dict[str, NDArray[Any]]
                 raise InputError(
                     str(error), file=path, key=column.name, row=line, remedy=REMEDY
                 ) from None
-    dtypes: dict[str, Any] = {"number": np.float64, "count": np.int64}
     return {
-        column.name: np.array(cells[column.name], dtype=dtypes.get(column.kind, np.str_))
-        for column in columns
+        column.name: np.array(cells[column.name], dtype=_DTYPES[column.kind]) for column in columns
     }
 
 
@@ -111,7 +140,7 @@ def _value(column: Column, cell: str) -> float | int | str:
         number = float(cell)
     except ValueError:
         number = np.nan
-    if not abs(number) <= LARGEST:
+    if not (math.isfinite(number) and abs(number) <= column.largest):
         raise ValueError(f"{cell!r} is not a finite number")
     if column.kind == "count":
         if number != int(number):

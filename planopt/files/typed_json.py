@@ -11,10 +11,13 @@ import types
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planopt.errors import InputError
 
 Value = TypeVar("Value")
 
@@ -123,3 +126,13 @@ def _of_type(data: Any, kind: type[Any]) -> Any:
     if type(data) is not kind:
         raise ValueError(f"{type(data).__name__} where {kind.__name__} should be")
     return data
+
+
+def whole_number(file: Path, data: Mapping[str, object], key: str) -> int:
+    """Return a whole number of a saved JSON object."""
+    value = cast("object", data.get(key))
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise InputError(
+            "is missing or no whole number", file=file, key=key, remedy="save the result again"
+        )
+    return value

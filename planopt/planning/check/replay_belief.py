@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
@@ -64,12 +63,12 @@ def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
 
 def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     """Return arrays as lists, and Gaussian sites in natural units, in which they converge."""
-    lists = {name: array.tolist() for name, array in arrays.items()}
-    for name in list(arrays):
-        if name.endswith(NOISE):
-            values = name.removesuffix(NOISE) + VALUES
-            precision = 1.0 / arrays[name]
-            lists[name] = {"precision": precision.tolist()}
-            if values in arrays and np.shape(arrays[values]) == np.shape(precision):
-                lists[values] = {"precision_mean": (arrays[values] * precision).tolist()}
+    lists: dict[str, Any] = {name: array.tolist() for name, array in arrays.items()}
+    for name, variance in arrays.items():
+        values = arrays.get(name.removesuffix(NOISE) + VALUES)
+        if name.endswith(NOISE) and values is not None and values.shape == variance.shape:
+            lists[name] = {"precision": (1.0 / variance).tolist()}
+            lists[name.removesuffix(NOISE) + VALUES] = {
+                "precision_mean": (values / variance).tolist()
+            }
     return lists

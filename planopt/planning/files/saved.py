@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from planopt.files.compare import DIGEST, digest
 from planopt.files.result_folder import replaced_results
-from planopt.files.tables import table_text
+from planopt.files.tables import write_tables
 from planopt.files.whole import strict_text, write_text
 from planopt.planning.files.belief_file import BELIEF_FILE, belief_of_plan, beliefs_of_run, write
 from planopt.planning.files.run_json import released_plans_json, run_json
@@ -65,9 +65,9 @@ def save_solution(solution: Solution, folder: Path) -> None:
     They replace the plan or run that the folder had, with its pictures.
     """
     problem = solution.problem
-    steps = table_text(step_columns(problem), steps_of_plans(problem, solution.plans))
+    steps = step_columns(problem), steps_of_plans(problem, solution.plans)
     with replaced_results(folder, PLAN_OR_RUN) as new:
-        write_text(new / STEPS_FILE, steps)
+        write_tables(new, {STEPS_FILE: steps})
         write(new / BELIEF_FILE, belief_of_plan(solution.belief))
         write_result(plan_data(solution), problem, new / PLAN_FILE)
 
@@ -80,8 +80,7 @@ def save_run(run: Run, folder: Path) -> None:
     with replaced_results(folder, PLAN_OR_RUN) as new:
         for name, arrays in zip(belief_files(run.problem), beliefs_of_run(run), strict=True):
             write(new / name, arrays)
-        for name, table in run_tables(run).items():
-            write_text(new / name, table_text(*table))
+        write_tables(new, run_tables(run))
         write_result(run_data(run), run.problem, new / RUN_FILE)
 
 

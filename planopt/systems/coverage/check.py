@@ -6,7 +6,6 @@ the region again; then everything that the JSON file says is computed again from
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -24,7 +23,8 @@ from planopt.coverage.simulation import ABSENT, NetworkRun, residual_m
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.files.compare import differences, in_words
-from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
+from planopt.files.tables import Data, comparable, read_table
+from planopt.files.typed_json import whole_number
 from planopt.problems.systems import SystemProblem
 from planopt.systems.coverage.build import CoverageProblem, overlapping
 from planopt.systems.coverage.results import (
@@ -38,6 +38,7 @@ from planopt.systems.coverage.results import (
     agent_name,
     run_json,
     state_names,
+    tables_of,
 )
 from planopt.systems.coverage.tables import has_room
 
@@ -90,7 +91,7 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
     if "objective" in data:
         return _deployment(file, data, content)
     seed, horizon = whole_number(file, data, "seed"), whole_number(file, data, "horizon")
-    run = _read(file.parent, content, seed)
+    run, tables = _read(file.parent, content, seed)
     driven = Driven(content, run, str(data.get("planner")), horizon, seed)
     moved = faults(driven)
     if moved:
@@ -104,6 +105,8 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
         **{"faults": moved, "verified_rate": 1.0},
         **kept,
     }
+    for name, (_, table) in tables_of(driven).items():
+        reasons += in_words(name, differences(comparable(tables[name]), comparable(table)))
     return reasons + in_words(file.name, differences(data, found))
 
 
@@ -253,67 +256,71 @@ def _starts(driven: Driven) -> list[str]:
     return []
 
 
-def _read(folder: Path, problem: CoverageProblem, seed: int) -> NetworkRun:
-    """The run in the tables of a folder."""
+def _read(folder: Path, problem: CoverageProblem, seed: int) -> tuple[NetworkRun, dict[str, Data]]:
+    """Return the run in the tables of a folder, and these."""
     agents, events = len(problem.joins_s), len(problem.events)
-    rows = read_rows(folder / STEPS_FILE, STEP_COLUMNS)
-    network = read_rows(folder / NETWORK_FILE, NETWORK_COLUMNS)
-    told = read_rows(folder / EVENTS_FILE, EVENT_COLUMNS)
-    steps = len(network)
+    columns = {
+        STEPS_FILE: STEP_COLUMNS,
+        NETWORK_FILE: NETWORK_COLUMNS,
+        EVENTS_FILE: EVENT_COLUMNS,
+    }
+    tables: dict[str, Data] = {
+        name: read_table(folder / name, own) for name, own in columns.items()
+    }
+    rows, network, told = (tables[name] for name in columns)
+    steps = len(network["step"])
     sizes = (
-        (STEPS_FILE, len(rows), agents * (steps + 1)),
-        (EVENTS_FILE, len(told), events * steps),
+        (STEPS_FILE, len(rows["step"]), agents * (steps + 1)),
+        (EVENTS_FILE, len(told["step"]), events * steps),
     )
     for name, count, wanted in sizes:
         if count != wanted or not steps:
             raise InputError(f"has {count} rows, not {wanted}", file=folder / name)
-    for row, line in enumerate(rows):
-        agent, step = divmod(row, steps + 1)
-        if line["robot"] != agent_name(agent) or line["step"] != str(step):
-            raise InputError(
-                f"is of {line['robot']} {line['step']}, not {agent_name(agent)} {step}",
-                file=folder / STEPS_FILE,
-                row=row + 2,
-            )
+
+    def by_agent(*names: str, before_end: bool = True) -> NDArray[Any]:
+        found = np.stack([rows[name] for name in names], axis=-1)
+        found = found.reshape(agents, steps + 1, -1).transpose(1, 0, 2)
+        return found[:-1] if before_end else found
+
     words = {word: state for state, word in state_names(problem).items()}
-    for row, line in enumerate(rows):
-        if (row + 1) % (steps + 1) and line["state"] not in words:
-            raise InputError(
-                f"{line['state']!r} is no state", file=folder / STEPS_FILE, row=row + 2
-            )
-    numbers = finite_numbers(folder / STEPS_FILE, rows, STEP_COLUMNS[2:8])
-    numbers = numbers.reshape(agents, steps + 1, 6)
-    times_s = numbers[0, :, 0]
+    said = by_agent("state")[..., 0]
+    if not np.isin(said, list(words)).all():
+        raise InputError("has an unknown state", file=folder / STEPS_FILE, key="state")
+    targets_m = by_agent("target_x_m", "target_y_m")
+    if not np.isfinite(targets_m).all():
+        raise InputError("has no target", file=folder / STEPS_FILE, key="target_x_m")
+    times_s = rows["t_s"][: steps + 1]
     if np.abs(times_s - np.arange(steps + 1) * problem.given.control.time_step_s).max() > PLACE_M:
         raise InputError("are not control.time_step_s apart", file=folder / STEPS_FILE, key="t_s")
-    moving = [line for row, line in enumerate(rows) if (row + 1) % (steps + 1)]
-    targets = finite_numbers(folder / STEPS_FILE, moving, ("target_x_m", "target_y_m"))
-    counts = finite_numbers(folder / STEPS_FILE, moving, ("count",), empty=math.nan)
-    series = finite_numbers(folder / NETWORK_FILE, network, NETWORK_COLUMNS)
-    known = finite_numbers(folder / EVENTS_FILE, told, EVENT_COLUMNS[6:], empty=math.nan)
-    known = known.reshape(events, steps, 5).transpose(1, 0, 2)
-    states = np.array([words[line["state"]] for line in moving]).reshape(agents, steps).T
-    stds = np.where(np.isfinite(known[..., 0]) & np.isnan(known[..., 2]), np.inf, known[..., 2])
+
+    def by_event(*names: str) -> NDArray[Any]:
+        found = np.stack([told[name] for name in names], axis=-1)
+        return found.reshape(events, steps, -1).transpose(1, 0, 2)
+
+    estimates_m, stds = by_event("estimate_x_m", "estimate_y_m"), by_event("std_m")[..., 0]
+    states = np.vectorize(words.__getitem__, otypes=[np.intp])(said)
     scene = problem.scene(np.random.default_rng(seed))
     settled = scene.has_settled(
         float(times_s[-2]),
-        float(series[-1, 3]),
-        np.isfinite(known[-1, :, 0]),
+        float(network["residual_m"][-1]),
+        np.isfinite(estimates_m[-1, :, 0]),
         states[-1] != ABSENT,
     )
-    return NetworkRun(
+    messages = ("count_messages", "assignment_messages", "reading_messages")
+    run = NetworkRun(
         times_s,
-        numbers[:, :, 1:3].transpose(1, 0, 2),
-        numbers[:, :, 3:5].transpose(1, 0, 2),
-        numbers[:, :, 5].T,
+        by_agent("x_m", "y_m", before_end=False),
+        by_agent("vx_m_s", "vy_m_s", before_end=False),
+        by_agent("heading_rad", before_end=False)[..., 0],
         states,
-        targets.reshape(agents, steps, 2).transpose(1, 0, 2),
-        series[:, 2],
-        series[:, 3],
-        counts.reshape(agents, steps).T,
-        np.nan_to_num(known[..., 3]).astype(np.intp),
-        known[..., :2],
-        stds,
-        series[:, 4:].astype(np.intp),
+        targets_m,
+        network["cost"],
+        network["residual_m"],
+        by_agent("count")[..., 0],
+        by_event("wanted")[..., 0].astype(np.intp),
+        estimates_m,
+        np.where(np.isfinite(estimates_m[..., 0]) & np.isnan(stds), np.inf, stds),
+        np.stack([network[name] for name in messages], axis=1).astype(np.intp),
         settled,
     )
+    return run, tables

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,24 +14,47 @@ from planopt.coverage.assignment.several import NONE
 from planopt.coverage.control.laws import Gains
 from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.simulation import ABSENT, NetworkRun
-from planopt.files.csv_tables import csv_text
-from planopt.files.whole import write_text
+from planopt.files.tables import Column, Data, table_of_rows
 from planopt.planning.files.record import finite
 from planopt.systems.coverage.build import CoverageProblem
 
 STEPS_FILE, NETWORK_FILE, EVENTS_FILE = "steps.csv", "network.csv", "events.csv"
 
 STEP_COLUMNS = (
-    *("robot", "step", "t_s", "x_m", "y_m", "vx_m_s", "vy_m_s", "heading_rad"),
-    *("state", "target_x_m", "target_y_m", "count"),
+    Column("robot", "name of the agent", kind="text", required=True),
+    Column("step", "number of the step; 0 is the start", kind="count", required=True),
+    Column("t_s", "time", "s", required=True),
+    Column("x_m", "position", "m", required=True),
+    Column("y_m", "position", "m", required=True),
+    Column("vx_m_s", "velocity", "m/s", required=True),
+    Column("vy_m_s", "velocity", "m/s", required=True),
+    Column("heading_rad", "heading", "rad", required=True),
+    Column("state", "`covers`, `absent` or the event that the agent responds to", kind="text"),
+    Column("target_x_m", "target of the step that begins here", "m"),
+    Column("target_y_m", "target of the step that begins here", "m"),
+    Column("count", "the agent's count of the agents"),
 )
 NETWORK_COLUMNS = (
-    *("step", "t_s", "cost", "residual_m"),
-    *("count_messages", "assignment_messages", "reading_messages"),
+    Column("step", "number of the step", kind="count", required=True),
+    Column("t_s", "time", "s", required=True),
+    Column("cost", "coverage cost", required=True, largest=math.inf),
+    Column("residual_m", "largest distance from rest at a target", "m", required=True),
+    Column("count_messages", "messages for counting", kind="count", required=True),
+    Column("assignment_messages", "messages for assignment", kind="count", required=True),
+    Column("reading_messages", "messages with sensor readings", kind="count", required=True),
 )
 EVENT_COLUMNS = (
-    *("event", "step", "t_s", "there", "x_m", "y_m"),
-    *("estimate_x_m", "estimate_y_m", "std_m", "wanted", "responding"),
+    Column("event", "name of the event", kind="text", required=True),
+    Column("step", "number of the step", kind="count", required=True),
+    Column("t_s", "time", "s", required=True),
+    Column("there", "whether the event is there", kind="count", required=True),
+    Column("x_m", "position of the event", "m", required=True),
+    Column("y_m", "position of the event", "m", required=True),
+    Column("estimate_x_m", "estimated position; empty before it is detected", "m"),
+    Column("estimate_y_m", "estimated position; empty before it is detected", "m"),
+    Column("std_m", "standard deviation of the estimate", "m"),
+    Column("wanted", "number of agents wanted", kind="count", required=True),
+    Column("responding", "number of agents that respond", kind="count", required=True),
 )
 COVERS, AWAY = "covers", "absent"
 """States of agents that respond to no event."""
@@ -196,11 +219,13 @@ def _in_place(driven: Driven, number: int, near_m: float) -> NDArray[np.bool_]:
     return in_place | (still & (off_m <= reach_m[:, None]))
 
 
-def save_tables(driven: Driven, folder: Path) -> None:
-    """Write ``steps.csv``, ``network.csv`` and ``events.csv``."""
-    write_text(folder / STEPS_FILE, csv_text(STEP_COLUMNS, _step_rows(driven)))
-    write_text(folder / NETWORK_FILE, csv_text(NETWORK_COLUMNS, _network_rows(driven)))
-    write_text(folder / EVENTS_FILE, csv_text(EVENT_COLUMNS, _event_rows(driven)))
+def tables_of(driven: Driven) -> dict[str, tuple[Sequence[Column], Data]]:
+    """Return columns and data of ``steps.csv``, ``network.csv`` and ``events.csv``."""
+    return {
+        STEPS_FILE: (STEP_COLUMNS, table_of_rows(STEP_COLUMNS, _step_rows(driven))),
+        NETWORK_FILE: (NETWORK_COLUMNS, table_of_rows(NETWORK_COLUMNS, _network_rows(driven))),
+        EVENTS_FILE: (EVENT_COLUMNS, table_of_rows(EVENT_COLUMNS, _event_rows(driven))),
+    }
 
 
 def in_words(name: str, data: Mapping[str, Any]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.simulation import simulate_network
+from planopt.files.tables import write_tables
 from planopt.problems.save import obstacle_table
 from planopt.problems.systems import (
     Answer,
@@ -27,7 +28,7 @@ from planopt.systems.coverage.results import (
     Driven,
     in_words,
     run_json,
-    save_tables,
+    tables_of,
 )
 from planopt.systems.coverage.tables import CoverageFile, PlannerName, PlannerTable
 
@@ -85,7 +86,7 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
         data,
         (*in_words(problem.name, data), *(f"  {each}" for each in broken)),
         NOT_VERIFIED if broken else 0 if reached else NOT_REACHED,
-        save=lambda folder: save_tables(driven, folder),
+        save=lambda folder: write_tables(folder, tables_of(driven)),
         draw=(lambda folder: _draw(problem.name, driven, request, folder)) if drawn else None,
         step_s=tuple(lasts_s.tolist()),
     )

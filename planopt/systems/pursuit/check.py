@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.files.compare import differences, in_words
-from planopt.files.csv_tables import finite_numbers, read_rows, whole_number
+from planopt.files.tables import Data, comparable, read_table
+from planopt.files.typed_json import whole_number
 from planopt.problems.systems import SystemProblem
 from planopt.pursuit.knowledge import Track
 from planopt.pursuit.records import Record
@@ -31,6 +32,7 @@ from planopt.systems.pursuit.results import (
     STEPS_FILE,
     faults,
     run_json,
+    tables_of,
 )
 from planopt.systems.pursuit.tables import PursuitProblem
 
@@ -52,7 +54,7 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
     if data.get("outcome") == "no_plan":
         return [f"there is no run to judge: {data.get('reason')}"]
     content: PursuitProblem = problem.content
-    pursuit = _read(file, data, content)
+    pursuit, tables = _read(file, data, content)
     driven = Driven(
         content,
         pursuit,
@@ -68,6 +70,8 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
     ]
     kept = {key: data.get(key) for key in ("wall_s", "step_s", "problem_file")}
     found = {"problem": problem.name, **run_json(driven), "faults": faults(driven), **kept}
+    for name, (_, table) in tables_of(driven).items():
+        reasons += in_words(name, differences(comparable(tables[name]), comparable(table)))
     return reasons + in_words(file.name, differences(data, found))
 
 
@@ -208,41 +212,36 @@ def _at(name: str, off: NDArray[np.float64], words: str, unit: str) -> str:
     return f"{STEPS_FILE}: {name} {words} {off[step]:.4g} {unit} at step {step}"
 
 
-def _read(file: Path, data: Mapping[str, Any], content: PursuitProblem) -> Pursuit:
-    """The pursuit in the tables beside the JSON file."""
-    given = content.given
-    steps = read_rows(file.parent / STEPS_FILE, STEP_COLUMNS)
+def _read(
+    file: Path, data: Mapping[str, Any], content: PursuitProblem
+) -> tuple[Pursuit, dict[str, Data]]:
+    """Return the pursuit in the tables beside the JSON file, and these."""
+    given, path = content.given, file.parent / STEPS_FILE
+    steps = read_table(path, STEP_COLUMNS)
     names = [each.name for each in (*given.pursuers, *given.evaders)]
-    count = len(steps) // len(names)
-    if count < 1 or len(steps) != count * len(names):
-        raise InputError(
-            f"has {len(steps)} rows, not as many for each of {len(names)}",
-            file=file.parent / STEPS_FILE,
-        )
-    for row, line in enumerate(steps):
-        if line["robot"] != names[row // count] or line["step"] != str(row % count):
-            raise InputError(
-                f"is of {line['robot']} {line['step']}, not {names[row // count]} {row % count}",
-                file=file.parent / STEPS_FILE,
-                row=row + 2,
-            )
-    numbers = finite_numbers(file.parent / STEPS_FILE, steps, ("t_s", "x_m", "y_m"))
-    numbers = numbers.reshape(len(names), count, 3)
-    pursuers, evaders = len(given.pursuers), [each.name for each in given.evaders]
+    count = len(steps["step"]) // len(names)
+    if count < 1 or len(steps["step"]) != count * len(names):
+        message = f"has {len(steps['step'])} rows, not as many for each of {len(names)}"
+        raise InputError(message, file=path)
+    rows = {name: column.reshape(len(names), count) for name, column in steps.items()}
+    times_s, pursuers = rows["t_s"][0], len(given.pursuers)
+    if np.abs(times_s - np.arange(count) * given.pursuit.step_s).max() > TIME_S:
+        raise InputError("are not pursuit.step_s apart", file=path, key="t_s")
+    evaders = [each.name for each in given.evaders]
+    chases = rows["chases"][:pursuers, :-1]
+    if not np.isin(chases, ["", *evaders]).all():
+        raise InputError("names no evader", file=path, key="chases")
+    aims = np.stack([rows["aim_x_m"], rows["aim_y_m"]], axis=-1)[:pursuers, :-1]
+    if not np.isfinite(aims).all():
+        raise InputError("has no aim", file=path, key="aim_x_m")
+    places = np.stack([rows["x_m"], rows["y_m"]], axis=-1)
     states: list[NDArray[np.float64]] = []
-    aims = np.zeros((pursuers, count - 1, 2))
-    chased = np.full((pursuers, count - 1), -1)
     for number, table in enumerate(given.pursuers):
-        own = steps[number * count : (number + 1) * count]
-        places = numbers[number, :, 1:]
-        if table.turn_rate_max_rad_s is not None:
-            heading = finite_numbers(file.parent / STEPS_FILE, own, ("heading_rad",))
-            places = np.hstack([places, heading])
-        states.append(places)
-        path = file.parent / STEPS_FILE
-        aims[number] = finite_numbers(path, own[:-1], ("aim_x_m", "aim_y_m"))
-        for step, line in enumerate(own[:-1]):
-            chased[number, step] = evaders.index(line["chases"]) if line["chases"] else -1
+        turns = table.turn_rate_max_rad_s is not None
+        if turns and not np.isfinite(rows["heading_rad"][number]).all():
+            raise InputError("has no heading", file=path, key="heading_rad")
+        own = [places[number], rows["heading_rad"][number][:, None]] if turns else [places[number]]
+        states.append(np.hstack(own))
     said = data.get("evaders")
     capture_s, captors = np.full(len(evaders), np.inf), np.full(len(evaders), -1)
     if not isinstance(said, list) or len(cast("list[object]", said)) != len(evaders):
@@ -253,37 +252,42 @@ def _read(file: Path, data: Mapping[str, Any], content: PursuitProblem) -> Pursu
         time_s, captor = row.get("capture_time_s"), row.get("captor")
         if isinstance(time_s, float | int) and captor in own_names:
             capture_s[number], captors[number] = float(time_s), own_names.index(captor)
-    times_s = numbers[0, :, 0]
-    if np.abs(times_s - np.arange(count) * given.pursuit.step_s).max() > TIME_S:
-        raise InputError("are not pursuit.step_s apart", file=file.parent / STEPS_FILE, key="t_s")
-    evaders_m = numbers[pursuers:, :, 1:]
+    numbers = {name: number for number, name in enumerate(["", *evaders], start=-1)}
+    chased = np.vectorize(numbers.__getitem__, otypes=[np.intp])(chases)
     scene = content.scene(given.planner, np.random.default_rng(0))
-    uses = _uses(file, content, times_s, states, evaders_m)
-    return Pursuit(scene, times_s, tuple(states), evaders_m, chased, aims, capture_s, captors, uses)
+    records = read_table(file.parent / RECORDS_FILE, RECORD_COLUMNS)
+    evaders_m = places[pursuers:]
+    uses = _uses(file.parent / RECORDS_FILE, records, content, times_s, states, evaders_m)
+    pursuit = Pursuit(
+        scene, times_s, tuple(states), evaders_m, chased, aims, capture_s, captors, uses
+    )
+    return pursuit, {STEPS_FILE: steps, RECORDS_FILE: records}
 
 
 def _uses(
-    file: Path,
+    path: Path,
+    records: Data,
     content: PursuitProblem,
     times_s: NDArray[np.float64],
     states: list[NDArray[np.float64]],
     evaders_m: NDArray[np.float64],
 ) -> tuple[Use, ...]:
-    path, given = file.parent / RECORDS_FILE, content.given
-    rows = read_rows(path, RECORD_COLUMNS)
-    numbers = finite_numbers(path, rows, RECORD_COLUMNS[2:])
+    given = content.given
     pursuers = [each.name for each in given.pursuers]
     evaders = [each.name for each in given.evaders]
     found: list[Use] = []
-    for row, (line, values) in enumerate(zip(rows, numbers, strict=True), start=2):
-        if line["pursuer"] not in pursuers or line["evader"] not in evaders:
+    columns = (records[column.name].tolist() for column in RECORD_COLUMNS)
+    for row, (name, other, time_s, sampled_s, x, y, error_m) in enumerate(
+        zip(*columns, strict=True), start=2
+    ):
+        if name not in pursuers or other not in evaders:
             raise InputError("names nobody of the problem", file=path, row=row)
-        pursuer, evader = pursuers.index(line["pursuer"]), evaders.index(line["evader"])
-        step = round(values[0] / given.pursuit.step_s)
-        if not (0 <= step < len(times_s) and abs(times_s[step] - values[0]) <= TIME_S):
+        pursuer, evader = pursuers.index(name), evaders.index(other)
+        step = round(time_s / given.pursuit.step_s)
+        if not (0 <= step < len(times_s) and abs(times_s[step] - time_s) <= TIME_S):
             raise InputError("is at no step of the run", file=path, key="t_s", row=row)
-        record = Record(float(values[1]), values[2:4], float(values[4]))
-        sampled_m = Track(times_s, evaders_m[evader]).at(values[1])
+        record = Record(sampled_s, np.array([x, y]), error_m)
+        sampled_m = Track(times_s, evaders_m[evader]).at(np.array(sampled_s))
         place_m = states[pursuer][step, :2]
-        found.append(Use(pursuer, evader, float(values[0]), place_m, record, sampled_m))
+        found.append(Use(pursuer, evader, time_s, place_m, record, sampled_m))
     return tuple(found)

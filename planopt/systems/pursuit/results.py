@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.files.csv_tables import csv_text
-from planopt.files.whole import write_text
+from planopt.files.tables import Column, Data, table_of_rows
 from planopt.planning.files.record import finite
 from planopt.pursuit.guarantees import Guarantee, Inequality, Theorem
 from planopt.systems.pursuit.driving import Driven
 
 STEPS_FILE, RECORDS_FILE = "steps.csv", "records.csv"
 
-STEP_COLUMNS = ("robot", "step", "t_s", "x_m", "y_m", "heading_rad", "chases", "aim_x_m", "aim_y_m")
+STEP_COLUMNS = (
+    Column("robot", "name of the pursuer or evader", kind="text", required=True),
+    Column("step", "number of the step; 0 is the start", kind="count", required=True),
+    Column("t_s", "time", "s", required=True),
+    Column("x_m", "position", "m", required=True),
+    Column("y_m", "position", "m", required=True),
+    Column("heading_rad", "heading of a pursuer that must turn", "rad"),
+    Column("chases", "evader that a pursuer chases in the step that begins here", kind="text"),
+    Column("aim_x_m", "aim of a pursuer in that step", "m"),
+    Column("aim_y_m", "aim of a pursuer in that step", "m"),
+)
 RECORD_COLUMNS = (
-    *("pursuer", "evader", "t_s", "sampled_s"),
-    *("reported_x_m", "reported_y_m", "error_m"),
+    Column("pursuer", "pursuer that received the report", kind="text", required=True),
+    Column("evader", "evader that the report is about", kind="text", required=True),
+    Column("t_s", "time of the report", "s", required=True),
+    Column("sampled_s", "time when the evader was sensed", "s", required=True),
+    Column("reported_x_m", "reported position", "m", required=True),
+    Column("reported_y_m", "reported position", "m", required=True),
+    Column("error_m", "bound on the error of the reported position", "m", required=True),
 )
 
 THEOREMS = (Theorem.ANY_INSTANT, Theorem.SNAPSHOTS)
@@ -170,10 +183,12 @@ def faults(driven: Driven) -> list[str]:
     return found
 
 
-def save_tables(driven: Driven, folder: Path) -> None:
-    """Write ``steps.csv`` and ``records.csv``."""
-    write_text(folder / STEPS_FILE, csv_text(STEP_COLUMNS, _step_rows(driven)))
-    write_text(folder / RECORDS_FILE, csv_text(RECORD_COLUMNS, _record_rows(driven)))
+def tables_of(driven: Driven) -> dict[str, tuple[Sequence[Column], Data]]:
+    """Return columns and data of ``steps.csv`` and ``records.csv``."""
+    return {
+        STEPS_FILE: (STEP_COLUMNS, table_of_rows(STEP_COLUMNS, _step_rows(driven))),
+        RECORDS_FILE: (RECORD_COLUMNS, table_of_rows(RECORD_COLUMNS, _record_rows(driven))),
+    }
 
 
 def in_words(name: str, data: Mapping[str, Any]) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from planopt.errors import NoPlanError
+from planopt.files.tables import write_tables
 from planopt.problems.save import obstacle_table
 from planopt.problems.systems import Answer, Request, System, SystemProblem
 from planopt.systems.pursuit.check import check
@@ -18,7 +19,7 @@ from planopt.systems.pursuit.results import (
     faults,
     in_words,
     run_json,
-    save_tables,
+    tables_of,
 )
 from planopt.systems.pursuit.tables import PursuitFile, PursuitProblem, build
 
@@ -58,7 +59,7 @@ def simulate(problem: SystemProblem, request: Request) -> Answer:
         data,
         (*in_words(problem.name, data), *(f"  {each}" for each in broken)),
         code,
-        save=lambda folder: save_tables(driven, folder),
+        save=lambda folder: write_tables(folder, tables_of(driven)),
         draw=(lambda folder: _draw(problem.name, driven, folder))
         if content.given.report.figures
         else None,

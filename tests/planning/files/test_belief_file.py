@@ -63,7 +63,7 @@ def test_every_measurement_of_a_run_comes_back(file: Path, beliefs: list[Belief]
 
 
 def test_ages_receivers_and_errors_come_back(tmp_path: Path) -> None:
-    """With the forgetting time; a file from before they were saved is one without them."""
+    """With the forgetting time."""
     first = drawn(40, 2)
     first = replace(
         first,
@@ -82,15 +82,6 @@ def test_ages_receivers_and_errors_come_back(tmp_path: Path) -> None:
             getattr(saved.measurements, field.name), getattr(first, field.name)
         )
     assert saved.parameters == fit.parameters
-    names = ("resolution_db", "position_std_m", "time_s", "receiver", "forgetting_s")
-    rewritten(path, **dict.fromkeys(names))
-    old = read_belief(path)
-    assert old.parameters == replace(fit.parameters, forgetting_s=np.inf)
-    plain = drawn(40, 2)
-    for field in fields(Measurements):
-        np.testing.assert_array_equal(
-            getattr(old.measurements, field.name), getattr(plain, field.name)
-        )
 
 
 def test_needs_no_pickle(file: Path) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from planopt.planning.files.steps_file import joined_steps, steps_of_plan, steps_of_run, steps_text
 from team_scene import two_trackers
 
 import planopt

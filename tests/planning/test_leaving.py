@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import shapely
@@ -11,7 +9,6 @@ from scenes import small_problem
 
 from planopt import Planner, Verdict, load
 from planopt.errors import InputError
-from planopt.planning.check.rebuilt import provenance_faults
 from planopt.planning.leaving import leaving_path
 from planopt.planning.plan import Rung
 from planopt.world.clearance import index_obstacles
@@ -83,11 +80,3 @@ def test_a_step_out_of_bounds_is_another_frame():
     far = problem.workspace.bounds_m[2] + 1.1 * problem.step_length_m
     with pytest.raises(InputError, match="outside the bounds"):
         Planner(problem, horizon=2).step((far, 50.0))
-
-
-def test_the_name_is_kept_for_it():
-    """A plan that is verified, or drives on, is rejected under this name."""
-    problem = load("open_field")
-    plan = Planner(problem, horizon=3).step(problem.robots[0].start_m)
-    faults = provenance_faults(problem, replace(plan, rung=Rung.LEAVE), None)
-    assert any("no single step" in reason for _, reason in faults)

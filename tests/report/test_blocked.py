@@ -161,7 +161,7 @@ def test_no_plan_without_a_refusal_is_violated(problem, tmp_path: Path, capsys) 
     del data["blocked"]
     file.write_text(json.dumps(data))
     assert main(["check", str(tmp_path)]) != 0
-    assert "outcome" in capsys.readouterr().out
+    assert "neither its task nor a standstill" in capsys.readouterr().out
 
 
 def test_a_run_is_drawn_without_its_truth(problem) -> None:

@@ -179,8 +179,8 @@ def test_obstacles_are_judged(written, tmp_path, capsys):
     ("file", "change", "words"),
     [
         ("steps.csv", lambda text: text[: len(text) // 2], "steps.csv"),
-        ("steps.csv", lambda text: text.replace("0.2,", "nan,", 1), "no finite number"),
-        ("steps.csv", lambda text: text.replace("x_m", "z_m", 1), "has not the columns"),
+        ("steps.csv", lambda text: text.replace("0.2,", "nan,", 1), "not a finite number"),
+        ("steps.csv", lambda text: text.replace("x_m", "z_m", 1), "the header is not"),
         ("records.csv", lambda text: text.replace("evader,", "nobody,", 2), "records.csv"),
         ("run.json", lambda text: text[:-20], "run.json"),
     ],

@@ -263,6 +263,6 @@ def load_result(path: Path | str) -> Solution | Run:
     if isinstance(saved.record, PlanRecord):
         return replay_solution(saved, start)
     run = replay_run(saved, start)
-    if run.outcome.value != saved.record.outcome:
+    if (run.outcome.value, run.reason) != (saved.record.outcome, saved.record.message):
         raise InputError(run.reason, file=saved.file, key="outcome", remedy=REMEDY)
     return run

@@ -27,7 +27,7 @@ from planopt.planning.check.replay_belief import initial_belief
 from planopt.planning.files.read_saved import Saved, SavedPlan
 from planopt.planning.files.run_json import RunRecord
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
-from planopt.planning.free_space import obstacles_met
+from planopt.planning.free_space import is_joined, obstacles_met
 from planopt.planning.given import Given, draw, team_seeds
 from planopt.planning.holes import BlockedError, holes_on
 from planopt.planning.loop.clairvoyant import COSTS
@@ -187,7 +187,7 @@ def _planning(saved: Saved) -> Planning:
         def plan_step(at: TeamMoment) -> tuple[list[Plan], list[Aim]]:
             step = at.driven
             if step >= len(by_robot[0]):
-                raise _no_plan(saved)
+                raise _no_plan(saved, owns, at.states)
             motions = [made[step].motion for made in by_robot]
             plans: list[Plan] = []
             aims: list[Aim] = []
@@ -212,16 +212,36 @@ def _planning(saved: Saved) -> Planning:
     return made
 
 
-def _no_plan(saved: Saved) -> BlockedError:
-    """Return why there is no further plan; whether there is one is not judged."""
+def _no_plan(
+    saved: Saved, owns: Sequence[Problem], states: Sequence[NDArray[np.float64]]
+) -> BlockedError:
+    """Return why there is no further plan: as saved where it is shown, else that nothing says so.
+
+    It is shown by obstacles that cut off a goal, and by a forbidden way that begins at a robot.
+    """
     steps = len(saved.plans[0])
     message = (
         f"the run ends after step {steps}, planner.max_steps is "
         f"{saved.problem.planner.max_steps}, and neither its task nor a standstill ended it"
     )
-    if isinstance(saved.record, RunRecord) and saved.record.outcome == Outcome.NO_PLAN.value:
+    places = {own.robots[0].name: state[:2] for own, state in zip(owns, states, strict=True)}
+    hard = saved.problem.constraints.rule.slack_max_db is not None
+    shown = hard and any(
+        way.holes and np.abs(way.way_m[0] - places[way.robot]).max() <= SAME_PLACE_M
+        for way in saved.blocked
+    )
+    shown = shown or any(_is_cut_off(own, places[own.robots[0].name]) for own in owns)
+    said = isinstance(saved.record, RunRecord) and saved.record.outcome == Outcome.NO_PLAN.value
+    if said and shown:
         message = str(saved.data.get("message"))
     return BlockedError(message, saved.blocked)
+
+
+def _is_cut_off(problem: Problem, place_m: NDArray[np.float64]) -> bool:
+    """Return whether obstacles cut the problem's robot off from its goal."""
+    x, y = place_m.tolist()
+    here = replace(problem, robots=(replace(problem.robots[0], start_m=(x, y)),))
+    return here.task == "reach" and not is_joined(here, here.constraints.clearance_m)
 
 
 @dataclass(frozen=True, eq=False)

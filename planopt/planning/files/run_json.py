@@ -54,6 +54,7 @@ class RunRecord(Record):
 
     seed: int = Field(ge=0)
     outcome: str
+    message: str
     plans: list[RobotPlansRecord]
     blocked: list[BlockedRecord] = Field(default=[])
     problem_file: dict[str, Any]

@@ -279,7 +279,7 @@ def _read(folder: Path, problem: CoverageProblem, seed: int) -> tuple[NetworkRun
 
     def by_agent(*names: str, before_end: bool = True) -> NDArray[Any]:
         found = np.stack([rows[name] for name in names], axis=-1)
-        found = found.reshape(agents, steps + 1, -1).transpose(1, 0, 2)
+        found = found.reshape(agents, steps + 1, len(names)).transpose(1, 0, 2)
         return found[:-1] if before_end else found
 
     words = {word: state for state, word in state_names(problem).items()}
@@ -295,7 +295,7 @@ def _read(folder: Path, problem: CoverageProblem, seed: int) -> tuple[NetworkRun
 
     def by_event(*names: str) -> NDArray[Any]:
         found = np.stack([told[name] for name in names], axis=-1)
-        return found.reshape(events, steps, -1).transpose(1, 0, 2)
+        return found.reshape(events, steps, len(names)).transpose(1, 0, 2)
 
     estimates_m, stds = by_event("estimate_x_m", "estimate_y_m"), by_event("std_m")[..., 0]
     states = np.vectorize(words.__getitem__, otypes=[np.intp])(said)

@@ -184,7 +184,7 @@ def test_what_was_saved_is_verified(made: Path, name: str) -> None:
         ("plan", ("certificate", "min_separation_m"), 9.0, "certificate.min_separation_m"),
         ("run", ("metrics", "min_separation_m"), 9.0, "metrics.min_separation_m"),
         ("run", ("metrics", "min_moving_clearance_m"), 9.0, "metrics.min_moving_clearance_m"),
-        ("run", ("plans", 0, "released", 2, "rung"), "reserved", "rung: reserved, but the path"),
+        ("run", ("plans", 0, "released", 2, "rung"), "reserved", "rungs.reserved"),
         (
             "run",
             ("problem_file", "constraints", "separation_m"),

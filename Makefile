@@ -1,5 +1,5 @@
 # make demo   the main job, end to end, with pictures in demo/
-# make test   everything that is checked: style, types, imports, tests with coverage
+# make test   everything that is checked: style, size, types, imports, tests with coverage
 # make quick  the tests of what has changed since the last commit but one, for half a minute
 # make bench  the benchmarks        make docs   the documentation in docs/_build/html
 # make regression  the fast share of the solver regression suite
@@ -53,6 +53,7 @@ test: lint types imports tests
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python .ci/size_budget.py
 
 types: $(VENV)/.installed-dev
 	$(BIN)/pyright --pythonpath $(BIN)/python

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 80_200,
-    "lines of code": 56_400,
-    "files": 465,
-    "functions": 4_052,
-    "docstring lines": 11_300,
-    "lines of tests": 59_500,
+    "lines": 74_500,
+    "lines of code": 52_500,
+    "files": 449,
+    "functions": 3_780,
+    "docstring lines": 10_500,
+    "lines of tests": 56_600,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

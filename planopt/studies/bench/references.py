@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from planopt.errors import InputError
 from planopt.files.regular import read_text
@@ -112,7 +113,7 @@ def write_references(references: References, file: Path) -> None:
 def reference_of(row: Row, made_by: str) -> Reference:
     """Return a row as a reference."""
     names = [part.name for part in fields(Reference) if part.name != "made_by"]
-    kept = {name: getattr(row, name) for name in names}
+    kept: dict[str, Any] = {name: getattr(row, name) for name in names}
     if row.objective is not None:
         kept["objective"] = float(f"{row.objective:.{DIGITS}g}")
     return Reference(**{**kept, "cpu_s": round(row.cpu_s, 2)}, made_by=made_by)

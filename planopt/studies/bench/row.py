@@ -39,9 +39,6 @@ PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
 RUN_STEPS = 20
 """Steps of a closed loop that are planned."""
 
-STATE_DIGITS = 4
-"""Decimals of recorded states: far below the distance that a robot may be off its plan."""
-
 
 @dataclass(frozen=True)
 class Row:
@@ -199,8 +196,7 @@ def _run_row(problem: Problem, nothing: Row, start: Start, recorded: States) -> 
         outcome=PLANNED,
         cpu_s=cpu_s,
         path_digest=_digest(plan.positions_m for plan in plans),
-        states=recorded
-        or tuple(tuple(tuple(s.round(STATE_DIGITS).tolist()) for s in each) for each in states),
+        states=recorded or tuple(tuple(tuple(s.tolist()) for s in each) for each in states),
     )
 
 

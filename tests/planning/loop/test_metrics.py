@@ -123,9 +123,3 @@ def test_a_stand_without_connection_neither_ends_nor_lengthens_an_outage():
     lengths = np.array([2.0, 0.0, 3.0, 1.0])
     assert longest_outage_m(lengths, np.array([False, False, False, True])) == 5.0
     assert longest_outage_m(lengths, np.array([False, True, False, True])) == 3.0
-
-
-def test_lengths_and_connections_belong_together():
-    """One connection too few is a mistake of the caller."""
-    with pytest.raises(ValueError, match="shorter"):
-        longest_outage_m(np.ones(3), np.ones(2, dtype=bool))

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
-from planopt import solve
-from planopt.errors import InputError
 from planopt.objectives.tracking_recourse import RECOURSE_STEPS
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
@@ -18,7 +16,6 @@ from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.tried_places import COMPARED, TRIED, TriedPlaces
 from planopt.planning.worth import situation as situation_module
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.robots.double_integrator import DoubleIntegrator
 
 RECOURSE = {**TRACKING, "form": "recourse"}
 
@@ -96,11 +93,3 @@ def test_few_places_are_predicted(step, monkeypatch):
     found_ways(problem, replace(situation), ground)
     beyond = problem.planner.horizon + RECOURSE_STEPS
     assert 0 < sum(asked) <= COMPARED + beyond
-
-
-def test_robots_with_inertia_do_not_turn_back_at_will():
-    """The form is refused, in words."""
-    problem = terms_problem(RECOURSE, horizon=3)
-    robot = replace(problem.robots[0], dynamics=DoubleIntegrator(1.0, 0.5))
-    with pytest.raises(InputError, match="turn and stop at will"):
-        solve(replace(problem, robots=(robot,)))

@@ -665,6 +665,6 @@ def test_remedies_of_check(base, tmp_path) -> None:
     ):
         kept = (tmp_path / name).read_bytes()
         (tmp_path / name).write_text(damage(kept.decode(errors="replace")))
-        with pytest.raises(InputError, match="save the plan or run again"):
+        with pytest.raises(InputError, match="save the result again"):
             planopt.check(tmp_path)
         (tmp_path / name).write_bytes(kept)

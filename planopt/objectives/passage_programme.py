@@ -1,5 +1,5 @@
 # pyright: basic
-"""Derivatives of the filtered distance until connected (equation 4.18), by CasADi.
+"""Derivatives of the filtered distance until connected (equation 4.15), by CasADi.
 
 The same formula as :func:`planopt.objectives.until_connected.filtered_failing`, for solvers.
 """

@@ -2,7 +2,7 @@
 
 A try that fails loses nothing but time: once the robot is back at a place that is known to be
 connected, its packet tells all that it has measured on the way, beside the target and on the way
-back (equation 4.28). Until then the station knows what packets on the way have told.
+back (equation 4.23). Until then the station knows what packets on the way have told.
 
 What counts is how long the station goes without. A robot that is back may go out again, so that
 what it brings serves until it is back the next time, and no longer: later steps are discounted.
@@ -48,7 +48,7 @@ def told_later_costs(
 ) -> NDArray[np.float64]:
     """Return what tries of the ends of paths leave of the covariance, m^2; ``(c,)``.
 
-    As :func:`planopt.objectives.tracking_recourse.recourse_costs`, by equation 4.28; `settings` say
+    As :func:`planopt.objectives.tracking_recourse.recourse_costs`, by equation 4.23; `settings` say
     what the robot holds.
     """
     held, tracking = settings.held, settings.tracking

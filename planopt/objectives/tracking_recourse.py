@@ -3,7 +3,7 @@
 A path is taken for a try of the place where it ends. If a packet arrives from there, later ones do
 too, for multipath stays what it is; if not, the robot goes to another place: at every later step it
 may be at any *retreat* that it comes to in time, a place that is known to be connected, or one that
-the target is expected at, with the chance of connection there (equation 4.27). After a try that
+the target is expected at, with the chance of connection there (equation 4.22). After a try that
 succeeds it stays for some steps, and may then be at a retreat too, for the target moves on.
 
 So a step out of what is known to be covered costs little where the way back is short, and may bring
@@ -37,7 +37,7 @@ WHOLE_STEPS = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Retreats:
-    """Places where a robot may be instead of where its path ends (equation 4.26)."""
+    """Places where a robot may be instead of where its path ends (equation 4.21)."""
 
     places_m: NDArray[np.float64]  # (m, 2)
     # (m, k) expected information of a packet from there at every step, per m^2
@@ -102,7 +102,7 @@ def recourse_costs(
 ) -> NDArray[np.float64]:
     """Return what tries of the ends of paths leave of the covariance, m^2; ``(c,)``.
 
-    Equation 4.27 has what they remove: this is less than what is left without them.
+    Equation 4.22 has what they remove: this is less than what is left without them.
     """
     steps, tracking = chance.shape[1], settings.tracking
     arrivals = last_arrivals(ways_m)
@@ -126,7 +126,7 @@ def last_arrivals(ways_m: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def stayed_steps(ways_m: NDArray[np.float64]) -> int:
-    """Return M of equation 4.26, for how many steps of paths (c, N, 2) ends are stayed at."""
+    """Return M of equation 4.21, for how many steps of paths (c, N, 2) ends are stayed at."""
     return min(ways_m.shape[1], STAYED_STEPS)
 
 
@@ -136,7 +136,7 @@ def at_ends(
     retreats: Retreats,
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return s_k and e_k of equation 4.26, from the ends of paths on; ``(2, c, k)``.
+    """Return s_k and e_k of equation 4.21, from the ends of paths on; ``(2, c, k)``.
 
     In the first `STAYED_STEPS` steps a try that succeeds is stayed at, and a path that ends with
     its first step tries nothing. Otherwise a robot that stands would be worth as much as one that

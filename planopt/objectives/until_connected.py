@@ -1,6 +1,6 @@
-"""The expected distance along a path until connected (equation 4.16): a cost, in metres.
+"""The expected distance along a path until connected (equation 4.13): a cost, in metres.
 
-Plans are valued by assumed-density filtering (equation 4.18): places are taken in turn, and given
+Plans are valued by assumed-density filtering (equation 4.15): places are taken in turn, and given
 that the earlier ones are not connected, power at all later ones is taken as Gaussian again, with
 the moments that it truly has. It is within hundredths of the multivariate integral
 (:func:`expected_distance_m`), costs a hundredth of it, and is what searches and solvers climb.
@@ -133,7 +133,7 @@ def charged_distances_m(
 def filtered_failing(
     above_db: NDArray[np.float64], covariance_db2: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Chance of no connection up to each place of c paths, by filtering (equation 4.18); (c, h)."""
+    """Chance of no connection up to each place of c paths, by filtering (equation 4.15); (c, h)."""
     # Shapes: above_db, covariance_db2 (c, h).
     mean, covariance = above_db.copy(), covariance_db2.copy()
     below = np.empty_like(mean)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +34,8 @@ class Raster:
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
     values: NDArray[np.float64]  # (ny, nx), row 0 at the smallest y. NaN where there is no value.
-    quantity: str = ""  # Such as "received power"; empty if not known
-    unit: str = ""
+    quantity: str = field(default="", repr=False)  # Such as "received power"; empty if not known
+    unit: str = field(default="", repr=False)
 
     __repr__ = short_repr
 

@@ -24,7 +24,7 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True)
 class GoalTerm(Term):
-    """Metres by which the end of each step is nearer to the robot's goal (equation 4.24).
+    """Metres by which the end of each step is nearer to the robot's goal (equation 4.20).
 
     The distance is that of the shortest way that keeps ``p_min`` at every place, or leaves contact
     as little as can be. The run ends once every robot stands within ``goal_radius_m`` of its goal.

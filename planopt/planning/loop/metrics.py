@@ -158,7 +158,7 @@ def nis_interval(count: int) -> tuple[float, float]:
     """Return the least and largest mean of `count` values of NIS in 95 % of filters that are right.
 
     Innovations of a filter that is right are independent, and each value has the law chi-square
-    with the two degrees of freedom of a measured position (equation 4.23).
+    with the two degrees of freedom of a measured position (equation 4.19).
     """
     return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
 

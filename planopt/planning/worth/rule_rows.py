@@ -106,7 +106,7 @@ LARGEST_FACTOR = 4.0
 def scaled_value(
     rule: Rule, situation: Situation, achieved: float, count: int, result: RuleResult
 ) -> float:
-    """Return the value whose shortfall has the risk that is allowed (equation 5.6).
+    """Return the value whose shortfall has the risk that is allowed (equation 5.7).
 
     The shortfall from certain connection is scaled by the risk allowed over the risk verified.
     """

@@ -58,7 +58,7 @@ def test_step_with_tries(
 
 
 def _problem(form: str, horizon: int, count: int) -> Problem:
-    problem = with_setting(load("fig4"), f"{form}:{horizon}")
+    problem = with_setting(load("fig4"), f"{form}:{horizon}", "trace")
     measured = replace(problem.channel.measurements, count=count)
     return replace(
         problem,

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 74_500,
-    "lines of code": 52_500,
-    "files": 449,
-    "functions": 3_780,
-    "docstring lines": 10_500,
-    "lines of tests": 56_600,
+    "lines": 73_100,
+    "lines of code": 51_300,
+    "files": 444,
+    "functions": 3_710,
+    "docstring lines": 10_250,
+    "lines of tests": 55_700,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

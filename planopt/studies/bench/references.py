@@ -116,7 +116,8 @@ def reference_of(row: Row, made_by: str) -> Reference:
     kept: dict[str, Any] = {name: getattr(row, name) for name in names}
     if row.objective is not None:
         kept["objective"] = float(f"{row.objective:.{DIGITS}g}")
-    return Reference(**{**kept, "cpu_s": round(row.cpu_s, 2)}, made_by=made_by)
+    kept["cpu_s"] = round(row.cpu_s, 2)
+    return Reference(**kept, made_by=made_by)
 
 
 def frozen(

@@ -21,7 +21,7 @@ extensions = [
     "myst_parser",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "gallery"]
+exclude_patterns = ["_build", "gallery", "lab"]
 html_theme = "furo"
 html_title = "planopt"
 autodoc_typehints = "none"

@@ -7,12 +7,11 @@ stopping, is always a way that the robot can drive.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.judge import Candidate, Judge
+from planopt.planning.fallbacks import drive_candidate
+from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.clearance_lines import LINE_REACH_STEPS
 from planopt.planning.programme.motion_rows import MotionShape
@@ -113,36 +112,3 @@ def polished_drive(
     if inputs is None:
         return None
     return rolled_out(dynamics_of(problem), state, inputs, problem.planner.step_s)
-
-
-def without_start(judge: Judge, warm: Plan | None) -> Candidate:
-    """Take the last verified plan, one step later and checked again; else stop.
-
-    It stops straight away where that is clear, and else at the end of the last plan, which was
-    clear whatever is believed of the channel now, and which no other robot is in the way of.
-    """
-    problem = judge.problem
-    dynamics, step_s, horizon = (
-        dynamics_of(problem),
-        problem.planner.step_s,
-        problem.planner.horizon,
-    )
-    shifted = shifted_drive(problem, warm)
-    rest: Candidate | None = None
-    if shifted is not None and warm is not None and len(shifted.inputs) == horizon:
-        rest = judge.judged(drive_candidate(judge, shifted, Rung.SHIFTED, Termination.STOPPED))
-        if rest.verdict is Verdict.VERIFIED and warm.verdict is Verdict.VERIFIED:
-            return rest
-    inputs = dynamics.braking(judge.state, step_s, horizon)
-    braked = rolled_out(dynamics, judge.state, inputs, step_s)
-    stop = judge.judged(drive_candidate(judge, braked, Rung.STOP, Termination.NO_PATH))
-    if stop.sound or rest is None:
-        return stop
-    if len(judge.circumstances.moving):
-        return replace(rest, rung=Rung.RESERVED)
-    return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH) if rest.sound else stop
-
-
-def drive_candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:
-    """A drive as a candidate, not yet verified."""
-    return judge.candidate(drive.positions_m[1:], rung, termination, drive)

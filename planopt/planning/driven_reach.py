@@ -15,13 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.budget import Budget
-from planopt.planning.driven import (
-    drive_candidate,
-    driven_start,
-    dynamics_of,
-    last_drive,
-    without_start,
-)
+from planopt.planning.driven import driven_start, dynamics_of, last_drive
+from planopt.planning.fallbacks import braked, drive_candidate, without_guess
 from planopt.planning.horizon_planner import FallbackCascade
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, shifted_drive
@@ -70,7 +65,7 @@ class DrivenReach:
         """Return what is released, and the pivot that it is charged by."""
         judge = _charging(judge, ReachCost(self._problem, judge.position_m, situation.power))
         if start is None:
-            return without_start(judge, warm), None
+            return without_guess(judge, warm), None
         if start.is_direct and (direct := self._direct(judge, start, warm)) is not None:
             return direct, None
         starts = self._starts(situation, judge, start, warm)
@@ -117,7 +112,7 @@ class DrivenReach:
             )
             if found.sound:
                 return found
-        return without_start(judge, warm)
+        return without_guess(judge, warm)
 
     def _straight(self, judge: Judge, end_m: NDArray[np.float64]) -> Drive | None:
         """Return a drive from rest to rest at a place (2,), up to the horizon; None if unknown."""
@@ -248,9 +243,6 @@ def _charging(judge: Judge, cost: ReachCost) -> Judge:
 
 def _stopped(judge: Judge) -> Candidate:
     """Brake."""
-    dynamics, planner = dynamics_of(judge.problem), judge.problem.planner
-    braking = dynamics.braking(judge.state, planner.step_s, planner.horizon)
-    drive = rolled_out(dynamics, judge.state, braking, planner.step_s)
-    rung = Rung.LATTICE if planner.name in METHODS else Rung.PLAN
-    found = judge.judged(drive_candidate(judge, drive, rung, Termination.LATTICE_ONLY))
+    rung = Rung.LATTICE if judge.problem.planner.name in METHODS else Rung.PLAN
+    found = judge.judged(drive_candidate(judge, braked(judge), rung, Termination.LATTICE_ONLY))
     return replace(found, rung=Rung.RELAXED) if found.relaxes else found

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.budget import Budget, budget_from
-from planopt.planning.driven import driven_starts, without_start
-from planopt.planning.judge import Candidate, Judge, with_effort
+from planopt.planning.driven import driven_starts
+from planopt.planning.fallbacks import best_of, verified_of
+from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.methods import METHODS
 from planopt.planning.scene import Ground
@@ -110,29 +111,19 @@ class FallbackCascade:
                 break
         if not verified and not self._driven and not budget.spent:
             found = self._by_way_to_good_place(situation, judge, tried, budget)
-            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
+            verified += verified_of(found)
             tried += found
         for _ in range(self._rounds):
             if not verified or budget.spent:
                 break
             best = max(judge.worth(candidate) for candidate in verified)
             found = self._once_more(situation, judge, starts, verified, budget)
-            verified += [c for c in found if c.verdict is Verdict.VERIFIED]
+            verified += verified_of(found)
             tried += found
             gained = max(judge.worth(candidate) for candidate in verified) - best
             if gained <= SETTLED_SHARE * abs(best):
                 break
-        if verified:
-            return with_effort(max(verified, key=judge.worth), tried)
-        # Nothing is verified. Connectivity may be given up, clearance and speed never.
-        sound = [candidate for candidate in tried if candidate.sound]
-        if self._driven:
-            sound.sort(key=lambda candidate: candidate.missing_db)
-        if any(candidate.hopeless for candidate in sound):
-            return with_effort(sound[0], tried)
-        fallback = self._without_start(judge, warm)
-        chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
-        return with_effort(chosen, tried)
+        return best_of(judge, tried, warm)
 
     def _is_settled(self, starts: list[Start], number: int, verified: list[Candidate]) -> bool:
         """Return whether start `number` need not be followed, there being verified candidates."""
@@ -178,17 +169,6 @@ class FallbackCascade:
         again = Start(best.path_m, starts[0].worth, 0.0, best.drive, charge=starts[0].charge)
         rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
         return self.polish.candidates(situation, judge, again, rung, budget)
-
-    def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
-        """Take the last verified plan, shifted and checked again; else stop."""
-        if self._driven:
-            return without_start(judge, warm)
-        path = shifted_path(self._problem, judge.index, judge.position_m, warm)
-        if path is not None:
-            shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
-            if shifted.verdict is Verdict.VERIFIED:
-                return shifted
-        return judge.standing(self._problem.planner.horizon)
 
 
 class HorizonPlanner:

@@ -77,20 +77,6 @@ class Candidate:
         return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)
 
 
-def with_effort(chosen: Candidate, tried: list[Candidate]) -> Candidate:
-    """Count the solver's time and iterations even where its points were not used.
-
-    It stopped for what its last solve of the step stopped for.
-    """
-    polished = [c for c in tried if c.termination is not Termination.LATTICE_ONLY]
-    return replace(
-        chosen,
-        solve_s=sum(c.solve_s for c in polished),
-        iterations=sum(c.iterations for c in polished),
-        termination=polished[-1].termination if polished else chosen.termination,
-    )
-
-
 @dataclass(frozen=True)
 class Judge:
     """Everything a candidate of one step is judged by."""

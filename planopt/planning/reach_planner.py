@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.planning.budget import Budget, budget_from, solve_limit_s
 from planopt.planning.driven_reach import DrivenReach
+from planopt.planning.fallbacks import best_of, without_guess
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.holes import (
     MOST_IN_WORDS,
@@ -21,7 +22,7 @@ from planopt.planning.holes import (
     goal_in_words,
     holes_on,
 )
-from planopt.planning.judge import Candidate, Judge, with_effort
+from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.clearance_lines import MOVING_LINES
 from planopt.planning.programme.methods import METHODS
@@ -163,12 +164,17 @@ class ReachPlanner:
         if self._driven is not None:
             chosen, pivot = self._driven.chosen(situation, judge, start, margin_db, warm, budget)
         elif start is None:
-            chosen, pivot = self._without_start(judge, warm), None
+            chosen, pivot = without_guess(judge, warm), None
         else:
             ahead = Ahead(problem, scene, start, margin_db)
             cost = replace(cost, ahead=ahead, priced=not start.is_direct)
             judge = replace(judge, objective=cost)
-            chosen = self._climb(judge, cost, start, ahead, warm, budget, rows_of)
+            if start.gives_way or start.is_direct:
+                chosen = self._as_found(judge, cost, start, warm)
+            else:
+                lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
+                tried = self._candidates(judge, cost, start, lattice, ahead, warm, budget, rows_of)
+                chosen = best_of(judge, list(tried), warm, judge.worth(lattice))
             pivot = cost.pivot_of(chosen.path_m)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
@@ -194,29 +200,18 @@ class ReachPlanner:
         words = "; ".join([blocked, *goal_in_words(self.problem, holes)])
         return BlockedError(words, (BlockedWay(self.problem.robots[0].name, places, holes),))
 
-    def _climb(
+    def _candidates(
         self,
         judge: Judge,
         cost: ReachCost,
         start: GlobalStart,
+        lattice: Candidate,
         ahead: Ahead,
         warm: Plan | None,
         budget: Budget,
         rows_of: Callable[[NDArray[np.float64]], RuleRows] | None,
-    ) -> Candidate:
-        """Try each fallback in turn; return the first verified candidate, else the best."""
-        lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
-        if start.gives_way:
-            given = judge.judged(replace(lattice, rung=Rung.GIVE_WAY))
-            return given if given.sound else self._without_start(judge, warm)
-        if start.is_direct:
-            direct = judge.judged(replace(lattice, rung=Rung.DIRECT))
-            if direct.sound:
-                return direct
-            judge = replace(judge, objective=replace(cost, priced=True))
-            return self._without_start(judge, warm)
-        tried: list[Candidate] = []
-        refiner = None
+    ) -> Iterator[Candidate]:
+        """Yield candidates in order of promise: refined guesses, then the lattice path."""
         if self._nlp is not None and np.any(_moving(judge, start.path_m)):
             refiner = Refiner(
                 self._nlp,
@@ -231,42 +226,29 @@ class ReachPlanner:
             )
             shifted = shifted_path(self.problem, judge.index, judge.position_m, warm)
             for attempt in refiner.attempts(shifted):
-                tried.append(attempt)
+                yield attempt
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
-                    return with_effort(attempt, tried)
+                    return
                 if attempt.sound and attempt.hopeless:
                     break
             if budget.spent:
                 lattice = replace(lattice, termination=Termination.TIME_LIMIT)
-                tried.append(lattice)
         lattice = judge.judged(lattice)
         if self._nlp is None:
             lattice = replace(lattice, rung=Rung.PLAN)
-        if lattice.relaxes:
-            lattice = replace(lattice, rung=Rung.RELAXED)
-        if lattice.verdict is Verdict.VERIFIED:
-            return with_effort(lattice, tried)
-        verified = [c for c in tried if c.verdict is Verdict.VERIFIED]
-        sound: list[Candidate] = []
-        if not verified:
-            sound = [c for c in [*tried, lattice] if c.sound and c.objective <= lattice.objective]
-        if verified:
-            return with_effort(min(verified, key=lambda c: c.objective), tried)
-        # Nothing is verified. Connectivity may be given up, clearance and speed never.
-        if any(candidate.hopeless for candidate in sound):
-            return with_effort(sound[0], tried)
-        fallback = self._without_start(judge, warm)
-        chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
-        return with_effort(chosen, tried)
+        yield replace(lattice, rung=Rung.RELAXED) if lattice.relaxes else lattice
 
-    def _without_start(self, judge: Judge, warm: Plan | None) -> Candidate:
-        """Take the last verified plan, shifted and checked again; else stop."""
-        path = shifted_path(self.problem, judge.index, judge.position_m, warm)
-        if path is not None:
-            shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
-            if shifted.verdict is Verdict.VERIFIED:
-                return shifted
-        return judge.standing(self.problem.planner.horizon)
+    def _as_found(
+        self, judge: Judge, cost: ReachCost, start: GlobalStart, warm: Plan | None
+    ) -> Candidate:
+        """Return the path of a search that is not to be refined; without it the fallbacks."""
+        rung = Rung.GIVE_WAY if start.gives_way else Rung.DIRECT
+        found = judge.judged(judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY))
+        if found.sound:
+            return found
+        if not start.gives_way:
+            judge = replace(judge, objective=replace(cost, priced=True))
+        return without_guess(judge, warm)
 
 
 def _changed(

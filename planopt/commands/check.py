@@ -23,7 +23,7 @@ def check(
     from planopt.planning.certificate import excused_in_words, excused_steps
     from planopt.planning.check.check import check as judge
     from planopt.planning.files.record import plain
-    from planopt.planning.files.solution_json import certificate_json, no_certificate_json
+    from planopt.planning.files.result_json import certificate_json, no_certificate_json
     from planopt.planning.plan import Verdict
 
     with progress("checking"):

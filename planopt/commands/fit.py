@@ -166,7 +166,7 @@ def held_out_reliability_words(report: HeldOutReport) -> list[str]:
 
 
 def _score_json(score: HeldOutScore, groups: int) -> dict[str, Any]:
-    from planopt.planning.files.run_json import reliability_json
+    from planopt.planning.files.result_json import reliability_json
 
     return {
         "rmse_db": _ratio_json(score.rmse_db, groups),

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def simulate(asked: Asked) -> int:
     """Drive the closed loop in the ground truth. Exit code 0 verified, 3 not all, 4 not done."""
     from planopt.errors import NoPlanError
-    from planopt.planning.files.run_json import no_run_json, run_json
+    from planopt.planning.files.result_json import no_run_json, run_json
     from planopt.planning.files.saved import PLAN_OR_RUN, RUN_FILE, save_no_plan, save_run
     from planopt.planning.loop.closed_loop import simulate as drive
     from planopt.planning.run_summary import exit_code

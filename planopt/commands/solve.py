@@ -30,8 +30,8 @@ def solve(asked: Asked) -> int:
 
     from planopt.errors import NoPlanError
     from planopt.planning.explain.explain import explain, explain_no_plan
+    from planopt.planning.files.result_json import no_plan_json, solution_json
     from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, save_no_plan, save_solution
-    from planopt.planning.files.solution_json import no_plan_json, solution_json
     from planopt.planning.holes import BlockedError
     from planopt.planning.solution import exit_code
     from planopt.planning.solve import solve as find_plans

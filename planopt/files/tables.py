@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -44,6 +44,8 @@ class Column:
     kind: Literal["number", "count", "text", "flag"] = "number"
     required: bool = False  # Whether no cell may be empty
     largest: float = LARGEST  # Of the magnitude of a number
+    # From a log to the values; without one, its attribute of that name
+    source: Callable[[Any], NDArray[Any]] | None = None
 
 
 _DTYPES: dict[str, Any] = {
@@ -57,6 +59,18 @@ _DTYPES: dict[str, Any] = {
 def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
     """Return the header of a table."""
     return tuple(column.name for column in columns)
+
+
+def table_of(columns: Iterable[Column], log: object, **values: NDArray[Any]) -> Data:
+    """Return the table of a log; `values` go before its own."""
+    return {
+        column.name: values[column.name]
+        if column.name in values
+        else getattr(log, column.name)
+        if column.source is None
+        else column.source(log)
+        for column in columns
+    }
 
 
 def table_text(columns: Sequence[Column], data: Data) -> str:

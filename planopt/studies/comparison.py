@@ -22,7 +22,7 @@ from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text, write_whole
 from planopt.planning.check.check import load_result as load_plan_or_run
 from planopt.planning.files.record import finite
-from planopt.planning.files.run_json import reliability_json, summary_json
+from planopt.planning.files.result_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
 from planopt.planning.run import Run
 from planopt.planning.run_summary import RunSummary

@@ -15,9 +15,9 @@ from team_scene import two_trackers
 import planopt
 from planopt import Run, Solution
 from planopt.files.tables import table_text
+from planopt.planning.files.result_json import no_plan_json
 from planopt.planning.files.run_tables import step_columns, steps_of_plans, steps_of_runs
 from planopt.planning.files.saved import save_no_plan
-from planopt.planning.files.solution_json import no_plan_json
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,8 @@ library's problem of that name is a remark, no reason to reject.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +23,20 @@ from planopt.planning.certificate import Certificate, dearest, worst_result
 from planopt.planning.check.replay import Start, plan_reasons, replay_run, replay_solution, start_of
 from planopt.planning.check.replay_belief import belief_reasons
 from planopt.planning.files.belief_file import belief_of_plan, beliefs_of_run
-from planopt.planning.files.read_saved import Saved, read_object, read_saved, saved_from
-from planopt.planning.files.run_json import no_run_json
+from planopt.planning.files.result_json import NoPlanRecord, PlanRecord, no_plan_json, no_run_json
 from planopt.planning.files.run_tables import STEPS_FILE, run_tables, steps_of_plans
-from planopt.planning.files.saved import FORMAT, PLAN_FILE, plan_data, run_data
-from planopt.planning.files.solution_json import NoPlanRecord, PlanRecord, no_plan_json
+from planopt.planning.files.saved import (
+    FORMAT,
+    PLAN_FILE,
+    Saved,
+    plan_data,
+    read_object,
+    read_saved,
+    run_data,
+    saved_from,
+)
 from planopt.planning.given import with_drawn_starts
-from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.plan import Plan, Verdict
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
 from planopt.planning.team.reservations import least_of, worst_of_robots
@@ -130,40 +136,18 @@ def check(path: Path | str) -> CheckResult:
     if isinstance(saved.record, NoPlanRecord):
         return CheckResult(Verdict.NONE, (), tuple(_no_plan_reasons(saved)), tuple(remarks))
     made = list[tuple[Plan, ...]]()
-    reasons = [f"{name}, {text}" for text in _unreplayable(saved)]
-    if not reasons:
-        try:
-            start = start_of(saved)
-        except InputError as error:
-            reasons = [f"{saved.beliefs[0].file.name}: the channel cannot be fitted again: {error}"]
-        else:
-            remarks += start.remarks
-            made, reasons = (_judged_plan if name == PLAN_FILE else _judged_run)(saved, start)
+    try:
+        start = start_of(saved)
+    except InputError as error:
+        reasons = [f"{saved.beliefs[0].file.name}: the channel cannot be fitted again: {error}"]
+    else:
+        remarks += start.remarks
+        made, reasons = (_judged_plan if name == PLAN_FILE else _judged_run)(saved, start)
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     certificates = tuple(
         worst_of_robots({plan.robot: plan.certificate for plan in plans}) for plans in made
     )
     return CheckResult(verdict, certificates, tuple(reasons), tuple(remarks))
-
-
-def _unreplayable(saved: Saved) -> Iterator[str]:
-    """Yield labels that planopt never gives, and plans of another length than the problem's."""
-    horizon = saved.problem.planner.horizon
-    for number, plans in enumerate(saved.plans):
-        for step, plan in enumerate(plans):
-            key = f"robots[{number}]"
-            if saved.file.name != PLAN_FILE:
-                key = f"plans[{number}].released[{step}]"
-            labels: tuple[tuple[str, str, type[StrEnum]], ...] = (
-                ("termination", plan.termination, Termination),
-                ("rung", plan.rung, Rung),
-            )
-            for name, label, known in labels:
-                if label not in set(known):
-                    yield f'key {key}.{name}: "{label}", should be one of {", ".join(known)}'
-            if len(plan.path_m) != horizon + 1:
-                steps = len(plan.path_m) - 1
-                yield f"key {key}: has {steps} steps, planner.horizon is {horizon}"
 
 
 def _judged_plan(saved: Saved, start: Start) -> tuple[list[tuple[Plan, ...]], list[str]]:
@@ -257,8 +241,6 @@ def load_result(path: Path | str) -> Solution | Run:
     saved = read_saved(Path(path))
     if isinstance(saved.record, NoPlanRecord):
         raise NoPlanError(saved.record.message)
-    for fault in _unreplayable(saved):
-        raise InputError(fault, file=saved.file, remedy=REMEDY)
     start = start_of(saved)
     if isinstance(saved.record, PlanRecord):
         return replay_solution(saved, start)

@@ -24,9 +24,9 @@ from planopt.errors import InputError
 from planopt.objectives.mapping import Region
 from planopt.planning.certificate import plan_message
 from planopt.planning.check.replay_belief import initial_belief
-from planopt.planning.files.read_saved import Saved, SavedPlan
-from planopt.planning.files.run_json import RunRecord
+from planopt.planning.files.result_json import RobotPlan, RunRecord
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
+from planopt.planning.files.saved import Saved, SavedPlan
 from planopt.planning.free_space import is_joined, obstacles_met
 from planopt.planning.given import Given, draw, team_seeds
 from planopt.planning.holes import BlockedError, holes_on
@@ -34,7 +34,7 @@ from planopt.planning.loop.clairvoyant import COSTS
 from planopt.planning.loop.drive import TrueWorld, World, drive
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.target_watch import watch_target
-from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
+from planopt.planning.plan import Pivot, Plan, Rung, Verdict
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.goal_paths import GoalGrid
 from planopt.planning.proof.predictions import search_prediction
@@ -259,7 +259,7 @@ class _Case:
 
 def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
     """Return a saved plan with everything that follows from its trajectory."""
-    problem, path_m, drive = case.problem, saved.path_m.copy(), saved.drive
+    problem, said, path_m, drive = case.problem, saved.record, saved.path_m.copy(), saved.drive
     path_m[0] = case.state[:2]
     if drive is not None:
         drive = replace(drive, states=np.vstack([case.state, drive.states[1:]]))
@@ -269,7 +269,7 @@ def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
         case.posteriors[0],
         case.state,
         path_m,
-        saved.kkt_residual,
+        said.residual,
         case.circumstances,
         drive,
     )
@@ -281,8 +281,10 @@ def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
     else:
         objective = _worth(case, path_m)
     holes = ()
-    if problem.task == "reach" and saved.route_m is not None:
-        places = np.vstack([path_m, saved.route_m])
+    route_m = np.zeros((0, 2))
+    if problem.task == "reach" and isinstance(said, RobotPlan) and said.route is not None:
+        route_m = said.route.positions_m
+        places = np.vstack([path_m, route_m])
         ahead = search_prediction(case.posteriors[0], places, case.circumstances.broad)
         holes = holes_on(problem, ahead, places)
     return Plan(
@@ -295,19 +297,19 @@ def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
             power.mean_db, power.deviation_db, problem.stations[0].threshold_dbm
         ),
         objective=objective,
-        lattice_objective=saved.lattice_objective,
-        termination=Termination(saved.termination),
+        lattice_objective=said.lattice_objective,
+        termination=said.termination,
         verdict=judgement.verdict,
-        rung=Rung(saved.rung),
+        rung=said.rung,
         certificate=judgement.certificate,
-        wall_s=saved.wall_s,
-        solve_s=saved.solve_s,
-        iterations=saved.iterations,
+        wall_s=said.wall_s if isinstance(said, RobotPlan) else 0.0,
+        solve_s=said.solve_s if isinstance(said, RobotPlan) else 0.0,
+        iterations=said.iterations if isinstance(said, RobotPlan) else 0,
         message=plan_message(judgement.certificate, path_m),
         pivot=saved.pivot,
         sense=problem.sense,
         drive=drive,
-        route_m=np.zeros((0, 2)) if saved.route_m is None else saved.route_m,
+        route_m=route_m,
         holes=holes,
     )
 
@@ -323,7 +325,7 @@ def _reach_cost(case: _Case, saved: SavedPlan, power: Prediction) -> float:
     pivot = saved.pivot
 
     ahead = None if pivot is None else partial(_same_pivot, pivot)
-    priced = saved.rung != Rung.DIRECT.value
+    priced = saved.record.rung is not Rung.DIRECT
     cost = ReachCost(case.problem, saved.path_m[0], certified, ahead, priced)
     return cost(saved.path_m[1:], saved.drive)
 

@@ -31,15 +31,69 @@ BELIEF_FILE = "belief.npz"
 PARAMETER_NAMES = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
 """Order of the arrays ``parameters`` and ``standard_errors``."""
 
-KINDS = {"censored": "b", "receiver": "iu", "first_measurements": "iu", "known_before_step": "iu"}
-"""Kinds of data type of arrays that do not have floating-point numbers."""
-
-NOT_NEGATIVE = ("resolution_db", "position_std_m", "noise_variance_db2", "first_measurements")
-
-UNLIMITED = ("values_db", "forgetting_s")
-"""Arrays whose numbers may be larger than `LARGEST`."""
+TINY = float(np.finfo(float).tiny)
+"""Least positive number."""
 
 Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """An array of one station."""
+
+    name: str
+    source: Callable[[Belief], object]
+    # None stands for any size, "n" for the number of measurements; an array that is only compared
+    # has no shape here
+    shape: tuple[int | str | None, ...] | None = None
+    kind: str = "f"  # Kinds of data type
+    least: float = -LARGEST
+    largest: float = LARGEST
+
+
+def _measurement(name: str) -> _Stored:
+    return _Stored(
+        name,
+        lambda own: getattr(own.posterior.measurements, name),
+        ("n", 2) if name == "positions_m" else ("n",),
+        {"censored": "b", "receiver": "iu"}.get(name, "f"),
+        0.0 if name in ("resolution_db", "position_std_m") else -LARGEST,
+    )
+
+
+def _parameters(values: Callable[[Belief, str], object]) -> Callable[[Belief], object]:
+    return lambda own: [values(own, name) for name in PARAMETER_NAMES]
+
+
+def _station(own: Belief) -> list[float]:
+    return [*own.fit.parameters.station.position_m, own.fit.parameters.station.height_m]
+
+
+STORED = (
+    *(_measurement(column.name) for column in fields(Measurements)),
+    _Stored(
+        "parameters",
+        _parameters(lambda own, name: getattr(own.fit.parameters, name)),
+        (len(PARAMETER_NAMES),),
+    ),
+    _Stored("forgetting_s", lambda own: own.fit.parameters.forgetting_s, (), "f", TINY, np.inf),
+    _Stored("station", _station, (3,)),
+    _Stored("first_measurements", lambda own: own.fit.measurements, (), "iu", 0.0),
+    _Stored("theta", lambda own: own.posterior.theta),
+    _Stored("theta_covariance", lambda own: own.posterior.theta_covariance),
+    _Stored("theta_known", lambda own: own.posterior.theta_known),
+    _Stored(
+        "values_db", lambda own: own.posterior.values_db, ("n",), least=-np.inf, largest=np.inf
+    ),
+    _Stored("noise_variance_db2", lambda own: own.posterior.noise_variance_db2, ("n",), least=TINY),
+    _Stored("standard_errors", _parameters(lambda own, name: own.fit.standard_errors[name])),
+    _Stored("fit_method", lambda own: own.fit.method),
+    _Stored("fit_status", lambda own: own.fit.status),
+    _Stored("fit_warnings", lambda own: np.array(own.fit.warnings, dtype=np.str_)),
+)
+"""The arrays of a station, but for the counts of measurements known before each step."""
+
+KNOWN = _Stored("known_before_step", lambda _: (), (None,), "iu")
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,25 +178,8 @@ def known_before_steps(
 
 def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> Arrays:
     """Return the arrays of one station."""
-    fit, posterior = belief.fit, belief.posterior
-    measurements, station = posterior.measurements, fit.parameters.station
-    return {
-        **{column.name: getattr(measurements, column.name) for column in fields(Measurements)},
-        "parameters": np.array([getattr(fit.parameters, name) for name in PARAMETER_NAMES]),
-        "forgetting_s": np.array(fit.parameters.forgetting_s),
-        "station": np.array([*station.position_m, station.height_m]),
-        "first_measurements": np.array(fit.measurements),
-        "known_before_step": known_before_step,
-        "theta": posterior.theta,
-        "theta_covariance": posterior.theta_covariance,
-        "theta_known": np.array(posterior.theta_known),
-        "values_db": posterior.values_db,
-        "noise_variance_db2": posterior.noise_variance_db2,
-        "standard_errors": np.array([fit.standard_errors[name] for name in PARAMETER_NAMES]),
-        "fit_method": np.array(fit.method),
-        "fit_status": np.array(fit.status),
-        "fit_warnings": np.array(fit.warnings, dtype=np.str_),
-    }
+    arrays = {stored.name: np.asarray(stored.source(belief)) for stored in STORED}
+    return {**arrays, KNOWN.name: known_before_step}
 
 
 def read_belief(path: Path, stations: int = 1) -> SavedBelief:
@@ -157,58 +194,49 @@ def read_belief(path: Path, stations: int = 1) -> SavedBelief:
         own = {name: array for name, array in arrays.items() if name.startswith(prefix)}
         arrays = {name: array for name, array in arrays.items() if name not in own}
         own = {name.removeprefix(prefix): array for name, array in own.items()}
-        found.append(_station(path, prefix, own))
+        found.append(_read_station(path, prefix, own))
     return replace(found[-1], further=tuple(found[-2::-1]))
 
 
-def _station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
-    """Return what the file says of one station."""
+def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
+    """Return the saved belief of one station."""
 
     def fault(name: str, message: str) -> InputError:
         return InputError(message, file=path, key=prefix + name, remedy=REMEDY)
 
-    def array(name: str, *shape: int | None) -> NDArray[Any]:
-        if name not in arrays:
-            raise fault(name, "the array is missing")
-        found = arrays[name]
-        fits = found.ndim == len(shape) and all(
-            wanted in (None, size) for size, wanted in zip(found.shape, shape, strict=True)
+    count = len(np.atleast_1d(arrays.get("power_dbm", np.zeros(0))))
+    # Other arrays are measured by the one that counts.
+    for stored in sorted((*STORED, KNOWN), key=lambda each: each.name != "power_dbm"):
+        if stored.shape is None:
+            continue
+        if stored.name not in arrays:
+            raise fault(stored.name, "the array is missing")
+        found = arrays[stored.name]
+        wanted = [count if size == "n" else size for size in stored.shape]
+        fits = found.ndim == len(wanted) and all(
+            size in (None, own) for size, own in zip(wanted, found.shape, strict=True)
         )
-        if not fits or found.dtype.kind not in KINDS.get(name, "f"):
+        if not fits or found.dtype.kind not in stored.kind:
             message = f"an array of shape {found.shape} and type {found.dtype} does not fit"
-            raise fault(name, message)
-        if name not in UNLIMITED and not (np.abs(found) <= LARGEST).all():
-            raise fault(name, "a number is not finite or too large")
-        if np.isnan(found).any() or (name in NOT_NEGATIVE and (found < 0).any()):
-            raise fault(name, "a number is negative or missing")
-        return found
-
-    count = len(array("power_dbm", None))
-    columns = {
-        column.name: array(column.name, count, *((2,) if column.name == "positions_m" else ()))
-        for column in fields(Measurements)
-    }
-    numbers = array("parameters", len(PARAMETER_NAMES)).tolist()
+            raise fault(stored.name, message)
+        if not ((found >= stored.least) & (found <= stored.largest)).all():
+            raise fault(stored.name, f"a number is not from {stored.least:g} to {stored.largest:g}")
+    numbers = arrays["parameters"].tolist()
     if numbers[3] <= 0.0 or numbers[2] < 0.0 or numbers[4] < 0.0:
         raise fault("parameters", f"{numbers} are no channel parameters")
-    forgetting_s = float(array("forgetting_s"))
-    if forgetting_s <= 0.0:
-        raise fault("forgetting_s", f"{forgetting_s!r} is no forgetting time")
-    if not (array("noise_variance_db2", count) > 0.0).all():
-        raise fault("noise_variance_db2", "a variance is not positive")
-    array("values_db", count)
-    x, y, height = array("station", 3).tolist()
-    first, known = int(array("first_measurements")), array("known_before_step", None)
+    x, y, height = arrays["station"].tolist()
+    first, known = int(arrays["first_measurements"]), arrays[KNOWN.name].astype(np.int64)
     if (np.diff([first, *known.tolist(), count]) < 0).any():
-        message = f"counts do not grow from {first} to {count} measurements"
-        raise fault("known_before_step", message)
+        raise fault(KNOWN.name, f"counts do not grow from {first} to {count} measurements")
     return SavedBelief(
         file=path,
         parameters=ChannelParameters(
-            *numbers, station=Station((x, y), height), forgetting_s=forgetting_s
+            *numbers, station=Station((x, y), height), forgetting_s=float(arrays["forgetting_s"])
         ),
-        measurements=Measurements(**columns),
+        measurements=Measurements(
+            **{each.name: arrays[each.name] for each in fields(Measurements)}
+        ),
         first=first,
-        known_before_step=known.astype(np.int64),
+        known_before_step=known,
         arrays=arrays,
     )

@@ -1,31 +1,91 @@
-"""Typed parts of saved JSON objects. Strict JSON has no NaN and no infinity: null stands for both.
+"""Records: JSON objects of results, each key declared once with its type and its source.
 
-A record types the values that a replay starts from; all others are computed again and compared.
+The value of a key is the attribute of that name, or what its `Source` returns. A replay reads the
+typed keys; it computes those of type `Computed` again and compares them. Strict JSON has neither
+NaN nor infinity: null stands for both.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from typing import Annotated, Any, cast
+from pathlib import Path
+from typing import Annotated, Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
-from planopt.files.tables import LARGEST
+from planopt.files.tables import LARGEST, REMEDY
+from planopt.problems.messages import input_error
+
+
+@dataclass(frozen=True)
+class Source:
+    """From the object that is saved to the value of a key."""
+
+    value: Callable[[Any], object]
+
+
+OMITTED = object()
+"""Value of a key that an object does not have."""
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Field(ge=0)]
 Place = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Computed = Annotated[Any, Field(default=None)]
 
 
 class Record(BaseModel):
-    """Part of a saved JSON object."""
+    """A saved JSON object, or a part of one."""
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False, frozen=True)
+
+    @classmethod
+    def written(cls, source: object, **values: object) -> dict[str, Any]:
+        """Return the JSON data of an object; `values` go before its own."""
+        found: dict[str, Any] = {}
+        for name, declared in cls.model_fields.items():
+            if name not in values:
+                own = next((each for each in declared.metadata if isinstance(each, Source)), None)
+                values[name] = getattr(source, name) if own is None else own.value(source)
+            if values[name] is not OMITTED:
+                found[name] = plain(values[name])
+        return found
+
+    @classmethod
+    def read(cls, data: Mapping[str, Any], file: Path) -> Self:
+        """Return the typed contents of a file."""
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            raise input_error(error, cls, file=file).remedied(REMEDY) from None
+
+
+class Places(Record):
+    """The places of a path."""
+
+    x_m: list[Number] = Field(default=[], max_length=10**6)
+    y_m: list[Number] = Field(default=[], max_length=10**6)
+
+    @model_validator(mode="after")
+    def _have_both_coordinates(self) -> Self:
+        if len(self.x_m) != len(self.y_m):
+            raise PydanticCustomError("one_of", "x_m and y_m differ in length")
+        return self
+
+    @property
+    def positions_m(self) -> NDArray[np.float64]:
+        """``(n, 2)``."""
+        return np.stack([self.x_m, self.y_m], axis=1).reshape(-1, 2)
+
+
+def xy(positions_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Return the keys of places (n, 2)."""
+    return {"x_m": positions_m[:, 0], "y_m": positions_m[:, 1]}
 
 
 def finite(value: float | None) -> float | None:
@@ -33,21 +93,21 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def finite_list(values: Iterable[float]) -> list[float | None]:
-    """Return every number of `values` by :func:`finite`."""
-    return [finite(value) for value in values]
-
-
 def plain(value: object) -> Any:
     """Return a value as JSON data; dataclasses become tables of their fields."""
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, np.ndarray):
-        return plain(cast("NDArray[Any]", value).tolist())
-    if isinstance(value, float):
-        return finite(float(value))
-    if isinstance(value, list | tuple):
-        return [plain(part) for part in cast("Iterable[object]", value)]
-    if is_dataclass(value) and not isinstance(value, type):
-        return {part.name: plain(getattr(value, part.name)) for part in fields(value)}
-    return value
+    match value:
+        case Enum():
+            return value.value
+        case np.ndarray() | np.generic():
+            return plain(cast("NDArray[Any]", value).tolist())
+        case float():
+            return finite(value)
+        case list() | tuple():
+            return [plain(part) for part in cast("Iterable[object]", value)]
+        case Mapping():
+            table = cast("Mapping[str, object]", value)
+            return {name: plain(part) for name, part in table.items()}
+        case _ if is_dataclass(value) and not isinstance(value, type):
+            return {part.name: plain(getattr(value, part.name)) for part in fields(value)}
+        case _:
+            return value

@@ -6,17 +6,17 @@ the target and the known channel over a run. Row 0 is the start.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.files.tables import REMEDY, Column, Data
-from planopt.planning.loop.log import ChannelLog, RobotRun, TargetLog
+from planopt.files.tables import REMEDY, Column, Data, table_of
+from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
 from planopt.planning.plan import Plan
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
@@ -27,19 +27,46 @@ if TYPE_CHECKING:
 
 STEPS_FILE, TARGET_FILE, KNOWLEDGE_FILE = "steps.csv", "target.csv", "knowledge.csv"
 
+
+def _connected(log: StepLog) -> NDArray[np.str_]:
+    return np.where(np.isnan(log.true_dbm), "", np.where(log.connected, "1", "0"))
+
+
 STEP_COLUMNS = (
     Column("robot", "name of the robot", kind="text", required=True),
     Column("step", "number of the step; 0 is the start", kind="count", required=True),
     Column("t_s", "time", "s", required=True),
-    Column("x_m", "position", "m", required=True),
-    Column("y_m", "position", "m", required=True),
-    Column("predicted_db", "predicted received power, before it was measured", "dBm"),
+    Column("x_m", "position", "m", required=True, source=lambda log: log.positions_m[:, 0]),
+    Column("y_m", "position", "m", required=True, source=lambda log: log.positions_m[:, 1]),
+    Column(
+        "predicted_db",
+        "predicted received power, before it was measured",
+        "dBm",
+        source=lambda log: log.predicted_dbm,
+    ),
     Column("deviation_db", "standard deviation of the predicted power", "dB"),
     Column("connectivity", "predicted probability of connection"),
-    Column("true_db", "true received power; empty for a plan", "dBm"),
-    Column("connected", "whether the true power reaches the threshold", kind="flag"),
-    Column("rung", "fallback that released the plan that led here", kind="text"),
-    Column("verdict", "verdict on that plan", kind="text"),
+    Column(
+        "true_db",
+        "true received power; empty for a plan",
+        "dBm",
+        source=lambda log: log.true_dbm,
+    ),
+    Column(
+        "connected", "whether the true power reaches the threshold", kind="flag", source=_connected
+    ),
+    Column(
+        "rung",
+        "fallback that released the plan that led here",
+        kind="text",
+        source=lambda log: np.array([rung.value for rung in log.rung]),
+    ),
+    Column(
+        "verdict",
+        "verdict on that plan",
+        kind="text",
+        source=lambda log: np.array([verdict.value for verdict in log.verdict]),
+    ),
 )
 """Columns of ``steps.csv``; states and inputs of robots with dynamics follow."""
 
@@ -47,7 +74,12 @@ KNOWLEDGE_COLUMNS = (
     Column("t_s", "time", "s"),
     Column("rms_db", "root mean square error of the predicted power over the workspace", "dB"),
     Column("anmse_db", "average normalised mean square error", "dB"),
-    Column("trace_m_db", "trace of the path loss covariance over the squared estimate", "dB"),
+    Column(
+        "trace_m_db",
+        "trace of the path loss covariance over the squared estimate",
+        "dB",
+        source=lambda log: log.theta_variance_db,
+    ),
     Column("log_det_m", "log determinant of the path loss covariance", "nats"),
     Column("rms_without_multipath_db", "as rms_db, against path loss and shadowing alone", "dB"),
     Column("path_loss_variance_db2", "mean variance of the predicted path loss", "dB^2"),
@@ -63,16 +95,30 @@ def step_columns(problem: Problem) -> tuple[Column, ...]:
 
 def target_columns(problem: Problem) -> tuple[Column, ...]:
     """Return the columns of ``target.csv``."""
+    true, estimated = "true position of the target", "position estimated by the station"
+
+    def arrived(number: int, log: TargetLog) -> NDArray[np.float64]:
+        return np.concatenate([[np.nan], log.delivered[:, number]])
+
     return (
         Column("t_s", "time", "s"),
-        Column("true_x_m", "true position of the target", "m"),
-        Column("true_y_m", "true position of the target", "m"),
-        Column("estimated_x_m", "position estimated by the station", "m"),
-        Column("estimated_y_m", "position estimated by the station", "m"),
-        Column("trace_p_m2", "trace of the covariance of that estimate", "m^2"),
+        Column("true_x_m", true, "m", source=lambda log: log.true_m[:, 0]),
+        Column("true_y_m", true, "m", source=lambda log: log.true_m[:, 1]),
+        Column("estimated_x_m", estimated, "m", source=lambda log: log.station_mean_m[:, 0]),
+        Column("estimated_y_m", estimated, "m", source=lambda log: log.station_mean_m[:, 1]),
+        Column(
+            "trace_p_m2",
+            "trace of the covariance of that estimate",
+            "m^2",
+            source=lambda log: log.station_variance_m2,
+        ),
         *(
-            Column(f"delivered_{robot.name}", f"whether the packet of {robot.name} arrived")
-            for robot in problem.robots
+            Column(
+                f"delivered_{robot.name}",
+                f"whether the packet of {robot.name} arrived",
+                source=partial(arrived, number),
+            )
+            for number, robot in enumerate(problem.robots)
         ),
     )
 
@@ -91,18 +137,6 @@ def drive_table(drive: Drive | None) -> dict[str, NDArray[np.float64]]:
     return dict(zip(drive_names(drive.dynamics), columns, strict=True))
 
 
-def drive_json(drive: Drive | None) -> dict[str, dict[str, list[float | None]]]:
-    """Return the key ``drive`` with these columns; nothing for a single integrator."""
-    if drive is None:
-        return {}
-    return {
-        "drive": {
-            name: [None if math.isnan(value) else value for value in column.tolist()]
-            for name, column in drive_table(drive).items()
-        }
-    }
-
-
 def drive_of(
     dynamics: Dynamics | None,
     positions_m: NDArray[np.float64],  # (N + 1, 2)
@@ -119,9 +153,8 @@ def drive_of(
         if column is None or len(column) != len(positions_m):
             message = f"should have {name} for each of {len(positions_m)} places"
             raise InputError(message, file=file, key=key, remedy=REMEDY)
-        numbers = np.array([np.nan if value is None else value for value in column], dtype=float)
-        needed = numbers[1:] if name in dynamics.input_names else numbers
-        if not np.isfinite(needed).all():
+        numbers = np.array(column, dtype=np.float64)
+        if not np.isfinite(numbers[1 if name in dynamics.input_names else 0 :]).all():
             raise InputError("lacks a number", file=file, key=f"{key}.{name}", remedy=REMEDY)
         columns.append(numbers)
     split = len(dynamics.state_names) - 2
@@ -131,78 +164,56 @@ def drive_of(
 
 def steps_of_plans(problem: Problem, plans: Iterable[Plan]) -> Data:
     """Return ``steps.csv`` of plans; true powers are unknown."""
-    return _joined(
-        problem,
-        [
-            {
-                **_trajectory(plan.robot, plan.t_s, plan.positions_m),
-                "predicted_db": plan.mean_dbm,
-                "deviation_db": plan.deviation_db,
-                "connectivity": plan.connectivity,
-                "true_db": np.full(len(plan.t_s), np.nan),
-                "connected": np.full(len(plan.t_s), ""),
-                "rung": np.full(len(plan.t_s), plan.rung.value),
-                "verdict": np.full(len(plan.t_s), plan.verdict.value),
-                **drive_table(plan.drive),
-            }
-            for plan in plans
-        ],
-    )
+    return _steps(problem, [(plan.robot, _log_of_plan(plan), plan.drive) for plan in plans])
 
 
 def steps_of_runs(problem: Problem, runs: Iterable[RobotRun]) -> Data:
     """Return ``steps.csv`` of a run."""
-    return _joined(
-        problem,
-        [
-            {
-                **_trajectory(run.robot, run.log.t_s, run.log.positions_m),
-                "predicted_db": run.log.predicted_dbm,
-                "deviation_db": run.log.deviation_db,
-                "connectivity": run.log.connectivity,
-                "true_db": run.log.true_dbm,
-                "connected": np.where(run.log.connected, "1", "0"),
-                "rung": np.array([rung.value for rung in run.log.rung]),
-                "verdict": np.array([verdict.value for verdict in run.log.verdict]),
-                **drive_table(run.drive),
-            }
-            for run in runs
-        ],
+    return _steps(problem, [(run.robot, run.log, run.drive) for run in runs])
+
+
+def _log_of_plan(plan: Plan) -> StepLog:
+    """Return a plan as the log of a run that would follow it."""
+    unknown = np.full(len(plan.t_s), np.nan)
+    return StepLog(
+        t_s=plan.t_s,
+        positions_m=plan.positions_m,
+        predicted_dbm=plan.mean_dbm,
+        deviation_db=plan.deviation_db,
+        connectivity=plan.connectivity,
+        true_dbm=unknown,
+        connected=np.zeros(len(unknown), dtype=np.bool_),
+        step_s=unknown,
+        polish_gain_s=unknown,
+        relaxation_db=unknown,
+        rung=(plan.rung,) * len(unknown),
+        verdict=(plan.verdict,) * len(unknown),
     )
 
 
-def _trajectory(
-    robot: str, t_s: NDArray[np.float64], positions_m: NDArray[np.float64]
-) -> dict[str, NDArray[Any]]:
+def _steps(problem: Problem, robots: Sequence[tuple[str, StepLog, Drive | None]]) -> Data:
+    """Return one table of all robots; columns of other dynamics are empty."""
+    columns = step_columns(problem)
+    parts: list[Data] = []
+    for name, log, drive in robots:
+        rows = len(log.t_s)
+        other = {column.name: np.full(rows, np.nan) for column in columns[len(STEP_COLUMNS) :]}
+        own = {"robot": np.full(rows, name), "step": np.arange(rows), **drive_table(drive)}
+        parts.append(table_of(columns, log, **{**other, **own}))
     return {
-        "robot": np.full(len(t_s), robot),
-        "step": np.arange(len(t_s)),
-        "t_s": t_s,
-        "x_m": positions_m[:, 0],
-        "y_m": positions_m[:, 1],
-    }
-
-
-def _joined(problem: Problem, parts: Sequence[Data]) -> Data:
-    """Return one table of several robots' rows."""
-    return {
-        column.name: np.concatenate(
-            [part.get(column.name, np.full(len(part["t_s"]), np.nan)) for part in parts]
-        )
-        for column in step_columns(problem)
+        column.name: np.concatenate([part[column.name] for part in parts]) for column in columns
     }
 
 
 def run_tables(run: Run) -> dict[str, tuple[Sequence[Column], Data]]:
     """Return columns and data of every table of a run, by the name of its file."""
     problem = run.problem
-    tables: dict[str, tuple[Sequence[Column], Data]] = {
-        STEPS_FILE: (step_columns(problem), steps_of_runs(problem, run.runs))
-    }
-    if run.channel is not None:
-        tables[KNOWLEDGE_FILE] = KNOWLEDGE_COLUMNS, _knowledge(problem, run.channel)
-    if run.target is not None:
-        tables[TARGET_FILE] = target_columns(problem), _target(problem, run.target)
+    columns = columns_of_run(problem)
+    tables = {STEPS_FILE: (columns[STEPS_FILE], steps_of_runs(problem, run.runs))}
+    for name, log in ((KNOWLEDGE_FILE, run.channel), (TARGET_FILE, run.target)):
+        if log is not None:
+            t_s = problem.planner.step_s * np.arange(len(log), dtype=np.float64)
+            tables[name] = columns[name], table_of(columns[name], log, t_s=t_s)
     return tables
 
 
@@ -214,30 +225,3 @@ def columns_of_run(problem: Problem) -> dict[str, Sequence[Column]]:
     if problem.targets and any(term.sensor is not None for term in problem.terms):
         columns[TARGET_FILE] = target_columns(problem)
     return columns
-
-
-def _target(problem: Problem, target: TargetLog) -> Data:
-    arrived = np.vstack([np.full((1, len(problem.robots)), np.nan), target.delivered])
-    columns = (
-        problem.planner.step_s * np.arange(len(target.true_m), dtype=np.float64),
-        *target.true_m.T,
-        *target.station_mean_m.T,
-        target.station_variance_m2,
-        *arrived.T,
-    )
-    return {
-        column.name: values for column, values in zip(target_columns(problem), columns, strict=True)
-    }
-
-
-def _knowledge(problem: Problem, channel: ChannelLog) -> Data:
-    columns = (
-        problem.planner.step_s * np.arange(len(channel.rms_db), dtype=np.float64),
-        channel.rms_db,
-        channel.anmse_db,
-        channel.theta_variance_db,
-        channel.log_det_m,
-        channel.rms_without_multipath_db,
-        channel.path_loss_variance_db2,
-    )
-    return {column.name: values for column, values in zip(KNOWLEDGE_COLUMNS, columns, strict=True)}

@@ -1,30 +1,62 @@
-"""A plan or a run as a folder: ``plan.json`` or ``run.json``, ``steps.csv`` and ``belief.npz``.
+"""Saved plans and runs: folders of ``plan.json`` or ``run.json``, tables and beliefs.
 
 The files of a folder are replaced together (:mod:`planopt.files.result_folder`).
 """
 
 from __future__ import annotations
 
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
+from planopt.files.regular import read_text
 from planopt.files.result_folder import replaced_results
-from planopt.files.tables import write_tables
+from planopt.files.tables import REMEDY, Data, read_table, write_tables
 from planopt.files.whole import strict_text, write_text
-from planopt.planning.files.belief_file import BELIEF_FILE, belief_of_plan, beliefs_of_run, write
-from planopt.planning.files.run_json import released_plans_json, run_json
+from planopt.planning.explain.explanation import Crossing, Relaxation
+from planopt.planning.files.belief_file import (
+    BELIEF_FILE,
+    SavedBelief,
+    belief_of_plan,
+    beliefs_of_run,
+    read_belief,
+    write,
+)
+from planopt.planning.files.result_json import (
+    NoPlanRecord,
+    PlanRecord,
+    ReleasedPlan,
+    RobotPlan,
+    RunRecord,
+    released_plans_json,
+    run_json,
+    solution_json,
+)
 from planopt.planning.files.run_tables import (
     KNOWLEDGE_FILE,
     STEPS_FILE,
     TARGET_FILE,
+    columns_of_run,
+    drive_of,
     run_tables,
     step_columns,
     steps_of_plans,
 )
-from planopt.planning.files.solution_json import solution_json
+from planopt.planning.holes import BlockedWay
+from planopt.planning.plan import Pivot, Plan, Verdict
+from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
-from planopt.problems.save import problem_to_dict
+from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.robots.drive import Drive, braked_motion
+from planopt.world.timed_motion import TimedMotion
 
 if TYPE_CHECKING:
     from planopt.planning.run import Run
@@ -40,6 +72,9 @@ PLAN_OR_RUN = (
 
 FORMAT = 3
 """Of ``plan.json`` and ``run.json``."""
+
+HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
+"""Escapes of which JSON may have one without its other half."""
 
 
 def belief_files(problem: Problem) -> tuple[str, ...]:
@@ -60,10 +95,7 @@ def run_data(run: Run) -> dict[str, Any]:
 
 
 def save_solution(solution: Solution, folder: Path) -> None:
-    """Save plans so that they can be judged from their files alone.
-
-    They replace the plan or run that the folder had, with its pictures.
-    """
+    """Save plans in place of the plan or run that the folder had, with its pictures."""
     problem = solution.problem
     steps = step_columns(problem), steps_of_plans(problem, solution.plans)
     with replaced_results(folder, PLAN_OR_RUN) as new:
@@ -73,10 +105,7 @@ def save_solution(solution: Solution, folder: Path) -> None:
 
 
 def save_run(run: Run, folder: Path) -> None:
-    """Save a run so that every released plan can be judged from its files alone.
-
-    Parameters and errors are those of :func:`save_solution`. Each robot has a belief of its own.
-    """
+    """Save a run, as :func:`save_solution`; each robot has a belief of its own."""
     with replaced_results(folder, PLAN_OR_RUN) as new:
         for name, arrays in zip(belief_files(run.problem), beliefs_of_run(run), strict=True):
             write(new / name, arrays)
@@ -84,12 +113,7 @@ def save_run(run: Run, folder: Path) -> None:
         write_result(run_data(run), run.problem, new / RUN_FILE)
 
 
-def save_no_plan(
-    data: dict[str, Any],
-    problem: Problem,
-    folder: Path,
-    name: str,
-) -> None:
+def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str) -> None:
     """Save that there is no plan, as `PLAN_FILE` or `RUN_FILE`, in place of what there was."""
     with replaced_results(folder, PLAN_OR_RUN) as new:
         write_result({"format": FORMAT, **data}, problem, new / name)
@@ -99,3 +123,184 @@ def write_result(data: dict[str, Any], problem: Problem, path: Path) -> None:
     """Write the JSON object of a plan or run with its digest and the problem in full."""
     tables = problem_to_dict(problem)
     write_text(path, strict_text({**data, DIGEST: digest(data), "problem_file": tables}))
+
+
+@dataclass(frozen=True, eq=False)
+class SavedPlan:
+    """One robot's plan as read."""
+
+    record: RobotPlan | ReleasedPlan  # What only its planner knows
+    path_m: NDArray[np.float64]  # (N + 1, 2)
+    drive: Drive | None
+    motion: TimedMotion  # Along the path, and braking after it
+
+    @property
+    def pivot(self) -> Pivot | None:
+        """Return the terminal waypoint."""
+        return None if self.record.pivot is None else self.record.pivot.pivot
+
+    def aim(self, watched: Aim) -> Aim:
+        """Return `watched` with the saved steering path and plans of other robots."""
+        said, turns = self.record.aim, self.record.aim.steering_turns_m
+        planned = tuple(np.array(path).reshape(-1, 2) for path in said.pending_m)
+        return replace(
+            watched,
+            steering_turns_m=None if turns is None else np.array(turns),
+            pending=replace(watched.pending, planned_m=planned),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Saved:
+    """A saved plan or run, read but not verified."""
+
+    file: Path  # The JSON file
+    data: Mapping[str, Any]  # Its contents
+    record: PlanRecord | RunRecord | NoPlanRecord  # The keys that a replay reads
+    problem: Problem  # Rebuilt from it
+    tables: Mapping[str, Data] = field(default_factory=dict[str, Data])  # By file name
+    beliefs: tuple[SavedBelief, ...] = ()  # One for each robot of a run
+    plans: tuple[tuple[SavedPlan, ...], ...] = ()  # By robot and step
+    blocked: tuple[BlockedWay, ...] = ()
+
+    def explanation(self, plans: Sequence[Plan]) -> tuple[Relaxation | Crossing, ...]:
+        """Return the explanation of a plan; crossings have the holes of verified `plans`."""
+        if not isinstance(self.record, PlanRecord):
+            return ()
+        holes = {plan.robot: plan.holes for plan in plans if plan.verdict is Verdict.VERIFIED}
+        crossings = [
+            Crossing(
+                one.robot,
+                own,
+                one.cost_m,
+                self.problem.reach.outage_price,
+                one.kept_m,
+                one.outside_m,
+                self.problem.constraints.p_min,
+            )
+            for one in self.record.crossings
+            if (own := holes.get(one.robot))
+        ]
+        return (*self.record.explanation, *crossings)
+
+
+def read_saved(path: Path) -> Saved:
+    """Read a saved plan or run.
+
+    An InputError says what cannot be read; whether it is true is for a replay to find out.
+    """
+    return saved_from(*read_object(path))
+
+
+def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
+    """Return the JSON file of a saved plan or run, and its contents."""
+    file = _json_file(path)
+    return file, _read_json(file)
+
+
+def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
+    """Return the plan or run of a JSON file that has been read."""
+    if data.get("format") != FORMAT:
+        message = f"is {data['format']!r}, should be {FORMAT}" if "format" in data else "is missing"
+        raise _damaged(file, "format", message)
+    has_plan, is_plan = data.get("robots") != [], file.name == PLAN_FILE
+    kind = NoPlanRecord if not has_plan else PlanRecord if is_plan else RunRecord
+    record = kind.read(data, file)
+    tables = data.get("problem_file")
+    if not isinstance(tables, dict):
+        raise _damaged(file, "problem_file", "is missing or no table")
+    problem = problem_from_dict(cast("dict[str, Any]", tables), file=file)
+    if isinstance(record, NoPlanRecord):
+        return Saved(file, data, record, problem)
+    columns, names = columns_of_run(problem), belief_files(problem)
+    if isinstance(record, PlanRecord):
+        key = "robots"
+        made = [[(f"robots[{number}]", one)] for number, one in enumerate(record.robots)]
+        columns, names, blocked = {STEPS_FILE: columns[STEPS_FILE]}, (BELIEF_FILE,), ()
+    else:
+        key = "plans"
+        made = [
+            [(f"plans[{number}].released[{step}]", one) for step, one in enumerate(each.released)]
+            for number, each in enumerate(record.plans)
+        ]
+        blocked = tuple(one.way for one in record.blocked)
+        robots = [robot.name for robot in problem.robots]
+        for number, one in enumerate(blocked):
+            if one.robot not in robots:
+                message = f"{one.robot!r} is no robot of it"
+                raise _damaged(file, f"blocked[{number}].robot", message)
+    if len(made) != len(problem.robots):
+        message = f"{len(made)} robots, the problem has {len(problem.robots)}"
+        raise _damaged(file, key, message)
+    if len({len(each) for each in made}) > 1:
+        raise _damaged(file, key, f"{[len(each) for each in made]} plans of the robots")
+    plans = tuple(
+        tuple(_plan(file, where, problem, number, one) for where, one in each)
+        for number, each in enumerate(made)
+    )
+    beliefs = tuple(read_belief(file.parent / name, len(problem.stations)) for name in names)
+    read = {name: read_table(file.parent / name, each) for name, each in columns.items()}
+    return Saved(file, data, record, problem, read, beliefs, plans, blocked)
+
+
+def _plan(
+    file: Path, key: str, problem: Problem, number: int, record: RobotPlan | ReleasedPlan
+) -> SavedPlan:
+    path_m, horizon = record.positions_m, problem.planner.horizon
+    if len(path_m) != horizon + 1:
+        message = f"has {len(path_m) - 1} steps, planner.horizon is {horizon}"
+        raise _damaged(file, key, message)
+    drive = drive_of(problem.robots[number].dynamics, path_m, record.drive, file, f"{key}.drive")
+    return SavedPlan(record, path_m, drive, braked_motion(path_m, drive, problem.planner.step_s))
+
+
+def _json_file(path: Path) -> Path:
+    """Return the JSON file of a folder, or the file itself."""
+    if path.name in (PLAN_FILE, RUN_FILE):
+        return path
+    found = [path / name for name in (PLAN_FILE, RUN_FILE) if (path / name).is_file()]
+    if not found:
+        raise InputError(
+            f"no saved plan or run: neither {PLAN_FILE} nor {RUN_FILE} is there",
+            file=path,
+            remedy="name the folder that --out was given",
+        )
+    if len(found) > 1:
+        raise InputError(
+            f"{PLAN_FILE} and {RUN_FILE} are both there, and the other files belong to one of them",
+            file=path,
+            remedy="remove one",
+        )
+    return found[0]
+
+
+def _read_json(file: Path) -> Mapping[str, Any]:
+    """Return a JSON object without duplicate keys: readers differ in which of two they take."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        table = dict(pairs)
+        if len(table) < len(pairs):
+            names = [name for name, _ in pairs]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise _damaged(file, twice, "stands there twice")
+        return table
+
+    text = read_text(file)
+    try:
+        data = json.loads(text, object_pairs_hook=once)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"is no JSON: {error}", file=file, remedy=REMEDY) from None
+    if HALF_PAIR.search(text):
+        try:
+            json.dumps(data, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            message = "has a text with half of a surrogate pair"
+            raise InputError(message, file=file, remedy=REMEDY) from None
+    if not isinstance(data, dict):
+        raise InputError("is no JSON object", file=file, remedy=REMEDY)
+    return cast("Mapping[str, Any]", data)
+
+
+def _damaged(file: Path, key: str, message: str) -> InputError:
+    """Return the error that a saved file contradicts itself at `key`."""
+    return InputError(message, file=file, key=key, remedy=REMEDY)

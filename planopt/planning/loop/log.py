@@ -165,6 +165,10 @@ class TargetLog:
 
     __repr__ = short_repr
 
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.true_m)
+
     @property
     def normalised_trace_p(self) -> NDArray[np.float64]:
         """``(steps + 1,)`` trace of the station's covariance over that of the first estimate."""
@@ -193,6 +197,10 @@ class ChannelLog:
     path_loss_variance_db2: NDArray[np.float64]
 
     __repr__ = short_repr
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.rms_db)
 
 
 def channel_errors_db(

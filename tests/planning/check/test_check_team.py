@@ -100,7 +100,6 @@ def test_every_task_is_judged(terms: tuple[dict, ...], planner: str, tmp_path: P
         ("plan", ("robots", 1, "verdict"), "violated", "key robots[1].verdict"),
         ("plan", ("robots", 0, "aim", "target_x_m", 1), lambda old: old + 1.0, "aim.target_x_m"),
         ("plan", ("certificate", "min_clearance_m"), 9.0, "certificate.min_clearance_m"),
-        ("plan", ("problem_file", "planner", "horizon"), 3, "2 steps, planner.horizon is 3"),
         ("run", ("metrics", "time_averaged_trace_p"), 0.01, "metrics.time_averaged_trace_p"),
         ("run", ("metrics", "delivered"), 0.5, "metrics.delivered"),
         ("run", ("verified_rate",), 0.5, "verified_rate"),
@@ -160,6 +159,7 @@ def test_an_edited_table_is_rejected(
     ("file", "way", "to", "words"),
     [
         ("plan/plan.json", ("robots",), lambda old: old[:1], "1 robots, the problem has 2"),
+        ("plan/plan.json", ("problem_file", "planner", "horizon"), 3, "planner.horizon is 3"),
         ("run/run.json", ("plans",), lambda old: old[:1], "1 robots, the problem has 2"),
         ("run/run.json", ("plans", 0, "released"), lambda old: old[:1], "[1, 3] plans"),
         ("run/run.json", ("plans", 0, "released", 0, "y_m"), [1.0], "x_m and y_m differ"),

@@ -14,9 +14,8 @@ from planopt.errors import InputError, OutputError
 from planopt.files.tables import documented
 from planopt.planning.files import saved as saved_module
 from planopt.planning.files.belief_file import known_before_steps
-from planopt.planning.files.read_saved import read_saved
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
-from planopt.planning.files.saved import save_run, save_solution
+from planopt.planning.files.saved import read_saved, save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.run import Run
 from planopt.planning.solution import Solution
@@ -165,6 +164,16 @@ PLAN_DAMAGE = {
         "plan.json",
         "robots[0].rung",
     ),
+    "an unknown rung": (
+        edit_json("plan.json", lambda d: d["robots"][0].update(rung="guess")),
+        "plan.json",
+        "robots[0].rung",
+    ),
+    "another horizon": (
+        edit_json("plan.json", lambda d: d["problem_file"]["planner"].update(horizon=9)),
+        "plan.json",
+        "robots[0]",
+    ),
     "a key twice": (
         edit_text("plan.json", lambda t: t.replace("{", '{"verdict": "verified", ', 1)),
         "plan.json",
@@ -238,6 +247,14 @@ RUN_DAMAGE = {
     "another format": (edit_json("run.json", lambda d: d.update(format=2)), "run.json", "format"),
     "plan cut": (
         edit_json("run.json", lambda d: d["plans"][0]["released"][1]["y_m"].pop()),
+        "run.json",
+        "plans[0].released[1]",
+    ),
+    "a step cut": (
+        edit_json(
+            "run.json",
+            lambda d: [d["plans"][0]["released"][1][key].pop() for key in ("x_m", "y_m")],
+        ),
         "run.json",
         "plans[0].released[1]",
     ),

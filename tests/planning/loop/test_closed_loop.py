@@ -19,7 +19,7 @@ from scenes import (
 from planopt import load
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.errors import InputError
-from planopt.planning.files.run_json import run_json
+from planopt.planning.files.result_json import run_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome, StepLog
 from planopt.planning.plan import Rung, Verdict

@@ -5,7 +5,7 @@ import pytest
 from team_scene import two_trackers
 from terms_scene import LEARNING, TRACKING, terms_problem
 
-from planopt.planning.files.solution_json import solution_json
+from planopt.planning.files.result_json import solution_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve

@@ -1,0 +1,479 @@
+"""Plans and runs as JSON objects: what commands print, and ``plan.json`` and ``run.json`` hold.
+
+Keys of a whole plan are sums over the robots, the worst, or one text of all. A saved run also has
+every released plan, so that each can be verified again on what was believed when it was made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import fields
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, TypeAdapter
+
+from planopt.channel.validation.calibration import ReliabilityBin
+from planopt.planning.certificate import Certificate, excused_steps
+from planopt.planning.explain.explanation import Crossing, Relaxation
+from planopt.planning.files.record import (
+    OMITTED,
+    Computed,
+    NotNegative,
+    Number,
+    Place,
+    Places,
+    Record,
+    Source,
+    plain,
+    xy,
+)
+from planopt.planning.files.run_tables import drive_table
+from planopt.planning.holes import BlockedWay, Hole
+from planopt.planning.loop.clairvoyant import COSTS
+from planopt.planning.loop.log import Metrics, Outcome, RobotRun
+from planopt.planning.loop.metrics import run_holes, run_reliability
+from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
+from planopt.planning.run_summary import RunSummary, summary_of
+from planopt.planning.team.reservations import worst_of_robots
+from planopt.planning.worth.situation import Aim
+from planopt.problems.problem import Problem
+
+if TYPE_CHECKING:
+    from planopt.planning.run import Run
+    from planopt.planning.solution import Solution
+
+
+class PivotRecord(Record):
+    """The terminal waypoint beyond the horizon."""
+
+    x_m: Annotated[Number, Source(lambda pivot: pivot.position_m[0])]
+    y_m: Annotated[Number, Source(lambda pivot: pivot.position_m[1])]
+    cost_m: NotNegative
+    metre_cost: float = Field(default=1.0, ge=1, le=1e7)
+
+    @property
+    def pivot(self) -> Pivot:
+        """Return it as the planner has it."""
+        return Pivot(np.array([self.x_m, self.y_m]), self.cost_m, self.metre_cost)
+
+
+class AimRecord(Record):
+    """External inputs of an objective: expected target track and steering path, if any."""
+
+    target_x_m: Annotated[Computed, Source(lambda aim: _column(aim.target_m, 0))]
+    target_y_m: Annotated[Computed, Source(lambda aim: _column(aim.target_m, 1))]
+    steering_m: Annotated[Computed, Source(lambda aim: _last(aim.steering_turns_m))]
+    # From the start of the path to its end
+    steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
+    # Places of each plan of another robot that counts
+    pending_m: Annotated[
+        list[list[Place]], Source(lambda aim: aim.pending.planned_m or OMITTED)
+    ] = Field(default=[])
+
+
+def _column(track_m: NDArray[np.float64] | None, axis: int) -> NDArray[np.float64] | None:
+    return None if track_m is None else track_m[:, axis]
+
+
+def _last(turns_m: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    return None if turns_m is None else turns_m[-1]
+
+
+class HoleRecord(Record):
+    """A stretch of a path that misses the chance constraint, by its two ends."""
+
+    x_m: Annotated[Place, Source(lambda hole: (hole.from_m[0], hole.to_m[0]))]
+    y_m: Annotated[Place, Source(lambda hole: (hole.from_m[1], hole.to_m[1]))]
+    length_m: NotNegative
+    min_connectivity: Annotated[
+        float, Field(ge=0, le=1), Source(lambda hole: hole.least_connectivity)
+    ]
+    to_end: bool
+
+    @property
+    def hole(self) -> Hole:
+        """Return it as the planner has it."""
+        from_m, to_m = zip(self.x_m, self.y_m, strict=True)
+        return Hole(from_m, to_m, self.length_m, self.min_connectivity, self.to_end)
+
+
+class BlockedRecord(Places):
+    """The cheapest path of a robot to its goal, which a hard chance constraint forbids."""
+
+    robot: str
+    holes: Annotated[list[HoleRecord], Source(lambda way: _holes(way.holes))]
+
+    @property
+    def way(self) -> BlockedWay:
+        """Return it as the planner has it."""
+        return BlockedWay(self.robot, self.positions_m, tuple(each.hole for each in self.holes))
+
+
+class CrossingRecord(Record):
+    """The cost of a path that crosses coverage holes, and of the one with the best connection."""
+
+    robot: str
+    outage_price: Computed
+    cost_m: NotNegative
+    kept_m: NotNegative
+    outside_m: NotNegative
+    at_goal: Computed
+
+
+class Trajectory(Places):
+    """A plan: its places, the robot's own first, and what only its planner knows."""
+
+    x_m: list[Number] = Field(min_length=2)
+    drive: Annotated[
+        dict[str, list[Number | None]] | None,
+        Source(lambda plan: OMITTED if plan.drive is None else drive_table(plan.drive)),
+    ] = None
+    termination: Annotated[Termination, Field(strict=False)]
+    verdict: Computed
+    rung: Annotated[Rung, Field(strict=False)]
+    objective: Computed
+    lattice_objective: float
+    aim: AimRecord
+    pivot: Annotated[
+        PivotRecord | None, Source(lambda plan: plan.pivot and PivotRecord.written(plan.pivot))
+    ] = None
+
+    @property
+    def residual(self) -> float | None:
+        """Return the solver's KKT residual."""
+        raise NotImplementedError
+
+
+class Residual(Record):
+    """The part of a certificate that only the solver knows."""
+
+    kkt_residual: NotNegative | None
+
+
+class RobotPlan(Trajectory):
+    """One robot's plan of ``plan.json``."""
+
+    name: Annotated[Computed, Source(lambda plan: plan.robot)]
+    t_s: Computed
+    connectivity: Computed
+    wall_s: NotNegative
+    solve_s: NotNegative
+    iterations: int = Field(ge=0, le=10**9)
+    certificate: Annotated[Residual, Source(lambda plan: certificate_json(plan.certificate))]
+    polish_gain: Computed
+    message: Computed
+    route: Annotated[Places | None, Source(lambda plan: xy(plan.route_m))] = None
+    holes: Annotated[Computed, Source(lambda plan: _holes(plan.holes))]
+
+    @property
+    def residual(self) -> float | None:
+        """Return the solver's KKT residual."""
+        return self.certificate.kkt_residual
+
+
+class ReleasedPlan(Trajectory):
+    """A released plan of a run, with the steps that miss the chance constraint.
+
+    Steps of a plan to a goal are excused by its cost and that of the cheapest path that the
+    verifier found.
+    """
+
+    kkt_residual: Annotated[NotNegative | None, Source(lambda plan: plan.certificate.kkt_residual)]
+    relaxed_steps: Annotated[Computed, Source(lambda plan: plan.certificate.relaxed_steps)]
+    relaxation_db: Annotated[Computed, Source(lambda plan: plan.certificate.relaxation_db)]
+    best_margin_db: Annotated[Computed, Source(lambda plan: plan.certificate.best_margin_db)]
+    path_cost_m: Annotated[Computed, Source(lambda plan: plan.certificate.path_cost_m)]
+    best_cost_m: Annotated[Computed, Source(lambda plan: plan.certificate.best_cost_m)]
+
+    @property
+    def residual(self) -> float | None:
+        """Return the solver's KKT residual."""
+        return self.kkt_residual
+
+
+def _written(record: type[Trajectory], problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
+    """Return one robot's plan; only one to a goal has a pivot, a route and costs."""
+    to_goal = ("pivot", "route", "holes", "path_cost_m", "best_cost_m")
+    omitted = dict.fromkeys(to_goal if problem.task != "reach" else (), OMITTED)
+    values = {**xy(plan.positions_m), "aim": AimRecord.written(aim), **omitted}
+    return record.written(plan, **values)
+
+
+class Asked(NamedTuple):
+    """A problem and the seed that it is planned with."""
+
+    problem: Problem
+    seed: int
+
+
+class Question(Record):
+    """The settings that a result answers."""
+
+    problem: Annotated[Computed, Source(lambda of: of.problem.name)]
+    horizon: Annotated[Computed, Source(lambda of: of.problem.planner.horizon)]
+    planner: Annotated[Computed, Source(lambda of: of.problem.planner.name)]
+    cost_to_go: Annotated[Computed, Source(lambda of: of.problem.cost_to_go)]
+    seed: int = Field(ge=0)
+
+
+def _total(name: str) -> Source:
+    return Source(lambda solution: sum(getattr(plan, name) for plan in solution.plans))
+
+
+def _worst(name: str) -> Source:
+    """Return the worst label of all plans: every kind names its members from good to bad."""
+
+    def worst(solution: Solution) -> StrEnum:
+        labels: list[StrEnum] = [getattr(plan, name) for plan in solution.plans]
+        return max(labels, key=list(type(labels[0])).index)
+
+    return Source(worst)
+
+
+def _message(solution: Solution) -> str:
+    plans = solution.plans
+    if len(plans) == 1:
+        return plans[0].message
+    return "; ".join(f"{plan.robot}: {plan.message}" for plan in plans if plan.message)
+
+
+def _gain(solution: Solution) -> float:
+    plans = solution.plans
+    gain, lattice = sum(plan.gain for plan in plans), sum(plan.lattice_objective for plan in plans)
+    return share_gained(gain, lattice, sum(plan.objective for plan in plans))
+
+
+_RELAXATIONS = TypeAdapter(tuple[Relaxation, ...])
+
+Explanation = Annotated[tuple[Relaxation, ...], BeforeValidator(_RELAXATIONS.validate_python)]
+
+
+class PlanRecord(Question):
+    """A solved problem; ``bound`` and ``gap`` are null: no bound on the objective is proven."""
+
+    termination: Annotated[Computed, _worst("termination")]
+    verdict: Computed
+    sense: Annotated[Computed, Source(lambda solution: solution.problem.sense)]
+    objective: Annotated[Computed, _total("objective")]
+    bound: Annotated[Computed, Source(lambda _: None)]
+    gap: Annotated[Computed, Source(lambda _: None)]
+    wall_s: Annotated[Computed, _total("wall_s")]
+    solve_s: Annotated[Computed, _total("solve_s")]
+    iterations: Annotated[Computed, _total("iterations")]
+    certificate: Annotated[Computed, Source(lambda solution: _certificate(solution.plans))]
+    robots: list[RobotPlan] = Field(min_length=1)
+    rung: Annotated[Computed, _worst("rung")]
+    lattice_objective: Annotated[Computed, _total("lattice_objective")]
+    polish_gain: Annotated[Computed, Source(_gain)]
+    message: Annotated[Computed, Source(_message)]
+    explanation: Explanation
+    crossings: list[CrossingRecord] = Field(default=[])
+
+
+class NoPlanRecord(Record):
+    """The typed keys of a result without plan."""
+
+    seed: int = Field(ge=0)
+    message: str
+    explanation: Explanation = ()
+    robots: list[Any] = Field(max_length=0)
+
+
+def solution_json(solution: Solution) -> dict[str, Any]:
+    """Return the JSON keys of ``solve``."""
+    told = solution.explanation
+    return PlanRecord.written(
+        solution,
+        robots=[
+            _written(RobotPlan, solution.problem, plan, aim)
+            for plan, aim in zip(solution.plans, solution.aims, strict=True)
+        ],
+        explanation=[one for one in told if isinstance(one, Relaxation)],
+        crossings=[CrossingRecord.written(one) for one in told if isinstance(one, Crossing)],
+    )
+
+
+def no_plan_json(
+    problem: Problem,
+    seed: int,
+    message: str,
+    explanation: Iterable[Relaxation] = (),
+    blocked: Iterable[BlockedWay] = (),
+) -> dict[str, Any]:
+    """Return the same keys where there provably is no plan, with the reason in `message`."""
+    return {
+        **dict.fromkeys(PlanRecord.model_fields),
+        **Question.written(Asked(problem, seed)),
+        "termination": Termination.NO_PATH.value,
+        "verdict": Verdict.NONE.value,
+        "sense": problem.sense,
+        "certificate": no_certificate_json((message,)),
+        "robots": [],
+        "message": message,
+        "explanation": plain(list(explanation)),
+        "crossings": [],
+        **_blocked(blocked),
+    }
+
+
+def _blocked(ways: Iterable[BlockedWay]) -> dict[str, Any]:
+    """Return the key ``blocked``, or no key if there is no such path."""
+    found = [BlockedRecord.written(one, **xy(one.way_m)) for one in ways]
+    return {"blocked": found} if found else {}
+
+
+def _holes(holes: Iterable[Hole]) -> list[dict[str, Any]]:
+    return [HoleRecord.written(hole) for hole in holes]
+
+
+def _certificate(plans: Iterable[Plan]) -> dict[str, Any]:
+    return certificate_json(worst_of_robots({plan.robot: plan.certificate for plan in plans}))
+
+
+def certificate_json(certificate: Certificate) -> dict[str, Any]:
+    """Return a certificate; a rule has a key only if it is not p_min at each step."""
+    found: dict[str, Any] = plain(certificate)
+    if found["rule"] is None:
+        del found["rule"]
+    return found
+
+
+def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
+    """Return the keys of a certificate where there is no plan to certify, with the reasons."""
+    names = [part.name for part in fields(Certificate) if part.name != "rule"]
+    lists = dict[str, Any](relaxed_steps=[], relaxation_db=[], best_margin_db=[])
+    return {**dict.fromkeys(names), **lists, "reasons": list(reasons)}
+
+
+class BinRecord(Record):
+    """Predicted against realised connection; the ends of a missing interval are null."""
+
+    low: Computed
+    high: Computed
+    count: Computed
+    groups: Computed
+    predicted_connectivity: Annotated[Computed, Source(lambda one: one.predicted)]
+    connected_share: Annotated[Computed, Source(lambda one: one.realised)]
+    ci_low: Annotated[Computed, Source(lambda one: one.interval and one.interval[0])]
+    ci_high: Annotated[Computed, Source(lambda one: one.interval and one.interval[1])]
+
+
+class SummaryRecord(Record):
+    """A run without its steps, as comparisons list it."""
+
+    problem: Computed
+    horizon: Computed
+    planner: Computed
+    cost_to_go: Computed
+    seed: int = Field(ge=0)
+    outcome: str
+    message: Annotated[str, Source(lambda summary: summary.reason)]
+    metrics: Computed
+    rungs: Computed
+    verified_rate: Computed
+    step_s: Annotated[Computed, Source(lambda summary: step_times_json(summary.step_s))]
+
+
+class RobotPlans(Record):
+    """The released plans of one robot."""
+
+    robot: str
+    released: list[ReleasedPlan]
+
+
+class RunRecord(SummaryRecord):
+    """A closed loop."""
+
+    reliability: Computed
+    robots: Computed
+    plans: list[RobotPlans]
+    blocked: list[BlockedRecord] = Field(default=[])
+
+
+class RobotRunRecord(Record):
+    """One robot's trajectory and metrics, the steps excused, and the holes that it crossed."""
+
+    name: Annotated[Computed, Source(lambda run: run.robot)]
+    t_s: Annotated[Computed, Source(lambda run: run.log.t_s)]
+    x_m: Annotated[Computed, Source(lambda run: run.log.positions_m[:, 0])]
+    y_m: Annotated[Computed, Source(lambda run: run.log.positions_m[:, 1])]
+    connectivity: Annotated[Computed, Source(lambda run: run.log.connectivity)]
+    drive: Annotated[
+        Computed, Source(lambda run: OMITTED if run.drive is None else drive_table(run.drive))
+    ]
+    path_m: Annotated[Computed, Source(lambda run: run.metrics.path_m)]
+    true_connected_share: Annotated[Computed, Source(lambda run: run.metrics.true_connected_share)]
+    longest_outage_m: Annotated[Computed, Source(lambda run: run.metrics.longest_outage_m)]
+    measured_steps: Annotated[Computed, Source(lambda run: run.metrics.measured_steps)]
+    rungs: Computed
+    verified_rate: Computed
+    excused: Computed
+    holes: Annotated[Computed, Source(lambda run: _holes(run_holes(run)))]
+
+
+def run_json(run: Run) -> dict[str, Any]:
+    """Return the JSON keys of ``simulate``."""
+
+    def robot(one: RobotRun, plans: Iterable[Plan]) -> dict[str, Any]:
+        excused = excused_steps([plan.certificate for plan in plans])
+        omitted = {} if run.problem.task == "reach" else {"holes": OMITTED}
+        return RobotRunRecord.written(one, excused=excused, **omitted)
+
+    return RunRecord.written(
+        summary_of(run),
+        reliability=reliability_json(run_reliability(run.runs)),
+        robots=[robot(*each) for each in zip(run.runs, run.plans, strict=True)],
+        plans=OMITTED,
+        **{"blocked": OMITTED, **_blocked(run.blocked)},
+    )
+
+
+def released_plans_json(run: Run) -> list[dict[str, Any]]:
+    """Return the key ``plans`` of a saved run: released plans by robot, in order."""
+    return [
+        {
+            "robot": one.robot,
+            "released": [
+                _written(ReleasedPlan, run.problem, plan, aim)
+                for plan, aim in zip(made, known, strict=True)
+            ],
+        }
+        for one, made, known in zip(run.runs, run.plans, run.aims, strict=True)
+    ]
+
+
+def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
+    """Return the keys of :func:`run_json` where there provably is no plan."""
+    names = [name for name in RunRecord.model_fields if name not in ("plans", "blocked")]
+    return {
+        **dict.fromkeys(names),
+        **Question.written(Asked(problem, seed)),
+        "outcome": Outcome.NO_PLAN.value,
+        "message": message,
+        "metrics": dict.fromkeys([*(field.name for field in fields(Metrics)), *COSTS]),
+        "rungs": {},
+        "step_s": step_times_json(np.zeros(0)),
+        "reliability": [],
+        "robots": [],
+    }
+
+
+def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
+    """Return predicted against realised connection by bin."""
+    return [BinRecord.written(one) for one in bins]
+
+
+def summary_json(summary: RunSummary) -> dict[str, Any]:
+    """Return a run without its steps."""
+    return SummaryRecord.written(summary)
+
+
+def step_times_json(seconds: NDArray[np.float64]) -> dict[str, float | None]:
+    """Return median, 95 % quantile and maximum of planning times; null without steps."""
+    if seconds.size == 0:
+        return {"p50": None, "p95": None, "max": None}
+    p50, p95, largest = np.quantile(seconds, [0.5, 0.95, 1.0])
+    return plain({"p50": p50, "p95": p95, "max": largest})

@@ -14,11 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.channel.factor import whiten
 from planopt.channel.intervals.sites import rounded_variance_db2
 from planopt.channel.kriging import predict_noiseless
-from planopt.channel.measurement_covariance import (
-    covariance_db2,
-    own_covariance_db2,
-    place_origins,
-)
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
 from planopt.channel.parameters import regressors
@@ -117,9 +113,8 @@ class JointTerms:
 def joint_terms(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> JointTerms:
     """The terms at `places_m` (h, 2); whitening their covariances is all that takes time."""
     parameters = posterior.parameters
-    origins = place_origins(places_m, posterior.now_s, parameters)
-    across = whiten(posterior.factor, covariance_db2(posterior.origins, origins, parameters))
-    covariance = own_covariance_db2(origins, parameters) - across.T @ across
+    across = whiten(posterior.factor, posterior.covariance_with_db2(places_m))
+    covariance = shadow_covariance_db2(places_m, places_m, parameters) - across.T @ across
     own = np.diag_indices_from(covariance)
     # Rounding alone can make the latent variance negative, at a place that is known exactly.
     covariance[own] = np.maximum(covariance[own], 0.0)

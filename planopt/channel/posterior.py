@@ -34,8 +34,10 @@ from planopt.channel.intervals.sites import LatentPrior, Sites
 from planopt.channel.kriging import predict, predict_noiseless
 from planopt.channel.measurement_covariance import (
     Origins,
+    covariance_db2,
     measured_origins,
     measured_path_loss_variance_db2,
+    place_origins,
 )
 from planopt.channel.measurements import Measurements, Table, as_measurements, join
 from planopt.channel.nearest.local_channel import nearest_to_path
@@ -276,6 +278,11 @@ class ChannelPosterior:
             and np.array_equal(one.receiver[:count], other.receiver)
         )
 
+    def covariance_with_db2(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance of all measurements with the power at places (n, 2) now; ``(kappa, n)``."""
+        places = place_origins(positions_m, self.now_s, self.parameters)
+        return covariance_db2(self.origins, places, self.parameters)
+
     def predict(self, positions_m: ArrayLike) -> Prediction:
         """See :func:`planopt.channel.kriging.predict`."""
         return predict(self, positions_m)
@@ -381,6 +388,19 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
         posterior = _append(posterior, part, sites)
         start = stop
     return posterior
+
+
+def with_expected(
+    posterior: ChannelPosterior, positions_m: NDArray[np.float64]
+) -> ChannelPosterior:
+    """Return the posterior as if the predicted power had been measured at places (n, 2)."""
+    count = len(posterior.measurements) + len(positions_m)
+    # An existing factor is kept: conditioning on neighbours anew would take longer than its rows.
+    limit = max(posterior.exact_limit, count) if posterior.has_factor else posterior.exact_limit
+    power = posterior.predict(positions_m).mean_db
+    times = np.full(len(positions_m), posterior.now_s)
+    known = replace(posterior, exact_limit=limit)
+    return extend(known, Measurements(positions_m, power, time_s=times))
 
 
 SHARED_NEIGHBOURS = 512

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.factor import unwhiten, whiten
 from planopt.channel.joint import joint_terms
-from planopt.channel.measurement_covariance import covariance_db2, place_origins
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
@@ -67,8 +67,7 @@ class KnownPlaces:
 def known_places(posterior: ChannelPosterior, grid_m: NDArray[np.float64]) -> KnownPlaces:
     """Prepare `grid_m` (g, 2) for a posterior that has a factor; O(kappa g)."""
     parameters = posterior.parameters
-    grid = place_origins(grid_m, posterior.now_s, parameters)
-    phi = covariance_db2(posterior.origins, grid, parameters)
+    phi = posterior.covariance_with_db2(grid_m)
     solved = unwhiten(posterior.factor, posterior.whitened_regressors)
     return KnownPlaces(grid_m, phi, regressors(grid_m, parameters.station) - phi.T @ solved)
 
@@ -84,12 +83,10 @@ def cross_covariance_db2(
     c(q) = k_h(q) - Phi' U^-1 phi(q) (equation 4.6), plus B M varphi(q) where `universal`.
     """
     parameters = posterior.parameters
-    path, grid = (
-        place_origins(places, posterior.now_s, parameters) for places in (path_m, known.grid_m)
-    )
-    phi = covariance_db2(posterior.origins, path, parameters)
+    phi = posterior.covariance_with_db2(path_m)
     solved = unwhiten(posterior.factor, whiten(posterior.factor, phi))
-    covariance = covariance_db2(path, grid, parameters) - solved.T @ known.phi_db2
+    covariance = shadow_covariance_db2(path_m, known.grid_m, parameters)
+    covariance -= solved.T @ known.phi_db2
     if universal:
         rows = unwhiten(posterior.factor, posterior.whitened_regressors)
         trend = regressors(path_m, parameters.station) - phi.T @ rows

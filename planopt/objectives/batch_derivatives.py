@@ -77,7 +77,7 @@ def batch_derivatives(
 ) -> BatchDerivatives:
     """S, or S + B M B' where `universal`, and B, at `path_m` (h, 2)."""
     parameters, steps = channel.parameters, len(path_m)
-    kernel = rounded_kernel(path_m[:, None] - channel.positions_m, parameters, channel.blur_m2)
+    kernel = rounded_kernel(path_m[:, None] - channel.positions_m, parameters, channel.added_m2)
     phi = np.empty((steps, 6, len(channel.positions_m)))
     phi[:, 0] = kernel.value
     phi[:, 1:3] = kernel.gradient.transpose(0, 2, 1)

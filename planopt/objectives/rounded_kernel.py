@@ -23,21 +23,21 @@ CUSP_ROUNDING = 0.01
 def rounded_kernel(
     offset_m: NDArray[np.float64],  # (..., 2)
     parameters: ChannelParameters,
-    blur_m2: NDArray[np.float64] | float = 0.0,  # (...) of position errors
+    added_m2: NDArray[np.float64] | float = 0.0,  # (...) of each measurement
 ) -> Derivatives:
-    """xi^2 exp(-r / beta), r = sqrt(|offset|^2 + blur + eps^2), with derivatives by the offset."""
+    """xi^2 exp(-r / beta), r = sqrt(|offset|^2 + added + eps^2), with derivatives by the offset."""
     rows = np.empty((6, *offset_m.shape[:-1]))
-    soft_m2 = softened_m2(blur_m2, parameters)
+    soft_m2 = softened_m2(added_m2, parameters)
     fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, soft_m2)
     inner = tuple(range(1, rows.ndim))
     return Derivatives(rows[0], rows[1:3].transpose(*inner, 0), rows[3:].transpose(*inner, 0))
 
 
 def softened_m2(
-    blur_m2: NDArray[np.float64] | float, parameters: ChannelParameters
+    added_m2: NDArray[np.float64] | float, parameters: ChannelParameters
 ) -> NDArray[np.float64] | float:
     """Return what squared distances of the rounded kernel have more than the offsets'."""
-    return blur_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2
+    return added_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2
 
 
 def fill_rounded_kernel(

@@ -171,12 +171,12 @@ def single_kernel(
     a: NDArray[np.float64],
     b: NDArray[np.float64],
     parameters: ChannelParameters,
-    blur_m2: NDArray[np.float64] | None = None,
+    added_m2: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Distances of `a` (n, 2) from `b` (m, 2) and covariances of shadowing; both ``(n, m)``.
 
     Coordinates near 3e6 keep their digits: what is rounded are offsets from the middle of `a`.
-    `blur_m2` (m,) is added to the squares.
+    `added_m2` (m,) is added to the squares.
     """
     middle = a.mean(axis=0)
     from_m, to_m = (a - middle).astype(np.float32), (b - middle).astype(np.float32)
@@ -185,8 +185,8 @@ def single_kernel(
     dy = from_m[:, 1:] - to_m[:, 1]
     dy *= dy
     distance += dy
-    if blur_m2 is not None:
-        distance += blur_m2.astype(np.float32)
+    if added_m2 is not None:
+        distance += added_m2.astype(np.float32)
     np.sqrt(distance, out=distance)
     return distance, decayed_db2(distance.copy(), parameters)
 
@@ -211,7 +211,7 @@ class WayBatch:
         places = ways_m.reshape(-1, 2)
         self.shape: tuple[int, int] = (len(ways_m), len(places) // max(len(ways_m), 1))
         self.distance_m, self.phi = single_kernel(
-            places, channel.positions_m, parameters, channel.blur_m2
+            places, channel.positions_m, parameters, channel.added_m2
         )
         self.solved = (self.phi @ precision).reshape(*self.shape, -1)
         by_way = self.phi.reshape(*self.shape, -1)

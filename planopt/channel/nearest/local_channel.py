@@ -117,8 +117,8 @@ class LocalChannel:
         return self.origins.positions_m
 
     @cached_property
-    def blur_m2(self) -> NDArray[np.float64]:
-        """Squared distance added by errors of these positions, ``(..., m)``."""
+    def added_m2(self) -> NDArray[np.float64]:
+        """Squared distance that the kernel adds to that from each measurement, ``(..., m)``."""
         blur = self.origins.blur_m2
         return np.zeros(self.columns.shape[:-1]) if blur is None else blur
 
@@ -239,7 +239,7 @@ class LocalGrid:
     ) -> LocalGrid:
         """Prepare `grid_m` (g, 2) of weights (g,) >= 0."""
         phi = shadow_covariance_db2(
-            channel.positions_m, grid_m, channel.parameters, channel.blur_m2[:, None]
+            channel.positions_m, grid_m, channel.parameters, channel.added_m2[:, None]
         )
         return LocalGrid(
             grid_m,

@@ -65,7 +65,7 @@ class StagePredictor:
         self._kernel = self._f[:, :, :m].swapaxes(0, 1)
         self._x_m = np.ascontiguousarray(model.positions_m[:, :, 0])
         self._y_m = np.ascontiguousarray(model.positions_m[:, :, 1])
-        self._soft_m2 = softened_m2(model.blur_m2, model.parameters)
+        self._soft_m2 = softened_m2(model.added_m2, model.parameters)
 
     def __call__(self, positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
         """Mean and deviation of stage k at ``positions_m[k]``, (n, 2)."""

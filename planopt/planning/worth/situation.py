@@ -15,14 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import ChannelPosterior, extend
+from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.known_links import KnownLinks, known_links
@@ -71,22 +70,7 @@ def anticipated(
         places = places[taken]
     if not len(places):
         return tuple(posteriors)
-    return tuple(_believing(posterior, places) for posterior in posteriors)
-
-
-def _believing(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> ChannelPosterior:
-    """The posterior as if the predicted power had been measured at `places_m` (n, 2)."""
-    count = len(posterior.measurements) + len(places_m)
-    known = replace(
-        posterior,
-        # A factor that is there is kept: counting neighbours anew would take longer than its rows.
-        exact_limit=max(posterior.exact_limit, count)
-        if posterior.has_factor
-        else posterior.exact_limit,
-    )
-    power = posterior.predict(places_m).mean_db
-    times = np.full(len(places_m), posterior.now_s)
-    return extend(known, Measurements(places_m, power, time_s=times))
+    return tuple(with_expected(posterior, places) for posterior in posteriors)
 
 
 def places_of_others(driven_m: Sequence[NDArray[np.float64]], number: int) -> NDArray[np.float64]:

@@ -41,7 +41,7 @@ def assert_close(found, expected, mean_db, deviation_db):
 def from_numbers(channel, places):
     """Predict from precision, weights and trend, as the class states it."""
     parameters = channel.parameters
-    squared = ((channel.positions_m[:, None] - places) ** 2).sum(axis=2) + channel.blur_m2[:, None]
+    squared = ((channel.positions_m[:, None] - places) ** 2).sum(axis=2) + channel.added_m2[:, None]
     phi = parameters.shadow_std_db**2 * np.exp(-np.sqrt(squared) / parameters.decorrelation_m)
     away = np.sqrt(((places - parameters.station.position_m) ** 2).sum(axis=1) + 144.0)
     gamma = np.column_stack([np.ones(len(places)), -10.0 * np.log10(away)])

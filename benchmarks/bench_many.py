@@ -20,9 +20,9 @@ import pytest
 from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from planopt.channel.channel_map import posterior_map
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.fields.field import shadow_field_db
-from planopt.channel.maps.posterior_map import posterior_map
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import condition

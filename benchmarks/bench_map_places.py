@@ -22,8 +22,8 @@ from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
 from planopt import load
+from planopt.channel.calibration import FEWEST_GROUPS
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.validation.calibration import FEWEST_GROUPS
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.problems.problem import Problem

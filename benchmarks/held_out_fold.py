@@ -17,12 +17,13 @@ import numpy as np
 
 from planopt.channel import LogFormat, Station, read_log
 from planopt.channel.estimation.fit import fitted_parameters
-from planopt.channel.validation.held_out import (
+from planopt.channel.held_out import (
     channel_predictor,
     learn_path_loss,
+    learn_plain_line,
+    learn_plain_process,
     marginal_predictor,
 )
-from planopt.channel.validation.held_out_report import learn_plain_line, learn_plain_process
 
 LEARNT, CENSORED_SHARE = 4_000, 0.6
 PRODUCT_SIZE = 1_500

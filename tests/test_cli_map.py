@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.logs.log_file import read_log
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
+from planopt.channel.power_log import read_log
 from planopt.cli import main
 from planopt.world.raster_files import read_raster
 

@@ -192,7 +192,7 @@ def test_files_that_broke_a_reader(tmp_path: Path) -> None:
 import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
-from planopt.channel.logs.log_file import read_log
+from planopt.channel.power_log import read_log
 from planopt.errors import InputError
 from planopt.world.occupancy_files import read_grid
 from planopt.world.raster_files import read_raster

@@ -18,15 +18,13 @@ import os
 from functools import partial
 from pathlib import Path
 
+from planopt.channel.calibration import held_out_report
+from planopt.channel.channel_map import measured_bounds_m, posterior_map
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.logs.log_file import read_columns, read_log
-from planopt.channel.logs.log_format import LogFormat
-from planopt.channel.logs.log_groups import parse_groups, read_groups
-from planopt.channel.maps.posterior_map import measured_bounds_m, posterior_map
+from planopt.channel.held_out import channel_predictor, learn_path_loss
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
-from planopt.channel.validation.held_out import channel_predictor, learn_path_loss
-from planopt.channel.validation.held_out_report import held_out_report
+from planopt.channel.power_log import LogFormat, parse_groups, read_columns, read_groups, read_log
 from planopt.report.calibration_figure import draw_calibration
 from planopt.report.fit_figure import draw_fit
 from planopt.report.map_figure import draw_posterior_map

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from planopt.channel.estimation.station_fit import fit_channel_and_station
 from planopt.channel.measurements import Measurements
-from planopt.channel.station.station_search import fit_channel_and_station
 from planopt.report.station_figure import draw_stations
 
 LAB = Path(os.environ.get("PLANOPT_DATA", "data")) / "lab"

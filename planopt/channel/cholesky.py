@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import get_blas_funcs, get_lapack_funcs, solve_triangular
 
+from planopt.errors import InputError
+
 # By name: they exist in the compiled module alone, where a type checker cannot see them.
 FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
     ("potrf", "potri", "trtri", "trtrs"), dtype=np.float64
@@ -135,3 +137,29 @@ def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
 def log_determinant(lower: NDArray[np.float64]) -> float:
     """The logarithm of |L L'|."""
     return 2.0 * float(np.log(np.diag(lower)).sum())
+
+
+DETERMINED = 1e-10
+"""A value counts as determined by earlier ones while its variance given them is below this share
+of the largest variance: far above rounding, far below any variance of interest."""
+
+
+def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lower triangular L with L L' = `covariance`; columns of determined values are zero."""
+    # Shapes: covariance (h, h).
+    try:
+        return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        pass
+    scale = float(np.diag(covariance).max())
+    lower = np.zeros_like(covariance)
+    for column in range(len(covariance)):
+        rest = covariance[column:, column] - lower[column:, :column] @ lower[column, :column]
+        if rest[0] > DETERMINED * scale:
+            lower[column:, column] = rest / np.sqrt(rest[0])
+    # What a determined value leaves undone is at most the root of its own remaining variance.
+    if not np.abs(lower @ lower.T - covariance).max() <= 2.0 * np.sqrt(DETERMINED) * abs(scale):
+        raise InputError(
+            "the matrix is not a covariance: it is not positive semidefinite", key="covariance_db2"
+        )
+    return lower

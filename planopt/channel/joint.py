@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planopt.channel.cholesky import semidefinite_factor
 from planopt.channel.factor import whiten
-from planopt.channel.intervals.sites import rounded_variance_db2
+from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.kriging import predict_noiseless
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
@@ -21,7 +22,6 @@ from planopt.channel.parameters import regressors
 from planopt.channel.places import require_count, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.channel.semidefinite import semidefinite_factor
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 

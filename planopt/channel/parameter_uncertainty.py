@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.covariance_fit import MIN_NUGGET_SHARE
-from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.channel_fit import MIN_NUGGET_SHARE
+from planopt.channel.estimation.least_squares import examine
 from planopt.channel.estimation.likelihood_climb import thinned
 from planopt.channel.estimation.likelihood_data import LikelihoodData, likelihood_data
 from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.estimation.restricted_likelihood import profiled_log_likelihood
-from planopt.channel.intervals.sites import rounded_variance_db2
+from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, mean_model
@@ -129,7 +129,7 @@ def marginalise(
     Raises
     ------
     InputError
-        See :func:`planopt.channel.estimation.identifiability.examine`.
+        See :func:`planopt.channel.estimation.least_squares.examine`.
     """
     measurements = as_measurements(measurements)
     allows = examine(measurements, parameters.station)

@@ -20,17 +20,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.estimation.identifiability import MIN_REGRESSOR_SPREAD_DB
-from planopt.channel.estimation.least_squares import receiver_columns
+from planopt.channel.estimation.least_squares import MIN_REGRESSOR_SPREAD_DB, receiver_columns
 from planopt.channel.factor import FactorBuffer, append_rows, spacious, with_room
-from planopt.channel.intervals.censoring import (
+from planopt.channel.gaussian_sites import (
     MIN_NOISE_VARIANCE_DB2,
+    LatentPrior,
+    Sites,
     gaussian_sites,
+    interval_sites,
     intervals,
     needs_site,
 )
-from planopt.channel.intervals.expectation_propagation import interval_sites
-from planopt.channel.intervals.sites import LatentPrior, Sites
 from planopt.channel.kriging import predict, predict_noiseless
 from planopt.channel.measurement_covariance import (
     Origins,

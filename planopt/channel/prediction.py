@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import betaincinv, ndtr, ndtri  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.short_repr import short_repr
 
@@ -31,6 +31,10 @@ class Prediction:
     deviation_db: NDArray[np.float64]
 
     __repr__ = short_repr
+
+    def at(self, rows: NDArray[np.intp]) -> Prediction:
+        """Return the prediction at some of the places."""
+        return Prediction(self.mean_db[rows], self.deviation_db[rows])
 
 
 @dataclass(frozen=True)
@@ -90,3 +94,15 @@ def connection_probability(
 def score_probability(score: NDArray[np.float64]) -> NDArray[np.float64]:
     """Phi(score): how probable power above the threshold is, (mean - threshold) / deviation."""
     return np.asarray(ndtr(score), dtype=np.float64)
+
+
+CONFIDENCE = 0.95
+"""Level of all confidence intervals."""
+
+
+def binomial_interval(successes: float, trials: float) -> tuple[float, float]:
+    """Clopper and Pearson's interval of a probability; neither number need be whole."""
+    failures, tail = trials - successes, 0.5 - 0.5 * CONFIDENCE
+    low = 0.0 if successes <= 0.0 else float(betaincinv(successes, failures + 1.0, tail))
+    high = 1.0 if failures <= 0.0 else float(betaincinv(successes + 1.0, failures, 1.0 - tail))
+    return low, high

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.cholesky import lower_factor
 from planopt.channel.factor import whiten
-from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
+from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.places import require_places

@@ -17,9 +17,8 @@ from planopt.commands.output import drawing, progress, results_folder, show, sho
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
+    from planopt.channel.calibration import GroupedRatio, HeldOutReport, HeldOutScore
     from planopt.channel.estimation.channel_fit import ChannelFit
-    from planopt.channel.validation.held_out import GroupedRatio
-    from planopt.channel.validation.held_out_report import HeldOutReport, HeldOutScore
 
 HoldOutOption = Annotated[
     str | None,
@@ -74,9 +73,9 @@ def held_out(
     """
     import numpy as np
 
-    from planopt.channel.logs.log_groups import parse_groups, read_groups
-    from planopt.channel.validation.held_out import deal
-    from planopt.channel.validation.held_out_report import held_out_report, predictors_of
+    from planopt.channel.calibration import held_out_report
+    from planopt.channel.held_out import deal, predictors_of
+    from planopt.channel.power_log import parse_groups, read_groups
 
     groups = read_groups(log, parse_groups(text), fitted.log_format)
     count = len(np.unique(groups))
@@ -126,7 +125,7 @@ def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
 
 def held_out_words(data: dict[str, Any]) -> list[str]:
     """Lines for people, from what :func:`held_out_json` gives."""
-    from planopt.channel.validation.calibration import FEWEST_GROUPS
+    from planopt.channel.calibration import FEWEST_GROUPS
 
     header = f"  {'':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'of path loss':22}" + "".join(
         f"  {f'inside {level:.0%}':21}" for level in SHOWN_LEVELS
@@ -180,7 +179,7 @@ def _score_json(score: HeldOutScore, groups: int) -> dict[str, Any]:
 
 
 def _ratio_json(ratio: GroupedRatio, groups: int) -> dict[str, float | None]:
-    from planopt.channel.validation.calibration import FEWEST_GROUPS
+    from planopt.channel.calibration import FEWEST_GROUPS
 
     ends = (ratio.low, ratio.high) if groups >= FEWEST_GROUPS else (None, None)
     return {"value": ratio.value, "low": ends[0], "high": ends[1]}

@@ -14,10 +14,10 @@ from planopt.errors import InputError
 
 if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit, Loss
-    from planopt.channel.logs.log_format import LogFormat
+    from planopt.channel.estimation.station_fit import StationMethod
     from planopt.channel.measurements import Measurements
     from planopt.channel.parameters import ChannelParameters
-    from planopt.channel.station.station_position import StationMethod
+    from planopt.channel.power_log import LogFormat
 
 DEGENERATE = 3
 """Exit code if the log does not determine the channel."""
@@ -124,8 +124,8 @@ def read_and_fit(options: LogOptions) -> LogFit:
     """Read a log and fit the channel."""
     from planopt.channel.estimation.channel_fit import require_loss, require_method
     from planopt.channel.estimation.fit import fit_channel, fitted_parameters
-    from planopt.channel.logs.log_file import at_file_line, parse_station, read_power_log
-    from planopt.channel.station.station_search import fit_channel_and_station
+    from planopt.channel.estimation.station_fit import fit_channel_and_station
+    from planopt.channel.power_log import at_file_line, parse_station, read_power_log
     from planopt.problems.plausibility import log_warnings
 
     chosen = require_method(options.method, "--method")
@@ -168,7 +168,7 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
     """Return the method by which the station is found."""
     from typing import get_args
 
-    from planopt.channel.station.station_position import StationMethod
+    from planopt.channel.estimation.station_fit import StationMethod
 
     names = get_args(StationMethod)
     if name is None:
@@ -190,7 +190,7 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
 
 def _log_format(options: LogOptions) -> LogFormat:
     """Return the format of the log."""
-    from planopt.channel.logs.log_format import (
+    from planopt.channel.power_log import (
         DEFAULT_COLUMNS,
         LogFormat,
         parse_columns,

@@ -18,7 +18,7 @@ from planopt.errors import InputError
 from planopt.files.result_folder import replaced_results
 
 if TYPE_CHECKING:
-    from planopt.channel.maps.posterior_map import Bounds, PosteriorMap
+    from planopt.channel.channel_map import Bounds, PosteriorMap
     from planopt.channel.measurements import Measurements
 
 VARIABLES = ("mean_db", "deviation_db", "connectivity")
@@ -61,7 +61,7 @@ def map_log(
 
     For the first receiver in the log, at the time of the latest measurement.
     """
-    from planopt.channel.maps.posterior_map import default_cell_m, measured_bounds_m, posterior_map
+    from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.channel.one_thread import one_blas_thread
     from planopt.channel.posterior import condition
     from planopt.world.raster_files import check_raster_output, write_rasters

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from planopt.channel.calibration import HeldOutReport
+from planopt.channel.channel_map import PosteriorMap
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.maps.posterior_map import PosteriorMap
 from planopt.channel.measurements import Measurements
-from planopt.channel.validation.held_out_report import HeldOutReport
 from planopt.planning.holes import BlockedError
 from planopt.planning.prepare import prepare
 from planopt.planning.run import Run

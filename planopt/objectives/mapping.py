@@ -16,14 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import solve_lower
+from planopt.channel.cholesky import semidefinite_factor, solve_lower
 from planopt.channel.kriging import kriging_terms
 from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.places import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import combine
-from planopt.channel.semidefinite import semidefinite_factor
 from planopt.errors import InputError
 from planopt.objectives.batch import (
     KnownPlaces,

@@ -22,8 +22,6 @@ from planopt.channel.fields.truth import (
     power_truth,
     raster_truth,
 )
-from planopt.channel.logs.log_file import read_log
-from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import (
     LARGEST_POWER_DBM,
     LEAST_POWER_DBM,
@@ -33,6 +31,7 @@ from planopt.channel.measurements import (
 )
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import EXACT_LIMIT, condition
+from planopt.channel.power_log import LogFormat, read_log
 from planopt.errors import InputError
 from planopt.parts import calling
 from planopt.problems.base_station import log_of, raster_truth_of

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-from planopt.channel.multipath.multipath_models import Rician
+from planopt.channel.fields.multipath import Rician
 from planopt.errors import InputError
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import (

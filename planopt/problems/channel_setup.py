@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from planopt.channel.estimation.channel_fit import FitMethod
-from planopt.channel.multipath.multipath_models import Multipath
+from planopt.channel.fields.multipath import Multipath
 from planopt.errors import InputError
 from planopt.parts import part_of
 from planopt.plain_values import make_plain

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import Measurements
+from planopt.channel.power_log import LogFormat
 from planopt.errors import InputError
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import shapely
 
-from planopt.channel.multipath.multipath_models import Lognormal, Multipath, Nakagami, Rician
+from planopt.channel.fields.multipath import Lognormal, Multipath, Nakagami, Rician
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import (
     ArrayTruth,

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from planopt.channel.estimation.channel_fit import FitMethod
-from planopt.channel.multipath.multipath_models import Multipath, MultipathKind, multipath_of
+from planopt.channel.fields.multipath import Multipath, MultipathKind, multipath_of
 from planopt.errors import InputError
 from planopt.problems.channel_setup import (
     ChannelSetup,

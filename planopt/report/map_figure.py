@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from planopt.channel.belief import Belief
-from planopt.channel.maps.posterior_map import PosteriorMap
+from planopt.channel.channel_map import PosteriorMap
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.problems.problem import Problem

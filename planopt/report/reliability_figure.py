@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planopt.channel.validation.calibration import EDGES, ReliabilityBin
+from planopt.channel.calibration import EDGES, ReliabilityBin
 from planopt.errors import InputError
 from planopt.report.panel import Panel, add_panel, new_figure
 from planopt.report.style import BLACK, MARKERS, SERIES, dress, head, legend_below

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from planopt.channel.validation.calibration import FEWEST_GROUPS, ReliabilityBin
+from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.style import spaced
 from planopt.studies.comparison import Comparison
 

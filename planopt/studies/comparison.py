@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, cast
 
-from planopt.channel.validation.calibration import ReliabilityBin
+from planopt.channel.calibration import ReliabilityBin
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
 from planopt.files.regular import read_text
 from planopt.files.result_folder import replaced_results

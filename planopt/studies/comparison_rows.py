@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.validation.calibration import FEWEST_GROUPS, ReliabilityBin, reliability
+from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin, reliability
 from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.run_summary import RunSummary
 from planopt.problems.planner_kinds import OWN

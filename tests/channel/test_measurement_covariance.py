@@ -17,7 +17,6 @@ from planopt.channel.derivatives import posterior_derivatives
 from planopt.channel.fields.field import conditional_field, conditional_values_db
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import predict
-from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -27,6 +26,7 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.nearest.local_channel import LocalChannel, predict_nearby
 from planopt.channel.posterior import at_time, condition, extend
+from planopt.channel.tile_map import TileMap
 from planopt.errors import InputError
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))

@@ -7,7 +7,7 @@ import pytest
 from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.least_squares import examine
 from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.restricted_likelihood import evaluate
 from planopt.channel.measurements import Measurements

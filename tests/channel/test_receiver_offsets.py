@@ -10,6 +10,7 @@ from planopt.channel import measurement_covariance
 from planopt.channel import offsets as module
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.least_squares import coefficient_covariance, least_squares
+from planopt.channel.estimation.station_fit import fit_channel_and_station
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
@@ -17,7 +18,6 @@ from planopt.channel.offsets import receiver_offsets
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
 from planopt.channel.posterior import condition
-from planopt.channel.station.station_search import fit_channel_and_station
 
 CHANNEL = ChannelParameters(-20.0, 2.5, 5.0, 15.0, 2.0, Station((50.0, 130.0), 5.0))
 OFFSETS_DB = np.array([0.0, 7.0, -4.0])

@@ -7,7 +7,7 @@ import pytest
 from small_cases import small_case
 
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.least_squares import examine
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.estimation.covariance_fit import covariance_bounds
+from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.reml import reml_fit
 from planopt.channel.estimation.restricted_likelihood import evaluate
-from planopt.channel.intervals.censoring import FINE_STEP, needs_site
+from planopt.channel.gaussian_sites import FINE_STEP, needs_site
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.semidefinite import semidefinite_factor
+from planopt.channel.cholesky import semidefinite_factor
 from planopt.errors import InputError
 
 

@@ -10,9 +10,9 @@ import shapely
 from scenes import RING, good_everywhere, small_problem
 
 from planopt import load
+from planopt.channel.fields.multipath import Nakagami
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.measurements import Measurements
-from planopt.channel.multipath.multipath_models import Nakagami
 from planopt.errors import InputError
 from planopt.planning.given import draw_truth, free_places
 from planopt.planning.loop.learn import learn

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from planopt.channel.multipath.multipath_models import Nakagami, Rician
+from planopt.channel.fields.multipath import Nakagami, Rician
 from planopt.errors import InputError
 from planopt.problems.channel_setup import LoggedMeasurements
 from planopt.problems.load import load

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from artists import drawn, labels_of, legend_of, line_of, panel_of
 
+from planopt.channel.calibration import calibrate
 from planopt.channel.measurements import Measurements
 from planopt.channel.prediction import Prediction
-from planopt.channel.validation.calibration import calibrate
 from planopt.errors import InputError
 from planopt.report.calibration_figure import draw_calibration
 

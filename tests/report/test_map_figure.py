@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from artists import drawn, labels_of, legend_of, panel_of
 
-from planopt.channel.maps.posterior_map import posterior_map
+from planopt.channel.channel_map import posterior_map
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
 from planopt.report.map_figure import draw_posterior_map

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from artists import drawn, labels_of, legend_of, line_of, panel_of
 
-from planopt.channel.validation.calibration import reliability
+from planopt.channel.calibration import reliability
 from planopt.errors import InputError
 from planopt.report.reliability_figure import draw_reliability
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from planopt import load
-from planopt.channel.validation.calibration import reliability
+from planopt.channel.calibration import reliability
 from planopt.report.comparison_table import comparison_text
 from planopt.report.tables import reliability_lines
 

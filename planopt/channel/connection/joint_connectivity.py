@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr, ndtri_exp, owens_t  # pyright: ignore[reportUnknownVariableType]  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.channel.cholesky import semidefinite_factor
 from planopt.channel.joint import JointPrediction
 from planopt.channel.places import require_finite
 from planopt.channel.prediction import connection_probability
-from planopt.channel.semidefinite import semidefinite_factor
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 

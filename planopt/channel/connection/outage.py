@@ -2,9 +2,8 @@
 
 Neither has a closed form: both depend on the joint law of all places. The places are those where
 packets are sent: multipath is drawn anew at each, so that more places mean more independent trials.
-A leg counts as connected when the place it ends at is, as in the closed loop's own metrics.
-
-Data that waits in a buffer and is sent while there is connection.
+A leg counts as connected when the place it ends at is, as in the closed loop's own metrics. Results
+are independent draws of a number, with the confidence intervals that their count leaves.
 """
 
 from __future__ import annotations
@@ -15,12 +14,80 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.connection.sampled_distribution import SampledDistribution
 from planopt.channel.joint import sample_power
 from planopt.channel.places import leg_lengths_m, require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.prediction import CONFIDENCE, binomial_interval, bound_quantile
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and its 95 % confidence interval."""
+
+    value: float  # The estimate
+    low: float  # Ends of the interval
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class SampledDistribution:
+    """Independent draws of one number.
+
+    Attributes
+    ----------
+    draws
+        ``(count,)`` in the order drawn, count at least 2.
+    """
+
+    draws: NDArray[np.float64]
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        if self.draws.ndim != 1 or len(self.draws) < 2:
+            raise InputError(
+                f"draws of shape {self.draws.shape} are no distribution",
+                key="count",
+                remedy="draw at least 2",
+            )
+
+    @property
+    def count(self) -> int:
+        """Return how many draws."""
+        return len(self.draws)
+
+    def mean(self) -> Interval:
+        """The mean, its interval by the central limit theorem."""
+        value = float(self.draws.mean())
+        half = _half_width() * float(self.draws.std(ddof=1)) / math.sqrt(self.count)
+        return Interval(value, value - half, value + half)
+
+    def quantile(self, share: float) -> Interval:
+        """The value that is not exceeded with probability `share`; the interval by ranks.
+
+        Raises
+        ------
+        InputError
+            `share` is not from 0 to 1.
+        """
+        if not 0.0 <= share <= 1.0:
+            raise InputError(f"{share!r} is no probability", key="share", remedy="give 0 to 1")
+        half = _half_width() * math.sqrt(share * (1.0 - share) / self.count)
+        shares = np.clip([share, share - half, share + half], 0.0, 1.0)
+        value, low, high = np.quantile(self.draws, shares, method="inverted_cdf").tolist()
+        return Interval(value, low, high)
+
+    def exceedance(self, limit: float) -> Interval:
+        """P(more than `limit`), with Clopper and Pearson's interval, which holds at any count."""
+        above = float((self.draws > limit).sum())
+        return Interval(above / self.count, *binomial_interval(above, self.count))
+
+
+def _half_width() -> float:
+    """Return half the width of an interval of a normal law, in its standard deviations."""
+    return bound_quantile(0.5 + 0.5 * CONFIDENCE)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
     ndtri_exp,
 )
 
-from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2
+from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.kriging import predict
 from planopt.channel.places import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior

@@ -33,8 +33,7 @@ from numpy.typing import NDArray
 from planopt.channel.cholesky import factor_and_inverse
 from planopt.channel.estimation.least_squares import receiver_columns
 from planopt.channel.estimation.likelihood_data import SITE_TOLERANCE, Covariance, Evaluated
-from planopt.channel.intervals.censoring import intervals
-from planopt.channel.intervals.sites import rounded_variance_db2
+from planopt.channel.gaussian_sites import intervals, rounded_variance_db2
 from planopt.channel.measurement_covariance import (
     RECEIVER_OFFSET_STD_DB,
     Origins,

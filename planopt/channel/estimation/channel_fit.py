@@ -1,10 +1,8 @@
-"""An estimated channel: parameters, their errors, and what is in doubt.
-
-Names of the methods of estimation and of their losses.
-"""
+"""An estimated channel: parameters, their errors, and what is in doubt; bounds of all methods."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
@@ -15,6 +13,130 @@ from planopt.channel.offsets import ReceiverOffset
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
+
+FALLBACK_TOTAL_VARIANCE_DB2 = 45.0
+"""alpha = xi^2 + omega^2 where it cannot be estimated: xi = 6 dB, omega = 3 dB."""
+
+FALLBACK_CORRELATED_SHARE = 0.8
+"""xi^2 / alpha where the two cannot be told apart."""
+
+MIN_VARIANCE_DB2 = 0.01
+"""Least xi^2 and omega^2."""
+
+MIN_NUGGET_SHARE = 0.01
+"""Least omega^2 as a share of alpha: from few measurements the likelihood often puts it at 0,
+which makes kriging interpolate noise."""
+
+MAX_SHADOW_RATIO = 25.0
+"""Largest xi^2 as a multiple of the residual variance; the line absorbs part of slow shadowing, so
+xi^2 may exceed that variance."""
+
+
+BOUND_TOLERANCE = 1e-3
+"""A value within this share of a bound counts as at the bound; solvers stop short of them."""
+
+
+@dataclass(frozen=True)
+class CovarianceBounds:
+    """Closed ranges of xi^2 (dB^2), omega^2 (dB^2) and beta (m) within which is searched."""
+
+    shadow_db2: tuple[float, float]
+    multipath_db2: tuple[float, float]
+    decorrelation_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class CovarianceFit:
+    """xi^2, omega^2 and beta."""
+
+    shadow_variance_db2: float  # xi^2, omega^2, beta
+    multipath_variance_db2: float
+    decorrelation_m: float
+    # Of xi (dB), omega (dB) and beta (m); math.inf where unknown
+    standard_errors: tuple[float, float, float]
+    # Why a parameter is not determined by the measurements; empty when all are
+    warnings: tuple[str, ...]
+
+    @property
+    def values(self) -> tuple[float, float, float]:
+        """(xi^2, omega^2, beta)."""
+        return self.shadow_variance_db2, self.multipath_variance_db2, self.decorrelation_m
+
+
+def covariance_bounds(
+    residual_variance_db2: float, decorrelation_bounds_m: tuple[float, float]
+) -> CovarianceBounds:
+    """Bounds from the variance alpha-hat left by the least-squares line, and from the positions."""
+    floor = max(MIN_VARIANCE_DB2, MIN_NUGGET_SHARE * residual_variance_db2)
+    high = max(MAX_SHADOW_RATIO * residual_variance_db2, 100.0 * MIN_VARIANCE_DB2)
+    return CovarianceBounds((MIN_VARIANCE_DB2, high), (floor, high), decorrelation_bounds_m)
+
+
+def fallback_fit(
+    total_variance_db2: float, decorrelation_bounds_m: tuple[float, float], reason: str
+) -> CovarianceFit:
+    """A covariance that stands in where none can be estimated.
+
+    `FALLBACK_CORRELATED_SHARE` of `total_variance_db2` is shadowing, and beta is a quarter of the
+    extent (the upper bound).
+    """
+    low, high = decorrelation_bounds_m
+    total = max(total_variance_db2, 2.0 * MIN_VARIANCE_DB2)
+    return CovarianceFit(
+        FALLBACK_CORRELATED_SHARE * total,
+        (1.0 - FALLBACK_CORRELATED_SHARE) * total,
+        max(high / 4.0, low),
+        (math.inf, math.inf, math.inf),
+        (f"xi, beta and omega are assumed, not estimated: {reason}",),
+    )
+
+
+def from_correlation(
+    shadow_variance_db2: float,
+    rate_per_m: float,
+    errors: tuple[float, float],
+    residual_variance_db2: float,
+    count: int,
+    bounds: CovarianceBounds,
+) -> CovarianceFit:
+    """Set omega^2 = alpha - xi^2 (equation 2.3) and bring everything within `bounds`."""
+    warnings: list[str] = []
+    shadow = float(np.clip(shadow_variance_db2, *bounds.shadow_db2))
+    shadow_error = errors[0] / (2.0 * math.sqrt(shadow))
+    if not bounds.shadow_db2[0] < shadow_variance_db2 < bounds.shadow_db2[1]:
+        warnings.append(at_bound("xi", math.sqrt(shadow), "dB"))
+        shadow_error = math.inf
+    low, high = bounds.decorrelation_m
+    rate = float(np.clip(rate_per_m, 1.0 / high, 1.0 / low))
+    beta_error = errors[1] / rate**2
+    if rate <= (1.0 + BOUND_TOLERANCE) / high or rate >= (1.0 - BOUND_TOLERANCE) / low:
+        warnings.append(at_bound("beta", 1.0 / rate, "m"))
+        beta_error = math.inf
+    left = residual_variance_db2 - shadow
+    floor = bounds.multipath_db2[0]
+    multipath = max(left, floor)
+    multipath_error = math.hypot(residual_variance_db2 * math.sqrt(2.0 / count), errors[0]) / (
+        2.0 * math.sqrt(multipath)
+    )
+    if left <= (1.0 + BOUND_TOLERANCE) * floor:
+        warnings.append(
+            f"omega^2 = alpha - xi^2 came out as {left:.3g} dB^2; "
+            f"omega is set to {math.sqrt(multipath):.3g} dB"
+        )
+        multipath_error = math.inf
+    return CovarianceFit(
+        shadow,
+        multipath,
+        float(np.clip(1.0 / rate, low, high)),
+        (shadow_error, multipath_error, beta_error),
+        tuple(warnings),
+    )
+
+
+def at_bound(name: str, value: float, unit: str) -> str:
+    """The warning that a parameter is at the end of its range."""
+    return f"{name} is at a bound of its range ({value:.3g} {unit}): it is not determined"
+
 
 FitMethod = Literal["lemma1", "capped", "convex", "nls", "reml"]
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.covariance_fit import (
+from planopt.channel.estimation.channel_fit import (
     CovarianceBounds,
     CovarianceFit,
     from_correlation,

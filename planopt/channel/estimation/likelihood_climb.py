@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.estimation.block_likelihood import BlockData, BlockLikelihood, exact_part
-from planopt.channel.estimation.covariance_fit import CovarianceBounds
+from planopt.channel.estimation.channel_fit import CovarianceBounds
 from planopt.channel.estimation.likelihood_data import (
     Covariance,
     Evaluated,

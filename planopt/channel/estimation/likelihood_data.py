@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.intervals.censoring import intervals
+from planopt.channel.gaussian_sites import intervals
 from planopt.channel.measurement_covariance import (
     ageing,
     measured_origins,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.estimation.block_likelihood import BlockLikelihood, block_data
-from planopt.channel.estimation.covariance_fit import (
+from planopt.channel.estimation.channel_fit import (
     BOUND_TOLERANCE,
     CovarianceBounds,
     CovarianceFit,
@@ -32,7 +32,7 @@ from planopt.channel.estimation.likelihood_climb import (
 )
 from planopt.channel.estimation.likelihood_data import Covariance, Likelihood, likelihood_data
 from planopt.channel.estimation.restricted_likelihood import DenseLikelihood
-from planopt.channel.intervals.censoring import needs_site
+from planopt.channel.gaussian_sites import needs_site
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, MeanModel
 

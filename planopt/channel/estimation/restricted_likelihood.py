@@ -37,11 +37,12 @@ from planopt.channel.estimation.likelihood_data import (
     Evaluated,
     LikelihoodData,
 )
-from planopt.channel.intervals.expectation_propagation import TOLERANCE, interval_sites
-from planopt.channel.intervals.sites import (
+from planopt.channel.gaussian_sites import (
+    TOLERANCE,
     Intervals,
     IntervalSites,
     LatentPrior,
+    interval_sites,
     rounded_variance_db2,
 )
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.fields.field import conditional_field, shadow_field_db
+from planopt.channel.fields.multipath import Lognormal, Multipath, multipath_field_db
 from planopt.channel.measurements import MAX_POWER_DB, Measurements
-from planopt.channel.multipath.multipath_models import Lognormal, Multipath, multipath_field_db
 from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.places import require_places
 from planopt.channel.posterior import ChannelPosterior

@@ -1,11 +1,11 @@
 """Expectation propagation window by window, at a cost linear in the number of measurements.
 
 A site is matched against the cavity of its power
-(:mod:`planopt.channel.intervals.expectation_propagation`), here computed from a window around its
+(:mod:`planopt.channel.gaussian_sites`), here computed from a window around its
 block: the others of the block and the measurements next to it. With U the covariance of all in the
 window, sites as measurements, the cavity of number i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and
 variance ``1 / (U^-1)_ii`` less the site's: one factor serves the whole block. The fixed point is
-that of :func:`planopt.channel.intervals.censoring.gaussian_sites`, but for the measurements outside
+that of :func:`planopt.channel.gaussian_sites.gaussian_sites`, but for the measurements outside
 the window.
 """
 
@@ -19,16 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.cholesky import factor_and_whitened, lower_inverse
-from planopt.channel.intervals.censoring import MIN_NOISE_VARIANCE_DB2, intervals, needs_site
-from planopt.channel.intervals.sites import (
+from planopt.channel.gaussian_sites import (
     MAX_SITE_VARIANCE_DB2,
+    MIN_NOISE_VARIANCE_DB2,
     Intervals,
     Sites,
     first_sites,
+    intervals,
     matched_sites,
+    needs_site,
     rounded_variance_db2,
 )
-from planopt.channel.intervals.truncated_normal import truncated_normal
 from planopt.channel.measurement_covariance import (
     Origins,
     measured_origins,
@@ -38,6 +39,7 @@ from planopt.channel.measurement_covariance import (
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.windows import BLOCK, Window, place_blocks, surrounding_windows
 from planopt.channel.parameters import ChannelParameters, regressors
+from planopt.channel.truncated_normal import truncated_normal
 
 SITE_BESIDE = 64
 """Measurements beside a block whose sites are matched. At 1,500 measurements, 20 % to 70 %
@@ -72,7 +74,7 @@ class WindowSites:
     """Gaussian sites of m measurements."""
 
     mean_db: NDArray[np.float64]  # (m,) what `shift` is relative to
-    # (m,) natural parameters, as of :class:`planopt.channel.intervals.sites.IntervalSites`; the
+    # (m,) natural parameters, as of :class:`planopt.channel.gaussian_sites.IntervalSites`; the
     # precision at least 1 / `MAX_SITE_VARIANCE_DB2`
     precision: NDArray[np.float64]
     shift: NDArray[np.float64]

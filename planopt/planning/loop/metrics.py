@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.validation.calibration import ReliabilityBin, reliability
+from planopt.channel.calibration import ReliabilityBin, reliability
 from planopt.planning.holes import Hole, holes_along
 from planopt.planning.loop.log import (
     ChannelLog,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.place_tree import PlaceTree
+from planopt.channel.nearest.place_index import PlaceTree
 from planopt.planning.scene import Ground
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.taut_way import WaysFrom, stops_along

@@ -22,9 +22,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.maps.tile_map import TileMap
-from planopt.channel.nearest.place_tree import PlaceTree
+from planopt.channel.nearest.place_index import PlaceTree
 from planopt.channel.prediction import connection_probability
+from planopt.channel.tile_map import TileMap
 from planopt.objectives.measuring import OPEN_SPACINGS
 from planopt.objectives.terms.term import Term
 from planopt.planning.proof.predictions import search_prediction

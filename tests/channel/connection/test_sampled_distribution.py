@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from planopt.channel.connection.sampled_distribution import SampledDistribution
+from planopt.channel.connection.outage import SampledDistribution
 from planopt.errors import InputError
 
 

@@ -8,10 +8,15 @@ import pytest
 from scipy.optimize import linprog, minimize
 from simulated_channel import simulated
 
-from planopt.channel.estimation.convex_fit import HUBER_DEVIATIONS, NORMAL_MEDIAN, convex_fit
-from planopt.channel.estimation.covariance_fit import covariance_bounds
+from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.lemma1 import LogBins, lemma1_fit
+from planopt.channel.estimation.lemma1 import (
+    HUBER_DEVIATIONS,
+    NORMAL_MEDIAN,
+    LogBins,
+    convex_fit,
+    lemma1_fit,
+)
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.errors import InputError
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from planopt.channel.estimation.covariance_fit import (
+from planopt.channel.estimation.channel_fit import (
     covariance_bounds,
     fallback_fit,
     from_correlation,

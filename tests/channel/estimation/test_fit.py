@@ -10,8 +10,6 @@ from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.fit import fit_channel, fitted_parameters
 from planopt.channel.estimation.least_squares import least_squares
-from planopt.channel.logs.log_file import read_log
-from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import (
     PRIOR_N_PL,
@@ -20,6 +18,7 @@ from planopt.channel.parameters import (
     mean_model,
     regressors,
 )
+from planopt.channel.power_log import LogFormat, read_log
 from planopt.errors import InputError
 
 METHODS = ("lemma1", "capped", "convex", "nls", "reml")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.estimation.identifiability import examine, nearest_distance_m
+from planopt.channel.estimation.least_squares import examine, nearest_distance_m
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from planopt.channel.estimation.covariance_fit import covariance_bounds
+from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.lemma1 import (
     EmpiricalCorrelation,
     LogBins,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from planopt.channel.estimation.covariance_fit import covariance_bounds
+from planopt.channel.estimation.channel_fit import covariance_bounds
+from planopt.channel.estimation.correlation_solvers import nls_fit
 from planopt.channel.estimation.lemma1 import EmpiricalCorrelation
-from planopt.channel.estimation.nls_fit import nls_fit
 
 LAGS = np.linspace(0.5, 80.0, 60)
 PAIRS = np.random.default_rng(0).uniform(10.0, 90.0, 60)

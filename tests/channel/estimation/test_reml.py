@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
-from planopt.channel.estimation.covariance_fit import covariance_bounds
-from planopt.channel.estimation.identifiability import examine
+from planopt.channel.estimation.channel_fit import covariance_bounds
+from planopt.channel.estimation.least_squares import examine
 from planopt.channel.estimation.likelihood_climb import START_MEASUREMENTS, thinned
 from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.reml import reml_fit

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planopt.channel.fields.multipath import Nakagami, Rician
 from planopt.channel.fields.truth import measure, model_truth, raster_truth, true_power_dbm
-from planopt.channel.multipath.multipath_models import Nakagami, Rician
 from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.world.raster import Raster
 

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from planopt.channel.intervals.censoring import FINE_STEP, gaussian_sites, intervals, needs_site
-from planopt.channel.intervals.sites import MAX_SITE_VARIANCE_DB2
+from planopt.channel.gaussian_sites import (
+    FINE_STEP,
+    MAX_SITE_VARIANCE_DB2,
+    gaussian_sites,
+    intervals,
+    needs_site,
+)
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station, regressors

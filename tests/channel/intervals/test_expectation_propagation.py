@@ -8,8 +8,7 @@ from scipy.integrate import quad
 from scipy.special import log_ndtr, ndtr
 from scipy.stats import multivariate_normal
 
-from planopt.channel.intervals.expectation_propagation import interval_sites
-from planopt.channel.intervals.sites import Intervals, LatentPrior
+from planopt.channel.gaussian_sites import Intervals, LatentPrior, interval_sites
 
 PLACES = np.array([0.0, 1.0, 3.0])
 COVARIANCE = 16.0 * np.exp(-np.abs(np.subtract.outer(PLACES, PLACES)) / 2.0)

@@ -3,11 +3,19 @@
 import numpy as np
 import pytest
 
-from planopt.channel.estimation.identifiability import examine
-from planopt.channel.logs.log_file import at_file_line, parse_station, read_log, read_power_log
-from planopt.channel.logs.log_format import LogFormat, parse_columns, parse_rows
-from planopt.channel.logs.log_groups import parse_groups, read_groups
+from planopt.channel.estimation.least_squares import examine
 from planopt.channel.parameters import Station
+from planopt.channel.power_log import (
+    LogFormat,
+    at_file_line,
+    parse_columns,
+    parse_groups,
+    parse_rows,
+    parse_station,
+    read_groups,
+    read_log,
+    read_power_log,
+)
 from planopt.errors import InputError
 
 

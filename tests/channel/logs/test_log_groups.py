@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.logs.log_groups import GroupColumn, parse_groups, read_groups
+from planopt.channel.power_log import GroupColumn, parse_groups, read_groups
 from planopt.errors import InputError
 
 LOG = """x_m,y_m,power_dbm,day,t_s

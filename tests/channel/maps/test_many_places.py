@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.maps.many_places import INVERT_BELOW, RowWhitener
+from planopt.channel.kriging import INVERT_BELOW, RowWhitener
 
 
 @pytest.mark.parametrize("count", [1, INVERT_BELOW - 1, INVERT_BELOW])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from planopt.channel.maps import posterior_map as module
-from planopt.channel.maps.posterior_map import default_cell_m, measured_bounds_m, posterior_map
+from planopt.channel import posterior_map as module
+from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from planopt.channel.kriging import predict
-from planopt.channel.maps.tile_map import TileMap
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.channel.tile_map import TileMap
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 4.0, 20.0, 1.13, Station((5.0, -10.0), 12.0))
 X = np.arange(33) * 3.0

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import exp1
 from scipy.stats import rice
 
-from planopt.channel.multipath.multipath_models import (
+from planopt.channel.fields.multipath import (
     rician_field_db,
     rician_mean_db,
     rician_std_db,

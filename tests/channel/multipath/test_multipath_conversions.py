@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import loggamma
 
-from planopt.channel.multipath.multipath_models import (
+from planopt.channel.fields.multipath import (
     nakagami_m_of_rician,
     nakagami_m_of_std,
     nakagami_mean_db,

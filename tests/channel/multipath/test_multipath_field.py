@@ -7,7 +7,7 @@ import pytest
 from scipy.special import exp1, psi
 from scipy.stats import kstest, loggamma, norm, rice
 
-from planopt.channel.multipath.multipath_models import (
+from planopt.channel.fields.multipath import (
     Lognormal,
     Nakagami,
     Rician,

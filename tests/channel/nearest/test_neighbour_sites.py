@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.intervals.censoring import gaussian_sites
+from planopt.channel.gaussian_sites import gaussian_sites
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.window_sites import SITE_BESIDE, neighbour_sites
 from planopt.channel.parameters import ChannelParameters, Station, regressors

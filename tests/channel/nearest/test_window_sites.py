@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from planopt.channel.intervals.censoring import intervals
+from planopt.channel.gaussian_sites import intervals
 from planopt.channel.measurement_covariance import (
     Origins,
     measured_origins,

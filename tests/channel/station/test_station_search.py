@@ -7,9 +7,9 @@ import pytest
 from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.station_fit import fit_channel_and_station
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.station.station_search import fit_channel_and_station
 from planopt.errors import InputError
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 3.0, 20.0, 1.0, Station((130.0, 70.0), 10.0))

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station, regressors
-from planopt.channel.station.station_position import (
+from planopt.channel.estimation.station_fit import (
     gauss_newton,
     gaussian_covariance_db2,
     losses,
     mean_jacobian,
     station_surface,
 )
+from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station, regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 4.0, 25.0, 1.5, Station((130.0, 70.0), 10.0))
 MEASUREMENTS = simulated(CHANNEL, 1, 50, 200.0)

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.station.station_position import losses, station_surface
-from planopt.channel.station.station_search import (
+from planopt.channel.estimation.station_fit import (
     fisher_information,
     fit_channel_and_station,
     joint_covariance_m2,
     line_covariance_m2,
+    losses,
+    station_surface,
     theta_by_position,
 )
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 3.0, 20.0, 1.0, Station((130.0, 70.0), 10.0))
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm, uniform
 
+from planopt.channel.calibration import calibrate, share_between
 from planopt.channel.measurements import Measurements
 from planopt.channel.prediction import Prediction
-from planopt.channel.validation.calibration import calibrate, share_between
 from planopt.errors import InputError
 
 COUNT = 20_000

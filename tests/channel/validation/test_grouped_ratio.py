@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from planopt.channel.validation.held_out import grouped_ratio
+from planopt.channel.calibration import grouped_ratio
 from planopt.errors import InputError
 
 

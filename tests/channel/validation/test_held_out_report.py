@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
+from planopt.channel.calibration import held_out_report
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.logs.log_file import read_log
-from planopt.channel.logs.log_format import LogFormat
-from planopt.channel.logs.log_groups import parse_groups, read_groups
+from planopt.channel.held_out import deal, learn_path_loss, predictors_of
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.power_log import LogFormat, parse_groups, read_groups, read_log
 from planopt.channel.prediction import Prediction
-from planopt.channel.validation.held_out import deal, learn_path_loss
-from planopt.channel.validation.held_out_report import held_out_report, predictors_of
 from planopt.errors import InputError
 
 PREDICTORS = ["channel", "marginal", "path_loss", "plain_line", "plain_process"]
@@ -91,7 +89,7 @@ def test_many_measurements_are_marginalised_by_the_nearest(monkeypatch):
     learn = predictors_of(partial(fit_channel, station=CHANNEL.station))
     known, more = simulated(CHANNEL, 3, 150, 200.0), simulated(CHANNEL, 4, 40, 200.0)
     exact = learn(known)["marginal"](more)
-    monkeypatch.setattr("planopt.channel.validation.held_out.MARGINAL_EXACT_LIMIT", 100)
+    monkeypatch.setattr("planopt.channel.held_out.MARGINAL_EXACT_LIMIT", 100)
     near = learn(known)["marginal"](more)
     assert not np.array_equal(near.mean_db, exact.mean_db)
     np.testing.assert_allclose(near.mean_db, exact.mean_db, atol=0.2)

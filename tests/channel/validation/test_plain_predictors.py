@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
+from planopt.channel.held_out import learn_plain_line, learn_plain_process
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.validation.held_out_report import learn_plain_line, learn_plain_process
 from planopt.errors import InputError
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 40.0, 2.0, Station((50.0, 50.0), 10.0))
@@ -60,8 +60,8 @@ def test_process_predicts_what_it_should():
 
 def test_process_does_not_depend_on_the_order_of_rows(monkeypatch):
     """Not even where it rests on a draw of them; and upper limits play no part."""
-    monkeypatch.setattr("planopt.channel.validation.held_out_report.MOST_LIKELIHOOD", 50)
-    monkeypatch.setattr("planopt.channel.validation.held_out_report.MOST_CONDITIONED", 80)
+    monkeypatch.setattr("planopt.channel.held_out.MOST_LIKELIHOOD", 50)
+    monkeypatch.setattr("planopt.channel.held_out.MOST_CONDITIONED", 80)
     measurements = simulated(CHANNEL, 7, 120, 200.0, 0.1)
     shuffled = subset(measurements, np.random.default_rng(1).permutation(120))
     exact = measurements.take(np.flatnonzero(~measurements.censored))

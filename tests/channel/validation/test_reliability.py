@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from planopt.channel.validation.calibration import EDGES, FEWEST_GROUPS, reliability, share_interval
+from planopt.channel.calibration import EDGES, FEWEST_GROUPS, reliability, share_interval
 from planopt.errors import InputError
 
 

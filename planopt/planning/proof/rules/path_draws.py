@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.channel.cholesky import semidefinite_factor
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.posterior import ChannelPosterior, factored_near
-from planopt.channel.semidefinite import semidefinite_factor
 from planopt.errors import InputError
 from planopt.planning.proof.predictions import Broad, Serving
 from planopt.problems.problem import Problem

@@ -6,6 +6,9 @@ mark is tolerated. Everything that cannot be used is one error with file, line a
 Longitudes and latitudes become metres east and north of an origin: places on the ellipsoid WGS 84
 are projected at right angles onto the tangent plane there. Distances from the origin come out too
 short by their cube over six squared radii of the earth: 4 mm at 10 km, 4 m at 100 km.
+
+Rows belong to one group where all grouping columns agree: ``day`` for whole days, ``day,t_s:600``
+for blocks of 600 in the column ``t_s`` within each day.
 """
 
 from __future__ import annotations
@@ -20,16 +23,94 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.logs.log_format import (
-    LARGEST_LATITUDE_DEG,
-    LARGEST_LONGITUDE_DEG,
-    LogFormat,
-)
 from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
 from planopt.files.regular import read_text
 from planopt.world.footprints import LARGEST_COORDINATE_M
+
+DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
+"""Names of the columns for x, y and power."""
+
+LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """The format of a log: its columns, units and flags.
+
+    Attributes
+    ----------
+    columns
+        Names of the columns for x (m), y (m) and power (dBm).
+    censored_column
+        Column of flags, 1 or true where the power is only known to be at most the given one.
+    floor_dbm
+        The receiver's floor: powers at or below it are censored, and count as at most the floor.
+    time_column
+        Column of times in seconds.
+    receiver_column
+        Column of the receivers' labels; the first label in the log is the reference.
+    resolution_db
+        Step that all powers are rounded to; 0 for none.
+    position_std_m
+        Deviation of the error of either coordinate, of all positions.
+    rows
+        Pairs of a column and a text: only rows that have all these texts count, such as those of
+        one of several transmitters.
+    origin_deg
+        Latitude and longitude of the place (0, 0). Where it is given, the columns for x and y have
+        longitudes and latitudes in degrees (WGS 84), which become metres to the east and north.
+    """
+
+    columns: tuple[str, str, str] = DEFAULT_COLUMNS
+    censored_column: str | None = None
+    floor_dbm: float | None = None
+    time_column: str | None = None
+    receiver_column: str | None = None
+    resolution_db: float = 0.0
+    position_std_m: float = 0.0
+    rows: tuple[tuple[str, str], ...] = ()
+    origin_deg: tuple[float, float] | None = None
+
+
+def parse_columns(text: str) -> tuple[str, str, str]:
+    """Read ``x=east,y=north,power=rssi``; what is not named keeps its default."""
+    remedy = "write x=NAME,y=NAME,power=NAME"
+    names: dict[str, str] = dict(zip(("x", "y", "power"), DEFAULT_COLUMNS, strict=True))
+    for part in text.split(","):
+        what, equals, name = (piece.strip() for piece in part.partition("="))
+        if what not in names or not equals or not name:
+            raise InputError(f"cannot read {part!r}", key="columns", remedy=remedy)
+        names[what] = name
+    return names["x"], names["y"], names["power"]
+
+
+def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Read ``COLUMN=TEXT`` of each, into what :class:`LogFormat` calls `rows`."""
+    pairs: list[tuple[str, str]] = []
+    for text in texts:
+        column, equals, value = (piece.strip() for piece in text.partition("="))
+        if not column or not equals or not value:
+            raise InputError(f"cannot read {text!r}", key="--where", remedy="write COLUMN=VALUE")
+        pairs.append((column, value))
+    return tuple(pairs)
+
+
+def parse_origin(text: str) -> tuple[float, float]:
+    """Read ``LAT,LON`` in degrees."""
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        latitude = longitude = math.nan
+    if not (abs(latitude) < LARGEST_LATITUDE_DEG and abs(longitude) <= LARGEST_LONGITUDE_DEG):
+        raise InputError(
+            f"cannot read {text!r}",
+            key="--origin",
+            remedy="write LAT,LON in degrees, south and west negative",
+        )
+    return latitude, longitude
+
 
 FLAGS = {"1": True, "true": True, "0": False, "false": False}
 """What a column of flags may contain, in any case."""
@@ -382,3 +463,80 @@ def _column(names: list[str], name: str, file: Path, line: int) -> int:
         row=line,
         remedy="name columns as the header does; x=NAME,y=NAME,power=NAME for the first three",
     )
+
+
+@dataclass(frozen=True)
+class GroupColumn:
+    """A column that tells groups apart."""
+
+    name: str  # Of the column
+    # Numbers within one block of this length, counted from zero, are together; None where each text
+    # is a group
+    block: float | None = None
+
+
+def parse_groups(text: str) -> tuple[GroupColumn, ...]:
+    """Read ``COLUMN[:BLOCK][,...]``.
+
+    Raises
+    ------
+    InputError
+        Not of that form, or a block is not positive.
+    """
+    return tuple(_group_column(part) for part in text.split(","))
+
+
+def read_groups(
+    path: Path | str, columns: Sequence[GroupColumn], log_format: LogFormat = DEFAULT_FORMAT
+) -> NDArray[np.intp]:
+    """Label of the group of each row of a log, in the order of first appearance; ``(n,)``.
+
+    Parameters
+    ----------
+    path
+        The CSV file, as :func:`planopt.channel.power_log.read_log` reads it.
+    columns
+        What tells groups apart; at least one.
+    log_format
+        Says which rows count.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, a cell is empty, or one that should be in a
+        block is not a number.
+    """
+    labels: dict[tuple[str | int, ...], int] = {}
+    found: list[int] = []
+    for line, cells in read_columns(path, [column.name for column in columns], log_format):
+        key = tuple(
+            _label(cell, column, Path(path), line)
+            for cell, column in zip(cells, columns, strict=True)
+        )
+        found.append(labels.setdefault(key, len(labels)))
+    return np.array(found, dtype=np.intp)
+
+
+def _group_column(text: str) -> GroupColumn:
+    """Read ``COLUMN`` or ``COLUMN:BLOCK``."""
+    name, colon, length = (part.strip() for part in text.partition(":"))
+    if name and not colon:
+        return GroupColumn(name)
+    try:
+        block = float(length)
+    except ValueError:
+        block = math.nan
+    if not name or not 0.0 < block < math.inf:
+        raise InputError(
+            f"cannot read {text!r}",
+            key="--hold-out",
+            remedy="write COLUMN or COLUMN:BLOCK with a block above 0, and commas between",
+        )
+    return GroupColumn(name, block)
+
+
+def _label(cell: str, column: GroupColumn, file: Path, line: int) -> str | int:
+    """Return the label of the group in a cell."""
+    if column.block is None:
+        return read_label(cell, file, line, column.name)
+    return math.floor(read_number(cell, file, line, column.name) / column.block)

@@ -1,1 +1,0 @@
-"""Powers known to lie in an interval, as Gaussian ones."""

@@ -1,1 +1,0 @@
-"""The posterior over many places at once."""

@@ -1,1 +1,0 @@
-"""Small-scale fading: its laws, draws of it, and what it does to connectivity."""

@@ -1,1 +1,0 @@
-"""Validation of a fitted channel: held-out walks and calibration."""

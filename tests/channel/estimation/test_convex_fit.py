@@ -9,14 +9,13 @@ from scipy.optimize import linprog, minimize
 from simulated_channel import simulated
 
 from planopt.channel.estimation.channel_fit import covariance_bounds
-from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.lemma1 import (
+from planopt.channel.estimation.correlation_solvers import (
     HUBER_DEVIATIONS,
     NORMAL_MEDIAN,
-    LogBins,
     convex_fit,
-    lemma1_fit,
 )
+from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.lemma1 import LogBins, lemma1_fit
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.errors import InputError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from planopt.channel import posterior_map as module
+from planopt.channel import channel_map as module
 from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station

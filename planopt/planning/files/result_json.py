@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, TypeAdapter
 
-from planopt.channel.validation.calibration import ReliabilityBin
+from planopt.channel.calibration import ReliabilityBin
 from planopt.planning.certificate import Certificate, excused_steps
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.record import (

@@ -17,12 +17,13 @@ import numpy as np
 from planopt.problems import load_system
 from planopt.problems.systems import SystemProblem, system_from_tables
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
-from planopt.pursuit.guarantees import Chase, Theorem, contraction, guarantees
+from planopt.pursuit.guarantees import Chase, contraction, guarantees
 from planopt.pursuit.motion import StraightMotion
 from planopt.pursuit.pursuers import DriveToReport
 from planopt.pursuit.records import SnapshotRecords
 from planopt.pursuit.service import SnapshotService, relative_error
 from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
+from planopt.pursuit.theorems import Theorem
 from planopt.studies.compare import compare
 
 EVADERS = {

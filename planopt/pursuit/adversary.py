@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.pursuit.guarantees import Chase, Inequality, contraction
+from planopt.pursuit.guarantees import Chase, contraction
 from planopt.pursuit.knowledge import Track
 from planopt.pursuit.records import Record
 from planopt.pursuit.service import ServiceBounds, require_number
+from planopt.pursuit.theorems import Inequality
 from planopt.world.least_distance import closest_approach_m
 
 AGES, DIRECTIONS = 48, 24

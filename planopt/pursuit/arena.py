@@ -119,9 +119,9 @@ class Arena:
 
         A goal that nobody may stand at is replaced by the nearest place that is free.
         """
+        goal_m = self.free_m(goal_m)
         if self.obstacles is None:
             return goal_m[None]
-        goal_m = self.free_m(goal_m)
         turns = turns_m(self._ways(place_m), goal_m)
         if turns is None:
             raise InputError(

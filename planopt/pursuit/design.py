@@ -13,16 +13,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from planopt.errors import InputError, NoPlanError
-from planopt.pursuit.guarantees import (
-    Chase,
-    Guarantee,
-    Inequality,
-    Theorem,
-    contraction,
-    guarantees,
-)
+from planopt.pursuit.guarantees import Chase, Guarantee, contraction, guarantees
 from planopt.pursuit.network import MoteNetwork
 from planopt.pursuit.service import relative_error, require_count, require_number
+from planopt.pursuit.theorems import Inequality, Theorem
 
 MAX_BITS = 16
 """No more bits an axis are tried: errors are then a thousandth of a per cent of the distance."""

@@ -23,13 +23,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.pursuit.service import ServiceBounds, require_number
+from planopt.pursuit.theorems import Distances, Inequality, Theorem
 
 Stage = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
 """From W at the start of a stage to the bound of W at its end and to a duration.
@@ -47,50 +47,6 @@ FLOOR_PLACES, FLOOR_ROUNDS = 65, 11
 REPORT_SHARE = 2.0
 """A report inside an obstacle stands for the nearest free place, which is at most so many times as
 far from where the evader was."""
-
-
-class Distances(Enum):
-    """The distances that a guarantee is about."""
-
-    STRAIGHT = "straight"
-    PATHS = "paths"
-
-
-class Theorem(Enum):
-    """The theorem that a guarantee rests on."""
-
-    LEMMA = "lemma"
-    ANY_INSTANT = "any_instant"
-    SAMPLED_DISTANCE = "sampled_distance"
-    SNAPSHOTS = "snapshots"
-
-
-@dataclass(frozen=True)
-class Inequality:
-    """``left < right``."""
-
-    words: str  # What is compared
-    left: float  # Both sides, in `unit` ("" for ratios)
-    right: float
-    unit: str = ""
-
-    @property
-    def holds(self) -> bool:
-        """Return whether it does, strictly."""
-        return self.left < self.right
-
-    @property
-    def margin(self) -> float:
-        """Right side less left side: by how much it holds, or fails if negative."""
-        return self.right - self.left
-
-    def __str__(self) -> str:
-        unit = f" {self.unit}" if self.unit else ""
-        state = "holds" if self.holds else "fails"
-        return (
-            f"{self.words}: {self.left:.6g} < {self.right:.6g}{unit} "
-            f"{state} by {abs(self.margin):.4g}{unit}"
-        )
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from scipy.optimize import (
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.evaders import Behaviour, Decide, EvaderView
-from planopt.pursuit.guarantees import Distances
 from planopt.pursuit.knowledge import Track
 from planopt.pursuit.motion import Motion, StraightMotion
 from planopt.pursuit.pursuers import Driver, Policy, PursuerView, Quest
 from planopt.pursuit.records import Record, RecordSource
 from planopt.pursuit.service import require_count, require_number
+from planopt.pursuit.theorems import Distances
 
 STEP_PIECES = 4
 """Pieces that a pursuer's step is cut into where capture is looked for: each counts as straight."""

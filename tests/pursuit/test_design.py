@@ -21,10 +21,11 @@ from planopt.pursuit.design import (
     slot_limits_s,
 )
 from planopt.pursuit.flooding import Flooding, simulate_flooding
-from planopt.pursuit.guarantees import Chase, Theorem, guarantees
+from planopt.pursuit.guarantees import Chase, guarantees
 from planopt.pursuit.network import MoteNetwork
 from planopt.pursuit.programmes import least_energy_slot_s, relaxed_design, sharp_slot_s
 from planopt.pursuit.service import SnapshotService, relative_error
+from planopt.pursuit.theorems import Theorem
 
 NETWORK = MoteNetwork(
     levels=6,

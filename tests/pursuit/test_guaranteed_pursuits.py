@@ -9,10 +9,11 @@ from pursuit_scene import pursue
 from planopt.errors import InputError
 from planopt.pursuit.adversary import AdversarialRecords, find_escape
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
-from planopt.pursuit.guarantees import Chase, Theorem, contraction, guarantees
+from planopt.pursuit.guarantees import Chase, contraction, guarantees
 from planopt.pursuit.pursuers import DriveToReport
 from planopt.pursuit.records import Record, SnapshotRecords
 from planopt.pursuit.service import ServiceBounds, SnapshotService
+from planopt.pursuit.theorems import Theorem
 
 BEHAVIOURS = [Static(), Wandering(), Fleeing(), Fleeing(True), Zigzag(4.0), Foresighted(4, 1.0)]
 

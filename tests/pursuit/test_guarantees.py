@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from planopt.errors import InputError
-from planopt.pursuit.guarantees import Chase, Inequality, Theorem, contraction, guarantees
+from planopt.pursuit.guarantees import Chase, contraction, guarantees
 from planopt.pursuit.service import ServiceBounds, SnapshotService
+from planopt.pursuit.theorems import Inequality, Theorem
 
 CHASES = [Chase(1.0, 2.0), Chase(2.5, 3.5, 0.3), Chase(0.4, 2.0, 0.05)]
 BOUNDS = [

@@ -7,18 +7,13 @@ import shapely
 from planopt.errors import InputError
 from planopt.pursuit.arena import EVADER_SHARE, arena_of
 from planopt.pursuit.evaders import Fleeing, Static, Wandering, Zigzag
-from planopt.pursuit.guarantees import (
-    Chase,
-    Distances,
-    Theorem,
-    guarantees,
-    guarantees_among_obstacles,
-)
+from planopt.pursuit.guarantees import Chase, guarantees, guarantees_among_obstacles
 from planopt.pursuit.motion import StraightMotion
 from planopt.pursuit.pursuers import DriveToReport
 from planopt.pursuit.records import SnapshotRecords
 from planopt.pursuit.service import ServiceBounds, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
+from planopt.pursuit.theorems import Distances, Theorem
 from planopt.world.workspace import Obstacle, Workspace
 
 

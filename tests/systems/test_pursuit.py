@@ -161,7 +161,7 @@ def test_late_capture_is_found(written, tmp_path, capsys):
     data["problem_file"]["pursuit"]["capture_radius_m"] = 20.0
     (out / "run.json").write_text(json.dumps(data))
     code, found = run(capsys, "check", out)
-    assert code == 3 and "without being caught" in " ".join(found["reasons"])
+    assert code == 3 and "without being captured" in " ".join(found["reasons"])
 
 
 def test_obstacles_are_judged(written, tmp_path, capsys):

@@ -1,19 +1,13 @@
-"""Judge a saved pursuit from its files: every move, every record, every capture, every number.
-
-Moves are judged by the speeds, the distances and the aims in ``steps.csv``; records by asking again
-what the motes could have told; captures by the distances along the steps. Then everything that
-the JSON file says is computed again from these tables.
-"""
+"""Check a saved pursuit: verify its tables, then compute again what the JSON file says."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
@@ -21,9 +15,12 @@ from planopt.files.compare import differences, in_words
 from planopt.files.tables import Data, comparable, read_table
 from planopt.files.typed_json import whole_number
 from planopt.problems.systems import SystemProblem
+from planopt.pursuit.certificate import Claim, verify_guarantees
 from planopt.pursuit.knowledge import Track
 from planopt.pursuit.records import Record
 from planopt.pursuit.simulation import Pursuit, Use
+from planopt.pursuit.theorems import Distances, Theorem
+from planopt.pursuit.verify import PursuitData, PursuitLog, Reports, Robot, Service, verify_pursuit
 from planopt.systems.pursuit.driving import Driven
 from planopt.systems.pursuit.results import (
     RECORD_COLUMNS,
@@ -36,17 +33,8 @@ from planopt.systems.pursuit.results import (
 )
 from planopt.systems.pursuit.tables import PursuitProblem
 
-PLACE_M = 1e-6
-"""Places that are computed again agree to this."""
-
 TIME_S = 1e-6
-"""Times that are computed again agree to this."""
-
-SHARES = 33
-"""Instants of a step at which distances are looked at."""
-
-GRAZE_SHARE = 1e-3
-"""Share of the capture radius by which an earlier capture may be missed between instants."""
+"""Times that are read agree with steps to this."""
 
 
 def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[str]:
@@ -63,9 +51,7 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
         whole_number(file, data, "seed"),
     )
     reasons = [
-        *_moves(driven),
-        *_records(driven),
-        *_captures(driven),
+        *_verified(driven, data),
         *faults(driven),
     ]
     kept = {key: data.get(key) for key in ("wall_s", "step_s", "problem_file")}
@@ -75,141 +61,68 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
     return reasons + in_words(file.name, differences(data, found))
 
 
-def _moves(driven: Driven) -> list[str]:
-    """Nobody is too fast, out of bounds or too near an obstacle, and pursuers drive to aims."""
-    pursuit, problem = driven.pursuit, driven.problem
-    step_s, reasons = problem.given.pursuit.step_s, list[str]()
-    for number, table in enumerate(problem.given.pursuers):
-        states, motion = pursuit.pursuers[number], table.motion
-        if len(states) > 1:
-            again = motion.towards(states[:-1], pursuit.aims_m[number], step_s)
-            off_m = np.abs(again - states[1:]).max(axis=1)
-            if off_m.max() > PLACE_M:
-                reasons.append(_at(table.name, off_m, "does not drive to its aim, off by", "m"))
-        reasons += _path_faults(driven, table.name, states[:, :2], table.speed_max_m_s)
-    for number, table in enumerate(problem.given.evaders):
-        reasons += _path_faults(driven, table.name, pursuit.evaders_m[number], table.speed_max_m_s)
-    return reasons
-
-
-def _path_faults(
-    driven: Driven, name: str, places: NDArray[np.float64], speed_m_s: float
-) -> list[str]:
-    problem, reasons = driven.problem, list[str]()
-    if not np.isfinite(places).all():
-        return [f"{STEPS_FILE}: {name} is at no finite place"]
-    step_s = problem.given.pursuit.step_s
-    over_m = np.linalg.norm(np.diff(places, axis=0), axis=1) - speed_m_s * step_s
-    if len(over_m) and over_m.max() > PLACE_M:
-        reasons.append(_at(name, over_m, "is too fast, in a step by", "m"))
-    bounds = problem.arena.bounds_m
-    if bounds is not None:
-        low, high = np.array(bounds[:2]) - PLACE_M, np.array(bounds[2:]) + PLACE_M
-        if ((places < low) | (places > high)).any():
-            reasons.append(f"{STEPS_FILE}: {name} leaves world.bounds_m")
-    if problem.obstacles:
-        path = shapely.LineString(places) if len(places) > 1 else shapely.Point(places[0])
-        nearest_m = min(float(path.distance(each.polygon)) for each in problem.obstacles)
-        if nearest_m < 0.999 * problem.arena.clearance_m - PLACE_M:
-            reasons.append(
-                f"{STEPS_FILE}: {name} comes within {nearest_m:.4g} m of an obstacle, "
-                f"pursuit.clearance_m is {problem.arena.clearance_m:g}"
-            )
-    return reasons
-
-
-def _records(driven: Driven) -> list[str]:
-    """Every record is one that a mote there and then could have told, and none is older."""
-    reasons, service, last = list[str](), driven.problem.service, dict[tuple[int, int], float]()
-    pursuit = driven.pursuit
-    for row, use in enumerate(pursuit.uses, start=2):
-        where = f"{RECORDS_FILE}, row {row}"
-        track = Track(pursuit.times_s, pursuit.evaders_m[use.evader])
-        ages = service.sample_numbers(use.time_s) * service.periods_s
-        mote = service.cells(use.place_m, 0)
-        told = False
-        for level, sampled_s in enumerate(ages.tolist()):
-            place = track.at(np.array(sampled_s))
-            near = np.abs((mote >> level) - service.cells(place, level)).max() <= 1
-            told |= bool(
-                near
-                and abs(sampled_s - use.record.sampled_s) <= TIME_S
-                and np.abs(service.reported_m(place, level) - use.record.reported_m).max()
-                <= PLACE_M
-                and abs(service.error_bound_m(level) - use.record.error_m) <= PLACE_M
-            )
-        if not told:
-            reasons.append(f"{where}: no mote could have told this record")
-        before = last.get((use.pursuer, use.evader), -math.inf)
-        if use.record.sampled_s < before - TIME_S:
-            reasons.append(f"{where}: an older record replaces a fresher one")
-        last[use.pursuer, use.evader] = use.record.sampled_s
-    return reasons
-
-
-def _captures(driven: Driven) -> list[str]:
-    """Check that who is caught is within the radius then, and nobody was before."""
-    pursuit, reasons = driven.pursuit, list[str]()
-    rules = driven.problem.given.pursuit
-    shares = np.linspace(0.0, 1.0, SHARES)
-    for evader, table in enumerate(driven.problem.given.evaders):
-        caught_s = float(pursuit.capture_s[evader])
-        places = pursuit.evaders_m[evader]
-        for step in range(len(pursuit.times_s) - 1):
-            begun_s = float(pursuit.times_s[step])
-            if caught_s <= begun_s:
-                break
-            here, there = places[step], places[step + 1]
-            # In its last step an evader is at the saved place when it is caught.
-            lasts = min(1.0, (caught_s - begun_s) / rules.step_s)
-            moving = here + np.minimum(shares / lasts, 1.0)[:, None] * (there - here)
-            nearest = min(
-                float(
-                    np.linalg.norm(moving - _driven_m(driven, number, step, shares), axis=1)[
-                        shares < lasts
-                    ].min()
+def _verified(driven: Driven, data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what the independent verifier finds in the logged pursuit and in its guarantee."""
+    facts, log = facts_of(driven.problem, driven.planner), log_of(driven.pursuit)
+    violations = verify_pursuit(facts, log)
+    if not violations:
+        # What a run claims is compared with what it should claim elsewhere: a key may be missing.
+        with suppress(KeyError, TypeError, ValueError, AttributeError):
+            said = data["guarantee"]
+            claims = tuple(
+                Claim(
+                    Theorem(name),
+                    Distances(each["distances"]),
+                    each["holds"],
+                    each["capture"]["holds"],
+                    each["capture_time_s"],
                 )
-                for number in range(len(pursuit.pursuers))
+                for name, each in said["theorems"].items()
             )
-            if nearest < rules.capture_radius_m * (1.0 - GRAZE_SHARE):
-                reasons.append(
-                    f"{STEPS_FILE}: {table.name} is within the capture radius at {begun_s:.4g} s "
-                    "without being caught"
-                )
-                break
-        if math.isfinite(caught_s):
-            reasons += _capture_faults(driven, evader, caught_s)
-    return reasons
+            violations += verify_guarantees(facts, log, claims, float(said["detour"]))
+    for each in violations:
+        yield f"{RECORDS_FILE if each.kind in ('report', 'order') else STEPS_FILE}: {each.text}"
 
 
-def _capture_faults(driven: Driven, evader: int, caught_s: float) -> list[str]:
-    pursuit, rules = driven.pursuit, driven.problem.given.pursuit
-    step = min(int(caught_s / rules.step_s + 1e-9), len(pursuit.times_s) - 2)
-    name = driven.problem.given.evaders[evader].name
-    if step < 0 or caught_s > pursuit.times_s[-1] + TIME_S:
-        return [f"evaders, {name}: is caught after the end"]
-    share = np.array([caught_s / rules.step_s - step])
-    captor = int(pursuit.captors[evader])
-    place = _driven_m(driven, captor, step, share)[0]
-    away_m = float(np.linalg.norm(place - pursuit.evaders_m[evader][step + 1]))
-    if away_m > rules.capture_radius_m + GRAZE_SHARE * rules.capture_radius_m:
-        return [f"evaders, {name}: is {away_m:.4g} m away from its captor when it is caught"]
-    return []
+def facts_of(problem: PursuitProblem, planner: str) -> PursuitData:
+    """Return what the verifier needs of a problem."""
+    given = problem.given
+    robots = {"name", "start_m", "start_radius_m", "speed_max_m_s", "turn_rate_max_rad_s"}
+    return PursuitData(
+        tuple(Robot(**each.model_dump(include=robots)) for each in given.pursuers),
+        tuple(Robot(**each.model_dump(include=robots)) for each in given.evaders),
+        Service(**given.network.model_dump()),
+        given.pursuit.capture_radius_m,
+        given.pursuit.step_s,
+        given.pursuit.max_steps,
+        planner,
+        None if given.world is None else given.world.bounds_m,
+        tuple(each.polygon for each in problem.obstacles),
+        given.pursuit.clearance_m,
+    )
 
 
-def _driven_m(
-    driven: Driven, number: int, step: int, shares: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return where a pursuer is at shares (k,) of a step; ``(k, 2)``."""
-    motion = driven.problem.given.pursuers[number].motion
-    state, aim_m = driven.pursuit.pursuers[number][step], driven.pursuit.aims_m[number, step]
-    step_s = driven.problem.given.pursuit.step_s
-    return np.array([motion.towards(state, aim_m, share * step_s)[:2] for share in shares.tolist()])
-
-
-def _at(name: str, off: NDArray[np.float64], words: str, unit: str) -> str:
-    step = int(off.argmax())
-    return f"{STEPS_FILE}: {name} {words} {off[step]:.4g} {unit} at step {step}"
+def log_of(pursuit: Pursuit) -> PursuitLog:
+    """Return what the verifier needs of a pursuit."""
+    uses = pursuit.uses
+    reports = Reports(
+        np.array([use.pursuer for use in uses], dtype=np.intp),
+        np.array([use.evader for use in uses], dtype=np.intp),
+        np.array([use.time_s for use in uses]),
+        np.array([use.record.sampled_s for use in uses]),
+        np.array([use.record.reported_m for use in uses]).reshape(-1, 2),
+        np.array([use.record.error_m for use in uses]),
+    )
+    return PursuitLog(
+        pursuit.times_s,
+        pursuit.pursuers,
+        pursuit.aims_m,
+        pursuit.chased,
+        pursuit.evaders_m,
+        pursuit.capture_s,
+        pursuit.captors,
+        reports,
+    )
 
 
 def _read(

@@ -9,8 +9,8 @@ from typing import get_args
 import numpy as np
 
 from planopt.problems.systems import Request, asked_planners
-from planopt.pursuit.guarantees import Inequality, Theorem
 from planopt.pursuit.simulation import Pursuit, simulate_pursuit
+from planopt.pursuit.theorems import Inequality, Theorem
 from planopt.systems.pursuit.tables import PlannerName, PlannerTable, PursuitProblem
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from planopt.files.tables import Column, Data, table_of_rows
 from planopt.planning.files.record import finite
-from planopt.pursuit.guarantees import Guarantee, Inequality, Theorem
+from planopt.pursuit.guarantees import Guarantee
+from planopt.pursuit.theorems import Inequality, Theorem
 from planopt.systems.pursuit.driving import Driven
 
 STEPS_FILE, RECORDS_FILE = "steps.csv", "records.csv"

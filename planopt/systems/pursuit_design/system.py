@@ -16,6 +16,7 @@ from planopt.files.compare import differences, in_words
 from planopt.planning.files.record import finite
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.systems import Answer, Request, System, SystemProblem
+from planopt.pursuit.certificate import DesignData, Requirement, certify
 from planopt.pursuit.design import (
     MAX_BITS,
     Design,
@@ -24,9 +25,9 @@ from planopt.pursuit.design import (
     pareto_front,
     sensitivities,
 )
-from planopt.pursuit.design_certificate import Requirement, certify
-from planopt.pursuit.guarantees import Guarantee, Inequality
+from planopt.pursuit.guarantees import Guarantee
 from planopt.pursuit.programmes import relaxed_design
+from planopt.pursuit.theorems import Inequality
 from planopt.systems.pursuit_design.tables import METHODS, DesignFile, DesignProblem, build
 
 FRONT_DESIGNS = 25
@@ -53,13 +54,7 @@ def solve(problem: SystemProblem, request: Request) -> Answer:
         data["wall_s"] = time.perf_counter() - began
         words = (f"{problem.name}: no plan: {error}",)
         return Answer(None, data, words, NO_PLAN, failure=error)
-    proof = certify(
-        content.task,
-        content.theorem,
-        design.slot_width_s,
-        design.rate_divisor,
-        design.bits_per_axis,
-    )
+    proof = _proof(content, design.slot_width_s, design.rate_divisor, design.bits_per_axis)
     data = {
         **_common(problem, request.seed),
         **_design_json(content, design, proof),
@@ -91,7 +86,7 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
         or not (0.0 < slot < math.inf and divisor >= 1 and 1 <= bits <= MAX_BITS)
     ):
         return [f"{file.name}, key slot_width_s: {numbers!r} are no design"]
-    for each in certify(content.task, content.theorem, slot, divisor, bits):
+    for each in _proof(content, slot, divisor, bits):
         if not each.holds:
             reasons.append(f"{file.name}: {each}")
     cost_w = content.task.network.power_w(slot, bits, divisor)
@@ -101,6 +96,29 @@ def check(file: Path, data: Mapping[str, Any], problem: SystemProblem) -> list[s
     again = solve(problem, Request(seed if isinstance(seed, int) else 0)).data
     timed = {"wall_s": data.get("wall_s"), "problem_file": data.get("problem_file")}
     return reasons + in_words(file.name, differences(data, {**again, **timed}))
+
+
+def _proof(
+    content: DesignProblem, slot_width_s: float, rate_divisor: int, bits_per_axis: int
+) -> tuple[Requirement, ...]:
+    """Return what the independent verifier requires of a network of these numbers."""
+    task, chase, network = content.task, content.task.chase, content.task.network
+    data = DesignData(
+        chase.evader_speed_m_s,
+        chase.pursuer_speed_m_s,
+        chase.stage_delay_s,
+        network.mote_spacing_m,
+        network.bit_rate_bit_s,
+        network.header_bits,
+        network.record_bits,
+        network.slots_per_frame,
+        network.slot_blocks,
+        task.margin,
+        task.first_distance_m,
+        task.capture_radius_m,
+        task.deadline_s,
+    )
+    return certify(data, content.theorem, slot_width_s, rate_divisor, bits_per_axis)
 
 
 def tables(problem: SystemProblem) -> dict[str, Any]:

@@ -22,9 +22,10 @@ from planopt.pursuit.design import (
     least_energy_design,
     sharp_design,
 )
-from planopt.pursuit.guarantees import Chase, Theorem
+from planopt.pursuit.guarantees import Chase
 from planopt.pursuit.network import MoteNetwork
 from planopt.pursuit.service import MAX_LEVELS, slots_per_frame
+from planopt.pursuit.theorems import Theorem
 
 MethodName = Literal["least_power", "least_power_rated", "least_energy", "capture_in_time"]
 TheoremName = Literal["lemma", "any_instant", "sampled_distance", "snapshots"]

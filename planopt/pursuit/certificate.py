@@ -1,0 +1,422 @@
+"""Verify guarantees of capture and network designs from their numbers, by the definitions alone.
+
+The formulas are those of docs/theory/pursuit.md, written a second time: neither the search of
+designs nor the classes of services and guarantees are used. A guarantee is accepted if its
+inequalities hold, its floor and its time to capture are no smaller than found here, and the logged
+stages and captures keep what it promises.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.pursuit.theorems import Distances, Inequality, Theorem
+from planopt.pursuit.verify import PursuitData, PursuitLog, Violation
+
+Floats = NDArray[np.float64]
+
+ROUNDING = 1e-9
+"""Share by which a requirement that is met exactly may be missed through rounding."""
+
+SLACK = 1e-6
+"""Share by which a claimed number may be off."""
+
+INTERVALS = 1000
+"""Intervals of the integral that bounds the time to capture from above."""
+
+REPORT_SHARE = 2.0
+"""Among obstacles a report is moved out of them by at most its error, which doubles the error."""
+
+TURN_SEGMENTS = 2
+"""Straight pieces of a quarter turn about a corner, on the paths that pursuers drive."""
+
+RING_SAMPLES = 100
+"""Positions on a boundary between which the detour factor is compared with the chord."""
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """An inequality that a design must meet."""
+
+    inequality: Inequality
+    strict: bool = True  # Whether equality is a failure. Loads and margins may be met exactly.
+
+    @property
+    def holds(self) -> bool:
+        """Return whether the design meets it."""
+        if self.strict:
+            return self.inequality.holds
+        return self.inequality.left <= self.inequality.right * (1.0 + ROUNDING)
+
+    def __str__(self) -> str:
+        if self.holds and not self.inequality.holds:
+            return f"{self.inequality.words}: met exactly"
+        return str(self.inequality)
+
+
+@dataclass(frozen=True)
+class Case:
+    """Speeds of a chase, and bounds on the age and the error of records at distance d."""
+
+    evader_m_s: float
+    pursuer_m_s: float
+    delay_s: float  # Time of a stage beyond straight driving and waiting
+    age_s_m: float  # Age is at most max(age_s_m d, least_age_s)
+    error: float  # Error is at most max(error d, least_error_m)
+    least_age_s: float
+    least_error_m: float
+    period_s_m: float  # Time between rounds a metre of distance
+
+    @property
+    def moved(self) -> float:
+        """Return x: distance that the evader moves while a record ages, a metre of distance."""
+        return self.age_s_m * self.evader_m_s
+
+    @property
+    def contraction(self) -> float:
+        """Return a: distance left after a stage with fresh records, a metre of distance."""
+        ratio = self.evader_m_s / self.pursuer_m_s
+        return ratio + self.error * (1.0 + ratio)
+
+    @property
+    def lag(self) -> float:
+        """Return y: distance that the evader moves between rounds, a metre of distance."""
+        return self.period_s_m * self.evader_m_s
+
+    def lagged(self) -> Case:
+        """Return the case with slopes by the distance to the position sampled last."""
+        share = 1.0 / (1.0 - self.lag)
+        return replace(self, age_s_m=share * self.age_s_m, error=share * self.error)
+
+    def start_m(self, distance_m: float) -> float:
+        """Return W of a first record of an evader that was sampled at this distance."""
+        return distance_m + self.evader_m_s * max(self.age_s_m * distance_m, self.least_age_s)
+
+    def least_distance_m(self, bound_m: Floats) -> Floats:
+        """Return the least sampled distance with this W; the inverse of :meth:`start_m`."""
+        moved_m = self.evader_m_s * self.least_age_s
+        return np.maximum(0.0, np.minimum(bound_m / (1.0 + self.moved), bound_m - moved_m))
+
+
+def premises(theorem: Theorem, case: Case) -> list[Inequality]:
+    """Return the inequalities that a theorem needs."""
+    a, x = case.contraction, case.moved
+    if theorem is Theorem.LEMMA:
+        return [Inequality("a + x below 1", a + x, 1.0)]
+    if theorem is Theorem.ANY_INSTANT:
+        left = a + (1.0 - case.evader_m_s / case.pursuer_m_s) * x
+        return [Inequality("a + (1 - 1/alpha) x below 1", left, 1.0)]
+    if theorem is Theorem.SAMPLED_DISTANCE:
+        return [Inequality("a below 1", a, 1.0)]
+    found = [Inequality("y = v_e period below 1", case.lag, 1.0)]
+    if case.lag < 1.0:
+        wider = case.lagged()
+        waits = wider.error * (1.0 + wider.moved)
+        found.append(Inequality("a of the error over 1 - y below 1", wider.contraction, 1.0))
+        found.append(Inequality("growth while waiting below 1", waits, 1.0))
+    return found
+
+
+def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats, Floats]]:
+    """Return bound and duration after each kind of stage (driving, waiting) from bounds (k,).
+
+    The bound is on W, for the Lemma on the sampled distance. All premises must hold.
+    """
+    near = case.lagged() if theorem is Theorem.SNAPSHOTS else case
+    age_m = np.maximum(near.moved * before_m, near.evader_m_s * near.least_age_s)
+    if theorem is Theorem.LEMMA:
+        sampled_m, far_m, left_m = before_m, before_m, age_m
+    elif theorem is Theorem.ANY_INSTANT:
+        sampled_m = np.maximum(0.0, before_m - age_m)
+        far_m, left_m = before_m, before_m - sampled_m
+    else:
+        sampled_m = near.least_distance_m(before_m)
+        far_m, left_m = sampled_m, before_m - sampled_m
+    error_m = np.maximum(near.error * far_m, near.least_error_m)
+    drive_s = (sampled_m + error_m) / near.pursuer_m_s + near.delay_s
+    found = [(left_m + error_m + near.evader_m_s * drive_s, drive_s)]
+    if theorem is not Theorem.SAMPLED_DISTANCE:
+        lag = case.lag if theorem is Theorem.SNAPSHOTS else case.moved
+        error_m = np.maximum(near.error * before_m, near.least_error_m)
+        wait_s = np.maximum(case.least_age_s, case.age_s_m / (1.0 - lag) * error_m) + case.delay_s
+        found.append((error_m + case.evader_m_s * wait_s, wait_s))
+    return found
+
+
+def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
+    """Return the largest bound after a stage, from bounds (k,)."""
+    return np.max([after for after, _ in stages(theorem, case, before_m)], axis=0)
+
+
+def floor_m(theorem: Theorem, case: Case) -> float:
+    """Return the largest W that a stage may fail to lower; infinite if a premise fails."""
+    if not all(each.holds for each in premises(theorem, case)):
+        return math.inf
+    grid: Floats = np.geomspace(1e-9, 1e15, 2001)
+    grid[0] = 0.0
+    for _ in range(8):
+        lifted = np.flatnonzero(next_bound_m(theorem, case, grid) > grid)
+        if not len(lifted):
+            return 0.0
+        if lifted[-1] + 1 == len(grid):
+            return math.inf
+        grid = np.linspace(float(grid[lifted[-1]]), float(grid[lifted[-1] + 1]), 101)
+    found = float(grid[-1])
+    return case.start_m(found) if theorem is Theorem.LEMMA else found
+
+
+def capture_time_s(theorem: Theorem, case: Case, distance_m: float, radius_m: float) -> float:
+    """Return the longest time to capture from a first sampled distance; infinite without bound."""
+    if not floor_m(theorem, case) < radius_m:
+        return math.inf
+    first, last = case.start_m(distance_m), radius_m
+    if theorem is Theorem.LEMMA:
+        first, last = case.least_distance_m(np.array([first, last])).tolist()
+    if first <= last:
+        return 0.0
+    grid = np.geomspace(last, first, INTERVALS + 1)
+    # A stage takes at most (decrease of W) x (largest duration over decrease), which falls with W.
+    pace = np.zeros(INTERVALS)
+    for after, lasts_s in stages(theorem, case, grid[:-1]):
+        pace = np.maximum(pace, lasts_s / (grid[:-1] - after))
+    return float((pace * np.diff(grid)).sum() + pace[0] * last)
+
+
+# ---------------------------------------------------------------------------------------------
+# Designs
+# ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DesignData:
+    """A network design and the pursuit that it serves."""
+
+    evader_speed_m_s: float
+    pursuer_speed_m_s: float
+    stage_delay_s: float
+    mote_spacing_m: float
+    bit_rate_bit_s: float
+    header_bits: float
+    record_bits: float
+    slots_per_frame: int
+    slot_blocks: int
+    margin: float  # By how much a + x must stay below 1 where no capture radius is required
+    first_distance_m: float | None
+    capture_radius_m: float | None
+    deadline_s: float | None
+
+
+def certify(
+    data: DesignData,
+    theorem: Theorem,
+    slot_width_s: float,
+    rate_divisor: int,
+    bits_per_axis: int,
+) -> tuple[Requirement, ...]:
+    """Return every requirement on a network of these numbers, met or not."""
+    payload = data.header_bits + data.slot_blocks * (data.record_bits + 2 * bits_per_axis)
+    carried = data.bit_rate_bit_s * slot_width_s
+    words = "payload of a slot below what it carries"
+    found = [Requirement(Inequality(words, payload, carried, "bit"), strict=False)]
+    # A level-j round takes 3 * 2^j frames and starts every r-th time; 2^j < 2 d in mote spacings.
+    frame_s = data.slots_per_frame * slot_width_s
+    case = Case(
+        data.evader_speed_m_s,
+        data.pursuer_speed_m_s,
+        data.stage_delay_s,
+        6.0 * (1 + rate_divisor) * frame_s / data.mote_spacing_m,
+        math.sqrt(2.0) / 2.0**bits_per_axis,
+        3.0 * (1 + rate_divisor) * frame_s,
+        math.sqrt(0.5) * data.mote_spacing_m,
+        6.0 * rate_divisor * frame_s / data.mote_spacing_m,
+    )
+    radius_m, first_m, deadline_s = data.capture_radius_m, data.first_distance_m, data.deadline_s
+    if radius_m is None:
+        left = case.contraction + case.moved
+        found += [
+            Requirement(Inequality("a + x below 1", left, 1.0)),
+            Requirement(Inequality("a + x + margin below 1", left + data.margin, 1.0), False),
+        ]
+    else:
+        floor = floor_m(theorem, case)
+        found += [Requirement(each) for each in premises(theorem, case)]
+        found.append(
+            Requirement(Inequality("floor below the capture radius", floor, radius_m, "m"))
+        )
+    if deadline_s is not None and first_m is not None:
+        if radius_m is None:
+            left = 1.0 - case.contraction - case.moved
+            first_s = (1.0 + case.error) * first_m / data.pursuer_speed_m_s
+            longest_s = first_s / left if left > 0.0 else math.inf
+        else:
+            longest_s = capture_time_s(theorem, case, first_m, radius_m)
+        in_time = Inequality("time to capture below the deadline", longest_s, deadline_s, "s")
+        found.append(Requirement(in_time, strict=radius_m is not None))
+    return tuple(found)
+
+
+# ---------------------------------------------------------------------------------------------
+# Guarantees of logged pursuits
+# ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a saved run claims by one theorem for its first pursuer and evader."""
+
+    theorem: Theorem
+    distances: Distances
+    holds: bool
+    captures: bool  # Whether the floor is below the capture radius
+    capture_time_s: float | None  # None if no time is promised
+
+
+def verify_guarantees(
+    data: PursuitData, log: PursuitLog, claims: tuple[Claim, ...], detour: float
+) -> list[Violation]:
+    """Return the claims that do not follow, and the promises that the logged pursuit broke."""
+    found: list[Violation] = []
+    least = _least_detour(data)
+    if not least <= detour * (1.0 + SLACK):
+        found.append(Violation("guarantee", f"paths are up to {least:.6g} times as long as chords"))
+    alone = len(data.pursuers) == len(data.evaders) == 1
+    for claim in claims:
+        name, radius_m = claim.theorem.value, data.capture_radius_m
+        case = _case(data, 0, 0, claim.distances, detour)
+        needs, floor = premises(claim.theorem, case), floor_m(claim.theorem, case)
+        if claim.holds and not all(each.holds for each in needs):
+            failing = next(each for each in needs if not each.holds)
+            found.append(Violation("guarantee", f"{name}: {failing}"))
+            continue
+        if claim.holds and claim.captures and not floor < radius_m * (1.0 + SLACK):
+            found.append(Violation("guarantee", f"{name}: stages end at {floor:.6g} m"))
+        if claim.holds and data.planner == "drive":
+            found += _stage_faults(data, log, claim, detour)
+        if not alone or claim.capture_time_s is None or not len(log.reports.time_s):
+            continue
+        distance_m, first_s = _sampled_away_m(log, 0)[0], float(log.reports.time_s[0])
+        least_s = capture_time_s(claim.theorem, case, distance_m, radius_m)
+        if not least_s <= claim.capture_time_s * (1.0 + SLACK):
+            found.append(Violation("guarantee", f"{name}: capture may take {least_s:.6g} s"))
+        spent_s = min(float(log.capture_s[0]), float(log.times_s[-1])) - first_s
+        if data.planner == "drive" and spent_s > claim.capture_time_s * (1.0 + ROUNDING):
+            text = f"{name}: no capture within {claim.capture_time_s:.6g} s"
+            found.append(Violation("guarantee", text))
+    return found
+
+
+def _stage_faults(
+    data: PursuitData, log: PursuitLog, claim: Claim, detour: float
+) -> Iterator[Violation]:
+    """Yield chases with a stage that begins beyond the bound by the stage before.
+
+    Path lengths are only known to lie between the chord and `detour` times the chord.
+    """
+    reports = log.reports
+    longest = detour if claim.distances is Distances.PATHS else 1.0
+    for pursuer, evader in sorted(set(reports.pairs)):
+        rows = np.flatnonzero((reports.pursuer == pursuer) & (reports.evader == evader))
+        case = _case(data, pursuer, evader, claim.distances, detour)
+        if len(rows) < 2 or not all(each.holds for each in premises(claim.theorem, case)):
+            continue
+        away_m = _sampled_away_m(log, rows)
+        moved_m = case.evader_m_s * (reports.time_s[rows] - reports.sampled_s[rows])
+        allowed_m = next_bound_m(claim.theorem, case, longest * away_m[:-1] + moved_m[:-1])
+        share = float(((away_m + moved_m)[1:] / allowed_m).max())
+        if share > 1.0 + ROUNDING:
+            yield Violation(
+                "stages",
+                f"{claim.theorem.value}: a stage of {data.pursuers[pursuer].name} after "
+                f"{data.evaders[evader].name} exceeds its bound by {100.0 * (share - 1.0):.3g} %",
+            )
+
+
+def _sampled_away_m(log: PursuitLog, rows: NDArray[np.intp] | int) -> Floats:
+    """Return the distance from the pursuer to where the evader was sampled, for reports (k,)."""
+    reports, found = log.reports, list[float]()
+    for row in np.atleast_1d(rows).tolist():
+        step = int(np.abs(log.times_s - reports.time_s[row]).argmin())
+        sampled_m = log.evader_at(int(reports.evader[row]), reports.sampled_s[row : row + 1])[0]
+        here_m = log.states[int(reports.pursuer[row])][step, :2]
+        found.append(math.dist(here_m, sampled_m))
+    return np.array(found)
+
+
+def _case(
+    data: PursuitData, pursuer: int, evader: int, distances: Distances, detour: float
+) -> Case:
+    """Return the case of one chase; among obstacles errors widen, or the pursuer is slower."""
+    service, robot = data.service, data.pursuers[pursuer]
+    turn_s = 0.0 if robot.turn_rate_max_rad_s is None else math.pi / robot.turn_rate_max_rad_s
+    round_s_m = 2.0 * service.hops_per_round * service.frame_s / service.mote_spacing_m
+    rounds = 1 + service.rate_divisor
+    case = Case(
+        max(data.evaders[evader].speed_max_m_s, 1e-9),
+        robot.speed_max_m_s,
+        (1 + _corners(data)) * (data.step_s + turn_s),
+        rounds * round_s_m,
+        math.sqrt(2.0) * 0.5**service.bits_per_axis,
+        rounds * service.hops_per_round * service.frame_s,
+        math.sqrt(0.5) * service.mote_spacing_m,
+        service.rate_divisor * round_s_m,
+    )
+    if not data.obstacles:
+        return case
+    wider = REPORT_SHARE * (detour if distances is Distances.PATHS else 1.0)
+    slower = 1.0 if distances is Distances.PATHS else detour
+    return replace(
+        case,
+        pursuer_m_s=case.pursuer_m_s / slower,
+        error=wider * case.error,
+        least_error_m=wider * case.least_error_m,
+    )
+
+
+def _grown(data: PursuitData) -> list[shapely.Geometry]:
+    """Return the obstacles, grown until chords of their rounded corners keep the clearance."""
+    by_m = data.clearance_m / math.cos(0.25 * math.pi / TURN_SEGMENTS)
+    return [shapely.buffer(each, by_m, quad_segs=TURN_SEGMENTS) for each in data.obstacles]
+
+
+def _corners(data: PursuitData) -> int:
+    """Return the number of convex corners, at which shortest paths may turn."""
+    count = 0
+    for part in shapely.get_parts(_grown(data)):
+        for ring in shapely.get_rings(shapely.orient_polygons(part)):
+            side = np.diff(shapely.get_coordinates(ring), axis=0)
+            following = np.roll(side, -1, axis=0)
+            count += int((side[:, 0] * following[:, 1] > side[:, 1] * following[:, 0]).sum())
+    return count
+
+
+def _least_detour(data: PursuitData) -> float:
+    """Return a lower bound on path over chord lengths, from positions along free boundaries."""
+    if not data.obstacles or data.bounds_m is None:
+        return 1.0
+    free = shapely.box(*data.bounds_m).difference(shapely.union_all(_grown(data)))
+    shapely.prepare(free)
+    least = 1.0
+    for ring in shapely.get_rings(shapely.get_parts(free)):
+        length_m = float(ring.length)
+        along_m = length_m * np.arange(RING_SAMPLES) / RING_SAMPLES
+        places = shapely.line_interpolate_point(ring, along_m)  # pyright: ignore[reportUnknownMemberType]
+        places_m = shapely.get_coordinates(places)
+        one, other = np.triu_indices(RING_SAMPLES, 1)
+        chords_m = np.linalg.norm(places_m[one] - places_m[other], axis=1)
+        part_m = along_m[other] - along_m[one]
+        ratios = np.minimum(part_m, length_m - part_m) / np.maximum(chords_m, 1e-9)
+        above = np.flatnonzero(ratios > least)
+        above = above[np.argsort(-ratios[above])]
+        chords = shapely.linestrings(places_m[np.stack([one[above], other[above]], axis=1)])
+        # Only a chord that is in free space at its ends alone needs the path along the boundary.
+        inside_m = shapely.length(shapely.intersection(chords, free))  # pyright: ignore[reportUnknownMemberType]
+        outside = np.asarray(inside_m) <= SLACK * chords_m[above]
+        if outside.any():
+            least = float(ratios[above[outside.argmax()]])
+    return least

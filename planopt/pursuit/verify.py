@@ -1,0 +1,442 @@
+"""Verify a logged pursuit against its problem, without anything of the simulator.
+
+Motions are reconstructed from states at both ends of a step: a single integrator drives straight,
+a unicycle turns on the spot and drives straight, or drives an arc, each as fast as its limits
+allow. Reports are compared with the rounds of the service, captures with distances along the steps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+PLACE_M, TIME_S = 1e-6, 1e-6
+"""Positions and times may be off by so much through rounding."""
+
+ARC_PIECES = 16
+"""Chords of an arc, a driven arc of less than half a turn in a step."""
+
+CAPTURE_PIECES = 4
+"""Captures are resolved by chords of so many equal parts of a step."""
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Start and limits of a pursuer or an evader."""
+
+    name: str
+    start_m: tuple[float, float]
+    start_radius_m: float
+    speed_max_m_s: float
+    turn_rate_max_rad_s: float | None = None  # None: a single integrator
+
+
+@dataclass(frozen=True)
+class Service:
+    """The snapshot service of a grid of motes, as in the table ``[network]``."""
+
+    levels: int
+    mote_spacing_m: float
+    frame_s: float
+    bits_per_axis: int
+    hops_per_round: int
+    rate_divisor: int
+    endless: bool
+    loss_probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class PursuitData:
+    """The problem that a logged pursuit must keep to."""
+
+    pursuers: tuple[Robot, ...]
+    evaders: tuple[Robot, ...]
+    service: Service
+    capture_radius_m: float
+    step_s: float
+    max_steps: int
+    planner: str
+    bounds_m: tuple[float, float, float, float] | None
+    obstacles: tuple[shapely.Polygon, ...]
+    clearance_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reports:
+    """Reports in the order in which pursuers began to use them."""
+
+    pursuer: NDArray[np.intp]  # (k,) indices of the pair
+    evader: NDArray[np.intp]
+    time_s: Floats  # (k,) when the report was received
+    sampled_s: Floats  # (k,) when the evader was sensed
+    reported_m: Floats  # (k, 2)
+    error_m: Floats  # (k,) claimed bound on its error
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Return pursuer and evader of each report."""
+        pursuers: list[int] = self.pursuer.tolist()
+        return list(zip(pursuers, self.evader.tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class PursuitLog:
+    """A logged pursuit of n steps."""
+
+    times_s: Floats  # (n + 1,)
+    states: tuple[Floats, ...]  # For each pursuer (n + 1, 2), or (n + 1, 3) with the heading
+    aims_m: Floats  # (p, n, 2) where each pursuer drives to
+    chased: NDArray[np.intp]  # (p, n) the evader that each pursuer chases
+    evaders_m: Floats  # (e, n + 1, 2)
+    capture_s: Floats  # (e,) infinite if never captured
+    captors: NDArray[np.intp]  # (e,) -1 if never captured
+    reports: Reports
+
+    def evader_at(self, evader: int, times_s: Floats) -> Floats:
+        """Return positions (k, 2) of an evader, which was at its start before the first time."""
+        return _interpolated(times_s, self.times_s, self.evaders_m[evader])
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A reason to reject a logged pursuit."""
+
+    # time, start, motion, speed, aim, bounds, clearance, report, order, chase, capture, end,
+    # guarantee or stages
+    kind: str
+    text: str
+
+
+def verify_pursuit(data: PursuitData, log: PursuitLog) -> list[Violation]:
+    """Return everything that a logged pursuit violates; nothing if it holds."""
+    numbers = (log.times_s, *log.states, log.aims_m, log.evaders_m)
+    if not all(np.isfinite(each).all() for each in numbers):
+        return [Violation("motion", "a position, a heading, an aim or a time is not finite")]
+    steps = np.arange(len(log.times_s))
+    if np.abs(log.times_s - data.step_s * steps).max() > TIME_S:
+        return [Violation("time", "steps are not pursuit.step_s apart")]
+    found: list[Violation] = []
+    drives = tuple(
+        _reconstructed(robot, states, aims_m, data.step_s, found)
+        for robot, states, aims_m in zip(data.pursuers, log.states, log.aims_m, strict=True)
+    )
+    for robot, places_m in zip(data.evaders, log.evaders_m, strict=True):
+        over_m = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
+        over_m -= robot.speed_max_m_s * data.step_s
+        _worst(found, "speed", robot.name, "is too fast", over_m)
+    paths_m = (*(each[:, :2] for each in log.states), *log.evaders_m)
+    for robot, places_m in zip((*data.pursuers, *data.evaders), paths_m, strict=True):
+        found += _position_faults(data, robot, places_m)
+    found += _report_faults(data, log)
+    found += _aim_faults(data, log)
+    found += _capture_faults(data, log, drives)
+    return found
+
+
+# ---------------------------------------------------------------------------------------------
+# Motion
+# ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """The steps of a pursuer as straight pieces between k knots."""
+
+    shares: Floats  # (n, k) of a step, ascending from 0 to 1
+    places_m: Floats  # (n, k, 2)
+    bent: NDArray[np.bool_]  # (n,) whether the step has a kink or an arc
+
+
+def _reconstructed(
+    robot: Robot, states: Floats, aims_m: Floats, step_s: float, found: list[Violation]
+) -> Drives:
+    """Return how a pursuer drives between logged states; add what it violates to `found`."""
+    here, there = states[:-1, :2], states[1:, :2]
+    move = there - here
+    length = np.linalg.norm(move, axis=1)
+    speed = robot.speed_max_m_s
+    turn = spot_s = np.zeros(len(move))
+    arc = np.zeros(len(move), dtype=np.bool_)
+    drive_s = length / speed
+    if robot.turn_rate_max_rad_s is not None:
+        rate, heading = robot.turn_rate_max_rad_s, states[:, 2]
+        turn = _wrapped(np.diff(heading))
+        # A chord of an arc is halfway between the headings at its ends.
+        on_spot, along = _is_along(heading[1:], move), _is_along(heading[:-1] + 0.5 * turn, move)
+        spot_s = np.abs(turn) / rate
+        on_time = on_spot & (spot_s + drive_s <= step_s + TIME_S)
+        arc = along & ~on_time
+        aside_m = np.where(on_spot | along, 0.0, length)
+        _worst(found, "motion", robot.name, "moves sideways", aside_m)
+        arc_s = np.maximum(length / np.sinc(0.5 * turn / np.pi) / speed, spot_s)
+        drive_s, spot_s = np.where(arc, arc_s, drive_s), np.where(arc, 0.0, spot_s)
+    over_s = spot_s + drive_s - step_s
+    _worst(found, "speed", robot.name, "is too fast", speed * over_s)
+    away_m = np.linalg.norm(aims_m - here, axis=1)
+    if robot.turn_rate_max_rad_s is None:
+        missed_m = _off_segment_m(here, aims_m, there)
+    else:
+        bearing = np.arctan2(*(aims_m - here).T[::-1]) - states[:-1, 2]
+        bearing = np.where(away_m > PLACE_M, _wrapped(bearing), 0.0)
+        # On the spot the rest of the turn must be left; on an arc the aim lies on its circle.
+        unturned = np.abs(_wrapped(bearing - turn)) + np.abs(turn) - np.abs(bearing)
+        sine = np.sin(bearing)
+        circle_m = away_m * np.divide(np.sin(0.5 * turn), sine, out=0.0 * sine, where=sine != 0.0)
+        missed_m = np.where(arc, np.abs(circle_m - length), unturned * speed * step_s)
+        straight = ~arc & (length > PLACE_M)
+        missed_m[straight] = _off_segment_m(here[straight], aims_m[straight], there[straight])
+    early = (over_s < -TIME_S) & (np.linalg.norm(aims_m - there, axis=1) > PLACE_M)
+    missed_m = np.where(early, np.maximum(missed_m, -speed * over_s), missed_m)
+    _worst(found, "aim", robot.name, "does not drive to its aim, off by", missed_m)
+    return _drives(here, states[:-1, 2:], move, turn, arc, spot_s / step_s, drive_s / step_s)
+
+
+def _drives(
+    here: Floats,
+    heading: Floats,
+    move: Floats,
+    turn: Floats,
+    arc: NDArray[np.bool_],
+    spot: Floats,
+    drive: Floats,
+) -> Drives:
+    """Return steps that stand for a share `spot`, drive for a share `drive`, and stand again."""
+    part = np.linspace(0.0, 1.0, ARC_PIECES + 1 if arc.any() else 2)
+    driven = np.broadcast_to(part[:, None], (len(here), len(part), 1)) * move[:, None]
+    if arc.any():
+        half = 0.5 * turn[arc]
+        radius = np.linalg.norm(move[arc], axis=1) / np.where(half != 0.0, 2.0 * np.sin(half), 1.0)
+        ahead = half[:, None] * part
+        chord = 2.0 * radius[:, None] * np.sin(ahead)
+        angle = heading[arc] + ahead
+        driven = driven.copy()
+        curved = np.stack([chord * np.cos(angle), chord * np.sin(angle)], axis=-1)
+        driven[arc] = np.where(half[:, None, None] != 0.0, curved, driven[arc])
+    begin, end = np.minimum(spot, 1.0), np.minimum(spot + drive, 1.0)
+    shares = begin[:, None] + part * (end - begin)[:, None]
+    ends = np.zeros((len(here), 1)), np.ones((len(here), 1))
+    places = here[:, None] + driven
+    return Drives(
+        np.hstack([ends[0], shares, ends[1]]),
+        np.concatenate([here[:, None], places, places[:, -1:]], axis=1),
+        arc | ((begin > 0.0) | (end < 1.0)),
+    )
+
+
+def _wrapped(angle: Floats) -> Floats:
+    return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
+
+
+def _is_along(heading: Floats, move: Floats) -> NDArray[np.bool_]:
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    across = move[:, 0] * ahead[:, 1] - move[:, 1] * ahead[:, 0]
+    return (np.abs(across) <= PLACE_M) & ((move * ahead).sum(axis=1) >= -PLACE_M)
+
+
+def _off_segment_m(starts: Floats, ends: Floats, places: Floats) -> Floats:
+    """Return distances (n,) of positions from segments."""
+    lines = shapely.linestrings(np.stack([starts, ends], axis=1))
+    away = shapely.distance(lines, shapely.points(places))  # pyright: ignore[reportUnknownMemberType]
+    return np.asarray(away, dtype=np.float64)
+
+
+def _worst(found: list[Violation], kind: str, name: str, words: str, off_m: Floats) -> None:
+    """Add the step with the largest value above the tolerance, if there is one."""
+    if len(off_m) and not off_m.max() <= PLACE_M:
+        step = int(off_m.argmax())
+        found.append(Violation(kind, f"{name} {words} {off_m[step]:.4g} m at step {step}"))
+
+
+def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Iterator[Violation]:
+    """Yield a start elsewhere, positions out of bounds, and a path too near an obstacle."""
+    if math.dist(places_m[0], robot.start_m) > robot.start_radius_m + PLACE_M:
+        yield Violation("start", f"{robot.name} does not start at start_m")
+    if data.bounds_m is not None:
+        low, high = np.array(data.bounds_m[:2]), np.array(data.bounds_m[2:])
+        if ((places_m < low - PLACE_M) | (places_m > high + PLACE_M)).any():
+            yield Violation("bounds", f"{robot.name} leaves world.bounds_m")
+    if data.obstacles:
+        path = shapely.LineString(places_m) if len(places_m) > 1 else shapely.Point(places_m[0])
+        nearest_m = min(path.distance(each) for each in data.obstacles)
+        if nearest_m < data.clearance_m - PLACE_M:
+            yield Violation(
+                "clearance",
+                f"{robot.name} comes within {nearest_m:.4g} m of an obstacle, "
+                f"pursuit.clearance_m is {data.clearance_m:g}",
+            )
+
+
+# ---------------------------------------------------------------------------------------------
+# Reports
+# ---------------------------------------------------------------------------------------------
+
+
+def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
+    """Yield reports that no mote could have given there and then, or that rule R forbids."""
+    service, reports = data.service, log.reports
+    if not len(reports.time_s):
+        return
+    step = np.abs(log.times_s[:, None] - reports.time_s).argmin(axis=0)
+    if np.abs(log.times_s[step] - reports.time_s).max() > TIME_S:
+        yield Violation("report", "a report is received at no step of the run")
+        return
+    level = np.arange(service.levels + 1)
+    lasts_s = service.hops_per_round * service.frame_s * 2.0**level
+    rounds = (reports.time_s[:, None] - lasts_s) / (service.rate_divisor * lasts_s)
+    sampled_s = np.floor(rounds + 1e-9) * service.rate_divisor * lasts_s
+    fine = np.maximum(0, level - service.bits_per_axis)
+    side_m = service.mote_spacing_m * 2.0**fine
+    held: dict[tuple[int, int], tuple[float, float]] = {}
+    for row, (pursuer, evader) in enumerate(reports.pairs):
+        mote = _mote(service, log.states[pursuer][step[row], :2])
+        seen = _mote(service, log.evader_at(evader, sampled_s[row]))
+        apart = (mote >> level[:, None]) - (seen >> level[:, None])
+        shows = np.abs(apart).max(axis=1) <= 1
+        told_m = ((seen >> fine[:, None]) + 0.5) * side_m[:, None]
+        agrees = (
+            shows
+            & (np.abs(sampled_s[row] - reports.sampled_s[row]) <= TIME_S)
+            & (np.abs(told_m - reports.reported_m[row]).max(axis=1) <= PLACE_M)
+            & (np.abs(math.sqrt(0.5) * side_m - reports.error_m[row]) <= PLACE_M)
+        )
+        who = f"the report {row} of {data.evaders[evader].name} to {data.pursuers[pursuer].name}"
+        if not agrees.any():
+            yield Violation("report", f"{who}: no mote could have told it")
+        elif service.loss_probability == 0.0 and not agrees[shows.argmax()]:
+            yield Violation("report", f"{who}: a finer level shows the evader, and none is lost")
+        last_s, last_m = held.get((pursuer, evader), (-math.inf, math.inf))
+        now_s, now_m = float(reports.sampled_s[row]), float(reports.error_m[row])
+        if now_s < last_s - TIME_S or (now_s < last_s + TIME_S and now_m >= last_m):
+            yield Violation("order", f"{who}: it replaces a fresher one")
+        held[pursuer, evader] = now_s, now_m
+
+
+def _mote(service: Service, places_m: Floats) -> NDArray[np.int64]:
+    """Return column and row of the mote whose square contains each position (..., 2)."""
+    found = np.floor(places_m / service.mote_spacing_m).astype(np.int64)
+    return found if service.endless else np.clip(found, 0, 2**service.levels - 1)
+
+
+def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
+    """Yield aims that are neither the position in the last report nor the pursuer's own.
+
+    Among obstacles aims are corners of paths, and a predicting pursuer chooses its own.
+    """
+    if data.obstacles or data.planner not in ("drive", "retarget"):
+        return
+    bounds_m = data.bounds_m or (-math.inf, -math.inf, math.inf, math.inf)
+    reports = log.reports
+    for pursuer, robot in enumerate(data.pursuers):
+        off_m = np.linalg.norm(log.aims_m[pursuer] - log.states[pursuer][:-1, :2], axis=1)
+        for evader in range(len(data.evaders)):
+            own = (reports.pursuer == pursuer) & (reports.evader == evader)
+            chases = np.flatnonzero(log.chased[pursuer] == evader)
+            last = np.searchsorted(reports.time_s[own], log.times_s[chases] + TIME_S) - 1
+            chases, last = chases[last >= 0], last[last >= 0]
+            aims_m = np.clip(reports.reported_m[own][last], bounds_m[:2], bounds_m[2:])
+            to_aim_m = np.linalg.norm(log.aims_m[pursuer][chases] - aims_m, axis=1)
+            off_m[chases] = np.minimum(off_m[chases], to_aim_m)
+        if len(off_m) and off_m.max() > PLACE_M:
+            step = int(off_m.argmax())
+            yield Violation("aim", f"{robot.name} aims at no reported position at step {step}")
+
+
+# ---------------------------------------------------------------------------------------------
+# Captures
+# ---------------------------------------------------------------------------------------------
+
+
+def _capture_faults(
+    data: PursuitData, log: PursuitLog, drives: tuple[Drives, ...]
+) -> Iterator[Violation]:
+    """Yield captures that are claimed too early, too late or by a pursuer that is too far away."""
+    steps, radius_m = len(log.times_s) - 1, data.capture_radius_m
+    for pursuer, robot in enumerate(data.pursuers):
+        if steps and not np.isin(log.chased[pursuer], np.arange(len(data.evaders))).all():
+            yield Violation("chase", f"{robot.name} chases no evader")
+        elif steps and (log.capture_s[log.chased[pursuer]] < log.times_s[:-1] - TIME_S).any():
+            yield Violation("chase", f"{robot.name} chases an evader that is captured")
+    last_s = float(log.capture_s.max())
+    if math.isfinite(last_s) and last_s < log.times_s[-1] - data.step_s - TIME_S:
+        yield Violation("end", "the run goes on after the last capture")
+    if math.isinf(last_s) and steps != data.max_steps:
+        yield Violation("end", f"the run ends after {steps} steps with an evader free")
+    for evader, robot in enumerate(data.evaders):
+        caught_s, captor = float(log.capture_s[evader]), int(log.captors[evader])
+        if math.isfinite(caught_s) != (captor >= 0) or captor >= len(data.pursuers):
+            yield Violation("capture", f"{robot.name} is captured by nobody, or at no time")
+            continue
+        if not 0.0 <= caught_s <= log.times_s[-1] + TIME_S and math.isfinite(caught_s):
+            yield Violation("capture", f"{robot.name} is captured after the end")
+            continue
+        # The step in which it is captured, and the share of this step until then.
+        step, share = steps, 0.0
+        if captor >= 0:
+            step = max(0, min(math.ceil(caught_s / data.step_s - 1e-9), steps) - 1)
+            share = caught_s / data.step_s - step
+        places_m = log.evaders_m[evader]
+        if step < steps and np.ptp(places_m[step + 1 :], axis=0).max() > PLACE_M:
+            yield Violation("capture", f"{robot.name} moves after it is captured")
+        for pursuer, each in enumerate(drives):
+            # Captures are looked for on chords: at a kink these are off by at most a quarter of
+            # the distance driven in a piece.
+            chord_m = 0.25 * data.pursuers[pursuer].speed_max_m_s * data.step_s / CAPTURE_PIECES
+            slack_m = PLACE_M + chord_m * each.bent
+            least_m = _least_distances_m(each, slice(0, step), places_m[: step + 1])
+            early = np.flatnonzero(least_m < radius_m - slack_m[:step])
+            if len(early):
+                when_s = log.times_s[early[0]]
+                yield Violation(
+                    "capture",
+                    f"{robot.name} is within the capture radius at {when_s:.4g} s "
+                    "without being captured",
+                )
+                break
+            if step >= steps:
+                continue
+            knots = np.minimum(each.shares[step], share)
+            way_m = _interpolated(knots, each.shares[step], each.places_m[step])
+            there_m = places_m[step] + (knots / max(share, 1e-12))[:, None] * (
+                places_m[step + 1] - places_m[step]
+            )
+            apart_m = way_m - there_m
+            before_m = float(_segments_from_origin_m(apart_m[:-1], apart_m[1:]).min())
+            end_m = float(np.linalg.norm(apart_m[-1]))
+            if before_m < radius_m - slack_m[step] and before_m < end_m - PLACE_M:
+                yield Violation("capture", f"{robot.name} is captured later than it is reached")
+                break
+            if pursuer == captor and end_m > radius_m + slack_m[step]:
+                yield Violation(
+                    "capture", f"{robot.name} is {end_m:.4g} m away from its captor when captured"
+                )
+
+
+def _interpolated(at: Floats, knots: Floats, places_m: Floats) -> Floats:
+    """Return positions (m, 2) between those at knots (k,)."""
+    x, y = places_m[:, 0], places_m[:, 1]
+    return np.stack([np.interp(at, knots, x), np.interp(at, knots, y)], axis=1)
+
+
+def _least_distances_m(drives: Drives, steps: slice, places_m: Floats) -> Floats:
+    """Return least distances (n,) of a pursuer and an evader that moves evenly, in steps."""
+    shares, own_m = drives.shares[steps], drives.places_m[steps]
+    if not len(shares):
+        return np.zeros(0)
+    moved_m = places_m[:-1, None] + shares[..., None] * np.diff(places_m, axis=0)[:, None]
+    apart_m = own_m - moved_m
+    return _segments_from_origin_m(apart_m[:, :-1], apart_m[:, 1:]).min(axis=1)
+
+
+def _segments_from_origin_m(starts: Floats, ends: Floats) -> Floats:
+    """Return distances (...,) of segments (..., 2) from the origin."""
+    along = ends - starts
+    square = (along * along).sum(axis=-1)
+    nearest = np.clip(-(starts * along).sum(axis=-1) / np.maximum(square, 1e-300), 0.0, 1.0)
+    return np.linalg.norm(starts + nearest[..., None] * along, axis=-1)

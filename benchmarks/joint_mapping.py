@@ -22,7 +22,8 @@ from planopt import load
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
-from planopt.objectives.mapping import path_information
+from planopt.objectives.information import Information
+from planopt.objectives.moments import posterior_moments
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.prepare import prepare
 from planopt.planning.worth.left_to_learn import workspace_region
@@ -99,7 +100,11 @@ def drive(form: str, coordination: str, seed: int, steps: int) -> Record:
         form,
         coordination,
         seed,
-        path_information(prior, _apart(places, problem.channel.measure_spacing_m)),
+        float(
+            Information().value(
+                posterior_moments(prior, _apart(places, problem.channel.measure_spacing_m))
+            )
+        ),
         float((found.deviation_db**2).mean() - prior.parameters.multipath_std_db**2),
         float(np.sqrt((error**2).mean())),
         float(np.mean(verified)),

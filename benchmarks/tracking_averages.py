@@ -24,8 +24,8 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from planopt import Problem, load, simulate
-from planopt.objectives.station_filter import Criterion
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
+from planopt.objectives.tracking import Criterion
 from planopt.planning.loop.metrics import LOST_RATIO
 from planopt.problems.problem import TermsObjective
 from planopt.problems.target import Packets

@@ -20,7 +20,7 @@ from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db
-from planopt.objectives.mapping import Region
+from planopt.objectives.moments import Region
 from planopt.planning.given import draw_truth, free_places
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge

@@ -28,7 +28,7 @@ from planopt.extend import (
     unregister_planner,
 )
 from planopt.objectives import LearningTerm
-from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.path_derivatives import PathDerivatives
 from planopt.objectives.terms import term as terms
 from planopt.problems import FunctionTruth, constraints
 from planopt.robots.drive import rolled_out

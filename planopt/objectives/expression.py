@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.objectives.stage_chain import chained
+from planopt.objectives.path_derivatives import PathDerivatives, by_stages
 from planopt.parts import calling
 from planopt.targets.rounding import Derivatives
 
@@ -155,7 +155,7 @@ def expression_values(
 
 def expression_derivatives(
     program: str, steps: int, given: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
-) -> Any:
+) -> PathDerivatives:
     """Return the value of a path with derivatives by its positions."""
     columns = [given[name] for name in ("x", "y", *CHANNELS[1:])]
     shapes = _shapes(steps)
@@ -164,7 +164,7 @@ def expression_derivatives(
     inputs = [(values | known).get(name, np.zeros(shape)) for name, shape in shapes.items()]
     value, gradient, hessian = _differentiated(program, steps)(*inputs)
     count = len(columns)
-    return chained(
+    return by_stages(
         float(value),
         np.asarray(gradient).reshape(steps, count),
         np.asarray(hessian.full()).reshape(steps, count, steps, count),

@@ -3,7 +3,7 @@
 Plans are valued by assumed-density filtering (equation 4.15): places are taken in turn, and given
 that the earlier ones are not connected, power at all later ones is taken as Gaussian again, with
 the moments that it truly has. It is within hundredths of the multivariate integral
-(:func:`expected_distance_m`), costs a hundredth of it, and is what searches and solvers climb.
+(:func:`planopt.channel.connection.first_passage.first_passage`) and costs a hundredth of it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.first_passage import first_passage
 from planopt.channel.joint import joint_prediction
 from planopt.channel.places import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
@@ -47,8 +46,6 @@ class Search:
 
     start_m: tuple[float, float]  # Where the robot stands
     threshold_dbm: float  # Power from which on a place is connected
-    # Given that it is not connected at the start. False where that is among the measurements.
-    disconnected_now: bool = True
     # What :func:`charged_distance_m` adds for a path that ends without connection
     beyond_m: float = 0.0
     # Longest step, for what :func:`counted_legs_m` charges of waiting; None where it is free
@@ -59,27 +56,6 @@ class Search:
     def thresholds_dbm(self) -> tuple[float, ...]:
         """Return the threshold of each station."""
         return (self.threshold_dbm, *self.further_thresholds_dbm)
-
-
-def expected_distance_m(
-    posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],  # (h, 2)
-    settings: Search,
-    generator: np.random.Generator,
-) -> float:
-    """E[D] = sum_k leg_{k+1} P(not connected at q_1 .. q_k), from the joint law of the places.
-
-    :func:`planopt.channel.connection.first_passage.first_passage` has the distribution and the
-    errors.
-    """
-    whole = _whole(path_m, settings)
-    return first_passage(
-        factored_near(posterior, whole),
-        whole,
-        settings.threshold_dbm,
-        generator,
-        disconnected_now=settings.disconnected_now,
-    ).expected_distance_m
 
 
 def charged_distance_m(
@@ -165,26 +141,6 @@ def search_length_m(
     # Shapes: distance_m, chance (k,).
     odds_against = (1.0 - chance) / np.maximum(chance, LEAST_CHANCE)
     return distance_m + TRY_SHARE * decorrelation_m * odds_against
-
-
-def independent_expected_distance_m(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], settings: Search
-) -> float:
-    """sum_k leg_{k+1} prod (1 - p) over the distinct places visited: as if independent.
-
-    Cheap and without randomness, for searching. Too small where power is positively correlated.
-    A place that repeats counts once, and not at all where it is the start and given not to be
-    connected. Arguments as :func:`expected_distance_m`.
-    """
-    whole = _whole(path_m, settings)
-    failing = 1.0 - posterior.connectivity(whole, settings.threshold_dbm)
-    # The start itself is no trial; coming back to it is, unless it is given not to be connected.
-    trials = whole if settings.disconnected_now else whole[1:]
-    counts = np.zeros(len(whole), dtype=np.bool_)
-    counts[len(whole) - len(trials) + np.unique(trials, axis=0, return_index=True)[1]] = True
-    counts[0] = False
-    survival = np.cumprod(np.where(counts, failing, 1.0))
-    return float(leg_lengths_m(whole) @ survival[:-1])
 
 
 def _whole(path_m: NDArray[np.float64], settings: Search) -> NDArray[np.float64]:

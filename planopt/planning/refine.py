@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, bound_quantile
 from planopt.objectives.reach import cruising_speed_m_s
+from planopt.objectives.stage_power import scores_of
 from planopt.planning.budget import Budget
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Rung, Verdict
@@ -32,9 +33,9 @@ from planopt.planning.tolerances import (
     STANDSTILL_M,
     STEP_PAD_M,
 )
+from planopt.planning.worth.local_worth import stage_predictor
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.rule_rows import RuleRows
-from planopt.planning.worth.serving_stages import scores_of, stage_predictor
 
 
 class Refiner:

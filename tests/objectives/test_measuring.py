@@ -4,30 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from path_scene import CHANNEL, START, drawn
+from path_scene import CHANNEL, drawn
 
-from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import condition
-from planopt.objectives.mapping import Uncertainty, path_uncertainty_derivatives
 from planopt.objectives.measuring import (
     CLOSED_SPACINGS,
     FEW_PAIRS,
     OPEN_SPACINGS,
     SAME_PLACE_M,
     SPACING_TOLERANCE_M,
-    Gates,
     MeasuringRule,
-)
-from planopt.objectives.path_loss_learning import (
-    Criterion,
-    average_reduction_derivatives,
-    path_information_derivatives,
-    path_loss_derivatives,
 )
 
 SPACING_M = 2.0
 POSTERIOR = condition(CHANNEL, drawn(30, side_m=20.0))
-GRID = np.random.default_rng(4).uniform(0.0, 20.0, (15, 2))
 
 
 def rule_of(*known, spacing_m=SPACING_M):
@@ -156,75 +146,3 @@ def test_derivatives_of_gates_are_those_of_differences(seed):
     np.testing.assert_allclose(gates.jacobian(), jacobian, atol=1e-7)
     np.testing.assert_allclose(gates.pulled(weight[None]).ravel(), weight @ jacobian, atol=1e-6)
     np.testing.assert_allclose(gates.curvature(weight), curvature, atol=1e-5)
-
-
-def information(channel, way, gates):
-    """What is told of the channel."""
-    return path_information_derivatives(channel, way, gates=gates)
-
-
-def average(channel, way, gates):
-    """Variance removed over a grid."""
-    grid = LocalGrid.of(channel, GRID, np.full(len(GRID), 1.0 / len(GRID)))
-    return average_reduction_derivatives(channel, grid, way, gates=gates)
-
-
-def above(channel, way, gates):
-    """The path form, some steps of it below the threshold."""
-    settings = Uncertainty(8.0, 0.05, START)
-    return path_uncertainty_derivatives(channel, way, settings, gates)
-
-
-OBJECTIVES = {
-    "information": information,
-    "average": average,
-    "path form": above,
-    **{
-        kind: lambda channel, way, gates, kind=kind: path_loss_derivatives(
-            channel, way, Criterion(kind), gates
-        )
-        for kind in ("T", "D", "A")
-    },
-}
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("name", OBJECTIVES)
-def test_gated_objectives_have_the_derivatives_of_their_values(name, seed):
-    """Gradient from values and Hessian from gradients, through S, B and the gates."""
-    rule, way, _ = partly_open(seed)
-    channel = LocalChannel.around(POSTERIOR, way, 30)
-
-    def at(places):
-        return OBJECTIVES[name](channel, places, rule.gates(places[None]))
-
-    found, h = at(way), 1e-5
-    gradient, hessian = np.empty(10), np.empty((10, 10))
-    for p in range(10):
-        step = h * np.eye(10)[p].reshape(5, 2)
-        more, less = at(way + step), at(way - step)
-        gradient[p] = (more.value - less.value) / (2 * h)
-        hessian[p] = (more.gradient - less.gradient) / (2 * h)
-    np.testing.assert_allclose(found.gradient, gradient, atol=1e-6 * np.abs(gradient).max())
-    np.testing.assert_allclose(found.hessian, hessian, atol=5e-6 * np.abs(hessian).max())
-    np.testing.assert_allclose(found.hessian, found.hessian.T, atol=1e-9 * np.abs(hessian).max())
-
-
-@pytest.mark.parametrize("name", OBJECTIVES)
-def test_closed_places_are_left_out_and_open_ones_counted_whole(name):
-    """Gates of 0 and 1: the objective of the places that are measured, nothing else."""
-    way = np.array([[4.0, 5.0], [8.0, 5.0], [8.0, 5.5], [12.0, 9.0], [4.5, 5.0]])
-    rule = rule_of([12.0, 10.0])
-    gates = rule.gates(way[None])
-    assert isinstance(gates, Gates)
-    np.testing.assert_array_equal(gates.value[0], [1.0, 1.0, 0.0, 0.0, 0.0])
-    channel = LocalChannel.around(POSTERIOR, way, 30)
-    found = OBJECTIVES[name](channel, way, gates)
-    alone = OBJECTIVES[name](channel, way[:2], None)
-    # The threshold's rounding gives 3/16 of its width for each place that brings nothing.
-    stated = 3 * 3.0 / 16.0 * 0.29 if name == "path form" else 1e-9 * abs(alone.value)
-    assert found.value == pytest.approx(alone.value, abs=stated)
-    # That is worth a little more nearby, so that such places have a slope all the same.
-    near = (3e-2 if name == "path form" else 1e-9) * np.abs(alone.gradient).max()
-    np.testing.assert_allclose(found.gradient[:4], alone.gradient, atol=near)
-    np.testing.assert_allclose(found.gradient[4:], 0.0, atol=near)

@@ -20,14 +20,16 @@ from test_tracking_recourse import (
     WAYS,
 )
 
-from planopt.objectives.recourse_estimates import (
+from planopt.objectives.tracking import Held
+from planopt.objectives.tracking_recourse import (
     DISCOUNT,
+    Retreats,
     chance_told,
     discounted,
+    recourse_costs,
+    retreats_of,
     told_later_costs,
 )
-from planopt.objectives.station_filter import Held
-from planopt.objectives.tracking_recourse import Retreats, recourse_costs, retreats_of
 from planopt.targets.information_filter import predicted_information
 from planopt.targets.sensor import sensing_information
 

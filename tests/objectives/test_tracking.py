@@ -1,65 +1,68 @@
-"""Tracking: equation 4.11 by hand, additivity, invariances."""
+"""The additive form of tracking: equation 4.11 by hand, invariances, derivatives."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from path_scene import CHANNEL, PATH, drawn, moved
 from scipy.stats import norm
 
+from planopt.channel.derivatives import posterior_derivatives
 from planopt.channel.kriging import predict
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
-from planopt.objectives.tracking import (
-    Tracking,
-    tracking_reward,
-    tracking_value,
-)
-from planopt.targets.sensor import Sensor, sensing_information
+from planopt.objectives import TrackingTerm
+from planopt.objectives.tracking import Tracking
+from planopt.targets.rounding import Derivatives
+from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 POSTERIOR = condition(CHANNEL, drawn(15))
-SENSOR = Sensor(0.008, 0.08, 1.0)
 TARGET = PATH + np.array([3.0, -4.0])
-TASK = Tracking(-73.0, SENSOR, TARGET, np.array([1.0, 0.5, 2.0, 0.0, 1.0]))
+WEIGHT = (1.0, 0.5, 2.0, 0.0, 1.0)
+TERM = TrackingTerm(0.008, 0.08, 1.0, form="additive", step_weights=WEIGHT)
 
 
-def test_one_step_is_the_seeds_equation_4():
+def context(posterior=POSTERIOR, target=TARGET, threshold=-73.0):
+    """What the term reads of a planning step."""
+    return SimpleNamespace(
+        target_m=target,
+        thresholds_dbm=(threshold,),
+        power=posterior.predict,
+        once=lambda key, make: make(),
+    )
+
+
+def test_one_step_is_equation_4_of_the_paper():
     """Q((TH - mean) / deviation) / g(r), with SciPy's normal tail and g written out."""
-    task = Tracking(-73.0, SENSOR, TARGET[:1])
     power = predict(POSTERIOR, PATH[:1])
     tail = norm.sf((-73.0 - power.mean_db[0]) / power.deviation_db[0])
     expected = tail / (0.008 * (5.0 - 1.0) ** 2 + 0.08)
-    assert tracking_value(POSTERIOR, PATH[:1], task) == pytest.approx(expected, rel=1e-12)
+    assert TERM.value(context(target=TARGET[:1]), PATH[:1]) == pytest.approx(expected, rel=1e-12)
     assert 0.01 < tail < 0.99
 
 
-def test_value_is_the_weighted_sum_of_stage_rewards():
-    """Stage by stage, many places at once."""
-    chance = POSTERIOR.connectivity(PATH, -73.0)
-    rewards = np.array([tracking_reward(chance, PATH, k, TASK) for k in range(5)])
-    assert rewards.shape == (5, 5)
-    assert tracking_value(POSTERIOR, PATH, TASK) == pytest.approx(np.trace(rewards))
-    plain = Tracking(-73.0, SENSOR, TARGET)
-    each = [tracking_reward(chance, PATH, k, plain) for k in range(5)]
-    np.testing.assert_allclose(rewards, TASK.weight[:, None] * np.array(each))
-
-
-def test_reward_takes_a_connectivity_from_anywhere():
-    """From a map: certain connection gives the sensing alone."""
-    found = tracking_reward(np.ones(5), PATH, 2, TASK)
-    np.testing.assert_allclose(found, 2.0 * sensing_information(SENSOR, PATH, TARGET[2]))
+def test_values_of_many_paths_are_sums_of_stage_rewards():
+    """Stage by stage, many places at once, with the weight of each step."""
+    at, chance = context(), POSTERIOR.connectivity(PATH, -73.0)
+    rewards = np.array([TERM.stage_reward(at, PATH, k, chance) for k in range(5)])
+    assert TERM.value(at, PATH) == pytest.approx(np.trace(rewards))
+    plain = dataclasses.replace(TERM, step_weights=())
+    each = [plain.stage_reward(at, PATH, k, chance) for k in range(5)]
+    np.testing.assert_allclose(rewards, np.array(WEIGHT)[:, None] * np.array(each))
+    paths = SimpleNamespace(at=at, ways_m=np.stack([PATH, PATH]), chance=np.stack([chance, chance]))
+    np.testing.assert_allclose(TERM.values(paths), np.trace(rewards))
 
 
 def test_a_lower_threshold_is_never_worth_less():
     """From no connection at all to certain connection."""
     values = [
-        tracking_value(POSTERIOR, PATH, dataclasses.replace(TASK, threshold_dbm=level))
-        for level in (300.0, -70.0, -80.0, -90.0, -300.0)
+        TERM.value(context(threshold=level), PATH) for level in (300.0, -70.0, -80.0, -90.0, -300.0)
     ]
     assert (np.diff(values) > 0.0).all() and values[0] == 0.0
-    sensing = sensing_information(SENSOR, PATH, TARGET)
-    assert values[-1] == pytest.approx(TASK.weight @ sensing)
+    sensing = sensing_information(TERM.sensor, PATH, TARGET)
+    assert values[-1] == pytest.approx(np.array(WEIGHT) @ sensing)
 
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
@@ -75,24 +78,61 @@ def test_moving_the_scene_and_another_unit_change_nothing(mirror, scale):
     )
     posterior = condition(other, moved(drawn(15), turn, shift, scale))
     path, target = (scale * places @ turn.T + shift for places in (PATH, TARGET))
-    sensor = Sensor(0.008, scale**2 * 0.08, scale * 1.0)
-    task = Tracking(-73.0, sensor, target, TASK.weight)
-    expected = tracking_value(POSTERIOR, PATH, TASK) / scale**2
-    assert tracking_value(posterior, path, task) == pytest.approx(expected, rel=1e-8)
+    term = dataclasses.replace(TERM, noise_floor_m2=scale**2 * 0.08, sweet_spot_m=scale)
+    expected = TERM.value(context(), PATH) / scale**2
+    assert term.value(context(posterior, target), path) == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: Tracking(np.nan, SENSOR, TARGET),
-        lambda: Tracking(-73.0, SENSOR, TARGET[:, :1]),
-        lambda: Tracking(-73.0, SENSOR, TARGET, np.ones(4)),
-        lambda: Tracking(-73.0, SENSOR, TARGET, -np.ones(5)),
-        lambda: tracking_value(POSTERIOR, PATH[:4], TASK),
-        lambda: tracking_value(POSTERIOR, PATH * np.nan, TASK),
+        lambda: Tracking(np.nan, Sensor(0.008, 0.08, 1.0), TARGET),
+        lambda: Tracking(-73.0, Sensor(0.008, 0.08, 1.0), TARGET[:, :1]),
+        lambda: Tracking(-73.0, Sensor(0.008, 0.08, 1.0), TARGET, np.ones(4)),
+        lambda: Tracking(-73.0, Sensor(0.008, 0.08, 1.0), TARGET, -np.ones(5)),
     ],
 )
 def test_bad_input_is_ours(make):
     """Every check raises InputError."""
     with pytest.raises(InputError):
         make()
+
+
+def derivatives(path, threshold=-73.0):
+    """Rewards of all stages at `path`, with the exact posterior's derivatives."""
+    found = posterior_derivatives(POSTERIOR, path)
+    pairs = [0, 0, 1], [0, 1, 1]
+    power = [
+        Derivatives(value, gradient, hessian[:, pairs[0], pairs[1]])
+        for value, gradient, hessian in (
+            (found.mean_db, found.mean_gradient, found.mean_hessian),
+            (found.deviation_db, found.deviation_gradient, found.deviation_hessian),
+        )
+    ]
+    at = context(threshold=threshold)
+    return TERM.derivatives(SimpleNamespace(at=at, places_m=path, stage_power=power))
+
+
+@pytest.mark.parametrize("threshold", [-73.0, -85.0, -60.0])
+def test_derivatives_are_those_of_central_differences(threshold):
+    """To 1e-6 of the largest, from likely to unlikely connection; the value is the reward's."""
+    h = 1e-4
+    found = derivatives(PATH, threshold)
+    assert found.value.sum() == pytest.approx(TERM.value(context(threshold=threshold), PATH))
+    for axis, columns in ((0, [0, 1]), (1, [1, 2])):
+        step = h * np.eye(2)[axis]
+        more, less = derivatives(PATH + step, threshold), derivatives(PATH - step, threshold)
+        first = (more.value - less.value) / (2 * h)
+        second = (more.gradient - less.gradient) / (2 * h)
+        scale = np.abs(found.gradient).max(), np.abs(found.hessian).max()
+        np.testing.assert_allclose(found.gradient[:, axis], first, atol=1e-6 * scale[0])
+        np.testing.assert_allclose(found.hessian[:, columns], second, atol=1e-6 * scale[1])
+
+
+def test_certain_connection_leaves_the_sensor():
+    """Far above the threshold the derivatives are those of 1 / g."""
+    found, weight = derivatives(PATH, -400.0), np.array(WEIGHT)[:, None]
+    sensing = sensing_derivatives(TERM.sensor, PATH, TARGET)
+    np.testing.assert_allclose(found.value, WEIGHT * sensing.value)
+    np.testing.assert_allclose(found.gradient, weight * sensing.gradient)
+    np.testing.assert_allclose(found.hessian, weight * sensing.hessian)

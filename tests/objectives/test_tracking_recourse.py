@@ -13,8 +13,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.objectives.known_links import KnownLinks, known_links
-from planopt.objectives.station_filter import FilteredTracking, left
-from planopt.objectives.tracking import Tracking
+from planopt.objectives.tracking import FilteredTracking, Tracking, left
 from planopt.objectives.tracking_recourse import (
     Retreats,
     at_ends,

@@ -17,20 +17,16 @@ from numpy.typing import NDArray
 from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.objectives.batch import KnownPlaces
-from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.known_links import KnownLinks
-from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import Gates, MeasuringRule
-from planopt.objectives.station_filter import Held
-from planopt.objectives.told_batch import ToldBatch, WayBatch
+from planopt.objectives.moments import KnownPlaces, LocalPaths, Moments, Region
+from planopt.objectives.path_derivatives import LocalPath, PathDerivatives
+from planopt.objectives.stage_power import StagePower
+from planopt.objectives.tracking import Held
 from planopt.targets.information_filter import TargetModel
 from planopt.targets.rounding import Derivatives
 
 Made = TypeVar("Made")
-
-StagePower = tuple[Derivatives, Derivatives]
-"""Mean and standard deviation of the power at every stage, with derivatives by its place."""
 
 Part = Derivatives | PathDerivatives
 """A value with derivatives: by stage where it adds up over them, else of the whole path."""
@@ -211,8 +207,8 @@ class Paths:
 
     at: StepContext  # What is known
     ways_m: NDArray[np.float64]  # (c, N, 2) places after each step
-    stations: Sequence[WayBatch]  # Each station's power along all of them
-    told: Sequence[ToldBatch]  # What measurements of it along them tell
+    stations: Sequence[LocalPaths]  # Each station's power along all of them
+    moments: Sequence[Moments]  # Of measuring each station's anticipated channel along them
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -250,32 +246,16 @@ def legs_m(at: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class NearStation:
-    """One station's channel near a path, and the places where its map is wanted."""
-
-    posterior: ChannelPosterior
-    channel: LocalChannel
-    grid: LocalGrid | None
-
-    @property
-    def required_grid(self) -> LocalGrid:
-        """The places where the map is wanted, for terms that average it."""
-        if self.grid is None:
-            raise AssertionError("the spatial average needs a grid")
-        return self.grid
-
-
-@dataclass(frozen=True, eq=False)
 class NearPath:
     """One path of a solver, near the path that it began from."""
 
     at: StepContext  # What is known
     places_m: NDArray[np.float64]  # (N, 2) places after each step
     predicted: Callable[[], StagePower]  # Predict the power that connectivity rests on
-    # Each station's channel near the path, where places share measurements
-    joint: Sequence[NearStation]
-    # The same, of the anticipated channels: measurements along the path add to what they tell
-    told: Sequence[NearStation]
+    # Each station's channel near the path, where terms couple its places; else none
+    channels: Sequence[LocalChannel]
+    # The same of the anticipated channels, and the map that is averaged, if any
+    anticipated: Sequence[tuple[LocalChannel, LocalGrid | None]]
     gates: Gates | None  # How much of a measurement each place brings; None where no term measures
     # (N,) number of the turn of the steered path that each place goes to; None if nothing steers
     ahead: NDArray[np.intp] | None
@@ -286,6 +266,14 @@ class NearPath:
     def stage_power(self) -> StagePower:
         """Power that connectivity rests on at every stage."""
         return self.predicted()
+
+    @cached_property
+    def measured(self) -> list[LocalPath]:
+        """Moments of measuring each station's anticipated channel along the path."""
+        return [
+            LocalPath(channel, self.places_m, self.gates, grid)
+            for channel, grid in self.anticipated
+        ]
 
     @property
     def rounding_m(self) -> float:

@@ -12,7 +12,6 @@ from pydantic import Field
 
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
-from planopt.objectives.batch_derivatives import PathDerivatives
 from planopt.objectives.expression import (
     START,
     WIDTHS,
@@ -22,9 +21,10 @@ from planopt.objectives.expression import (
     names_in,
     program_of,
 )
+from planopt.objectives.path_derivatives import PathDerivatives
+from planopt.objectives.stage_power import connectivity_derivatives
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Term, TermSetting
-from planopt.objectives.tracking import connectivity_derivatives
 from planopt.plain_values import make_plain
 from planopt.targets.rounding import Derivatives
 
@@ -180,10 +180,6 @@ def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTer
         The expression is no scalar of these symbols.
     """
     return CasadiTerm(horizon, program_of(expression, horizon), weight=weight)
-
-
-FEW_STEPS = 2
-"""Steps of the expression that is looked through for the names that it reads."""
 
 
 @dataclass(frozen=True)

@@ -9,39 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.moments import Pull, pull_of_lengths
+from planopt.objectives.path_derivatives import PathDerivatives, by_lengths
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Structure, Term
-from planopt.objectives.told_batch import Pull, ToldBatch, pull_of_legs
-from planopt.targets.rounding import Derivatives, rounded_length
-
-
-def path_length_derivatives(
-    start_m: NDArray[np.float64], path_m: NDArray[np.float64], width_m: float
-) -> PathDerivatives:
-    """Sum of the lengths of all steps, each rounded within `width_m` of zero."""
-    # Shapes: start_m (2,); path_m (h, 2).
-    steps = rounded_length(np.diff(np.vstack([start_m, path_m]), axis=0), width_m)
-    count = len(path_m)
-    gradient = steps.gradient.copy()
-    gradient[:-1] -= steps.gradient[1:]
-    hessian = legs_curvature(steps, np.ones(count))
-    return PathDerivatives(float(steps.value.sum()), gradient.ravel(), hessian)
-
-
-def legs_curvature(legs: Derivatives, weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Second derivatives of a weighted sum of the lengths of steps; ``(2 h, 2 h)``."""
-    # Shapes: weight (h,).
-    count = len(weight)
-    blocks = (weight[:, None] * legs.hessian)[:, [0, 1, 1, 2]].reshape(count, 2, 2)
-    hessian = np.zeros((count, 2, count, 2))
-    k = np.arange(count)
-    hessian[k, :, k] += blocks
-    hessian[k[:-1], :, k[:-1]] += blocks[1:]
-    hessian[k[:-1], :, k[1:]] -= blocks[1:]
-    hessian[k[1:], :, k[:-1]] -= blocks[1:]
-    return hessian.reshape(2 * count, 2 * count)
+from planopt.targets.rounding import rounded_length
 
 
 @dataclass(frozen=True)
@@ -71,16 +43,15 @@ class MotionEnergyTerm(Term):
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
         """Return minus the energy of the length; that of moving at all hardly depends on where."""
-        length = path_length_derivatives(path.at.position_m, path.places_m, path.rounding_m)
-        scale = -self.per_metre_j_m
-        return PathDerivatives(
-            scale * length.value, scale * length.gradient, scale * length.hessian
-        )
+        offsets = np.diff(np.vstack([path.at.position_m, path.places_m]), axis=0)
+        lengths = rounded_length(offsets, path.rounding_m)
+        each = np.full(len(offsets), -self.per_metre_j_m)
+        return PathDerivatives(float(each @ lengths.value), *by_lengths(lengths, each))
 
-    def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
+    def slope(self, paths: Paths, number: int) -> Pull:
         """Return derivatives by the lengths of the steps."""
-        by_length = np.full(told.batch.shape, -self.per_metre_j_m)
-        return pull_of_legs(at.position_m, told.batch.ways_m, by_length)
+        by_length = np.full(paths.shape, -self.per_metre_j_m)
+        return pull_of_lengths(paths.at.position_m, paths.ways_m, by_length)
 
     def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
         """Return minus the energy of each move."""

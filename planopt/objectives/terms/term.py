@@ -23,9 +23,8 @@ from planopt.parts import class_name, require_name
 from planopt.targets.sensor import Sensor
 
 if TYPE_CHECKING:
-    from planopt.channel.posterior import ChannelPosterior
+    from planopt.objectives.moments import Pull
     from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, StepContext
-    from planopt.objectives.told_batch import Pull, ToldBatch
 
 Weight = Annotated[
     float, Field(default=1.0, ge=0, le=1e9, description="In the sum of terms.", title="Weight")
@@ -167,10 +166,10 @@ class Term:
         """Return the value of one path with its derivatives, as a solver asks for it."""
         raise self._without("derivatives")
 
-    def slope(self, at: StepContext, told: ToldBatch, station: ChannelPosterior) -> Pull:
-        """Return derivatives of :meth:`values` by what one station's measurements tell.
+    def slope(self, paths: Paths, number: int) -> Pull:
+        """Return derivatives of :meth:`values` by the moments of one station, given its number.
 
-        Terms that are no sum over stations count only the first.
+        Terms that are no sum over stations are only asked for the first.
         """
         raise self._without("slope")
 

@@ -11,28 +11,21 @@ from pydantic import Field, Strict
 
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
-from planopt.objectives.recourse_estimates import (
-    STEPS_OF_ESTIMATES,
-    discounted,
-    told_later_costs,
-)
-from planopt.objectives.station_filter import Criterion, FilteredTracking, left
+from planopt.objectives.stage_power import connectivity_derivatives
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Structure, Term, TermSetting
-from planopt.objectives.tracking import (
-    Tracking,
-    connectivity_derivatives,
-    tracking_reward,
-    tracking_reward_derivatives,
-)
+from planopt.objectives.tracking import Criterion, FilteredTracking, Tracking, left
 from planopt.objectives.tracking_recourse import (
     RECOURSE_STEPS,
+    STEPS_OF_ESTIMATES,
     Retreats,
+    discounted,
     recourse_costs,
     retreats_of,
+    told_later_costs,
 )
 from planopt.plain_values import make_plain
-from planopt.targets.rounding import Derivatives
+from planopt.targets.rounding import Derivatives, add_products
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 LONGEST_ADDITIVE = 10
@@ -227,21 +220,21 @@ class TrackingTerm(Term):
         """Return the same of many paths."""
         if self.tries_places:
             return self.tried_values(paths.at, paths.ways_m, paths.chance)
-        settings, chance = self.settings(paths.at), paths.chance
-        return np.sum(
-            [
-                tracking_reward(chance[:, k], paths.ways_m[:, k], k, settings)
-                for k in range(paths.shape[1])
-            ],
-            axis=0,
-        )
+        settings = self.settings(paths.at)
+        sensing = sensing_information(settings.sensor, paths.ways_m, settings.target_m)
+        return (paths.chance * sensing) @ settings.weight
 
     def derivatives(self, path: NearPath) -> Derivatives:
         """Return the additive value by stages, which also refines drives to places tried."""
         settings = self.settings(path.at)
         chance = connectivity_derivatives(*path.stage_power, settings.threshold_dbm)
         sensing = sensing_derivatives(settings.sensor, path.places_m, settings.target_m)
-        return tracking_reward_derivatives(chance, sensing, settings.weight)
+        sensed = settings.weight[:, None] * sensing.rows
+        rows = sensed[:, :1] * chance.rows
+        rows += chance.value[:, None] * sensed
+        rows[:, 0] *= 0.5
+        add_products(rows[:, 3:], chance.gradient, sensed[:, 1:3])
+        return Derivatives.of(rows)
 
     def stage_reward(
         self,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planopt.objectives.batch_derivatives import PathDerivatives
+from planopt.objectives.path_derivatives import PathDerivatives
 from planopt.objectives.terms.context import NearPath, Paths, StepContext
 from planopt.objectives.terms.term import Steers, Term
 from planopt.objectives.until_connected import (
@@ -57,7 +57,6 @@ class UntilConnectedTerm(Term):
         return Search(
             (float(x), float(y)),
             at.thresholds_dbm[0],
-            disconnected_now=False,
             beyond_m=at.once((UntilConnectedTerm, "after", self), lambda: self._after_try_m(at)),
             step_m=at.step_length_m,
             further_thresholds_dbm=at.thresholds_dbm[1:],
@@ -114,8 +113,11 @@ class UntilConnectedTerm(Term):
         settings = self.search(paths.at)
         missing_db = np.where(paths.at.tries.takes(paths.ways_m), 0.0, NOT_TRIED_DB)
         powers = [
-            (power.mean_db.reshape(paths.shape) - threshold - missing_db, batch.universal)
-            for power, batch, threshold in zip(
+            (
+                power.mean_db.reshape(paths.shape) - threshold - missing_db,
+                station.moments().universal,
+            )
+            for power, station, threshold in zip(
                 paths.each, paths.stations, settings.thresholds_dbm, strict=True
             )
         ]
@@ -129,7 +131,7 @@ class UntilConnectedTerm(Term):
 
         search = self.search(path.at)
         found = charged_distance_derivatives(
-            [station.channel for station in path.joint],
+            path.channels,
             path.places_m,
             search,
             path.rounding_m,

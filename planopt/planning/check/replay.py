@@ -21,7 +21,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
-from planopt.objectives.mapping import Region
+from planopt.objectives.moments import Region
 from planopt.planning.certificate import plan_message
 from planopt.planning.check.replay_belief import initial_belief
 from planopt.planning.files.result_json import RobotPlan, RunRecord

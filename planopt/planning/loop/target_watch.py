@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.objectives.station_filter import Held
+from planopt.objectives.tracking import Held
 from planopt.planning.given import free_target_path
 from planopt.planning.worth.situation import Aim, target_model
 from planopt.problems.problem import Problem

@@ -1,7 +1,7 @@
 """Evaluations that the callbacks of a built solver ask for, exact and memoised by point.
 
 The constraint of a stage is ``mean - z_p deviation - threshold >= 0`` in dB (equation 3.2), with
-mean and deviation of :mod:`planopt.planning.worth.serving_stages`. A value of the whole path comes
+mean and deviation of :mod:`planopt.objectives.stage_power`. A value of the whole path comes
 with derivatives by all of its positions.
 """
 

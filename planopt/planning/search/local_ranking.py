@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.moments import LocalPaths, Pull
 from planopt.objectives.terms.context import Paths
 from planopt.objectives.terms.term import Term
-from planopt.objectives.told_batch import Pull, ToldBatch, WayBatch, slopes_of
 from planopt.parts import calling, returned
 from planopt.planning.worth.left_to_learn import region_along
 from planopt.planning.worth.rule_rows import missing, missing_slope
@@ -105,7 +105,8 @@ class LocalRanking:
         if self._measures:
             taken = self._situation.near_measuring.takes(ways_m)
             gate = None if taken.all() else taken.astype(np.float64)
-        return self._value(self._ways(ways_m, gate, climbed=False))
+        measured = self._along(self._told, ways_m, climbed=False)
+        return self._value(self._ways(measured, gate, climbed=False))
 
     def slopes(
         self, ways_m: NDArray[np.float64]
@@ -116,40 +117,45 @@ class LocalRanking:
         """
         at = self._situation
         gates = at.near_measuring.gates(ways_m) if self._measures else None
-        ways = self._ways(ways_m, None if gates is None else gates.value, climbed=True)
+        measured = self._along(self._told, ways_m, climbed=True)
+        ways = self._ways(measured, None if gates is None else gates.value, climbed=True)
         value = self._value(ways)
         slopes: list[NDArray[np.float64]] = []
-        for number, (told, station) in enumerate(zip(ways.told, at.anticipated, strict=True)):
-            batch, pull = told.batch, Pull()
+        for number, paths in enumerate(measured):
+            pull = Pull()
             for term in at.problem.terms:
                 if number and not term.is_measured:
                     continue  # it was counted with the first
                 with calling(term, "slope", key="objective.terms"):
-                    pull = pull.plus(term.slope(at, told, station), term.weight)
+                    pull = pull.plus(term.slope(ways, number), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:
                 # With several, a way climbs as if there were no bound, but takes no step that
                 # misses more.
                 own = ways.stations[0]
                 lacking = Pull().plus(missing_slope(at, own), -self._missing_db_cost)
-                if own is batch:
-                    pull = pull.plus(lacking, 1.0)
+                if own is paths:
+                    pull = pull.plus(lacking)
                 else:
-                    slopes.append(slopes_of(own, lacking, None))
-            slopes.append(slopes_of(batch, pull, gates))
+                    slopes.append(own.slopes(lacking))
+            slopes.append(paths.slopes(pull, gates))
         return value, slopes[0] if len(slopes) == 1 else np.sum(slopes, axis=0)
 
-    def _ways(
-        self, ways_m: NDArray[np.float64], gate: NDArray[np.float64] | None, *, climbed: bool
-    ) -> Paths:
-        def along(stations: Sequence[_Station]) -> list[WayBatch]:
-            return [
-                WayBatch(own.channel, own.precision, ways_m, own.fine if climbed else own.coarse)
-                for own in stations
-            ]
+    def _along(
+        self, stations: Sequence[_Station], ways_m: NDArray[np.float64], *, climbed: bool
+    ) -> list[LocalPaths]:
+        """Return each station's power along the ways."""
+        return [
+            LocalPaths(own.channel, own.precision, ways_m, own.fine if climbed else own.coarse)
+            for own in stations
+        ]
 
-        told = along(self._told)
-        batches = told if self._stations is self._told else along(self._stations)
-        return Paths(self._situation, ways_m, batches, [ToldBatch(batch, gate) for batch in told])
+    def _ways(
+        self, measured: list[LocalPaths], gate: NDArray[np.float64] | None, *, climbed: bool
+    ) -> Paths:
+        ways_m, stations = measured[0].paths_m, measured
+        if self._stations is not self._told:
+            stations = self._along(self._stations, ways_m, climbed=climbed)
+        return Paths(self._situation, ways_m, stations, [own.moments(gate) for own in measured])
 
     def _value(self, ways: Paths) -> NDArray[np.float64]:
         at = self._situation

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.objectives.mapping import Region
+from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Steers
 from planopt.planning.baselines.foresight import FollowingPlanner
 from planopt.planning.given import TeamSeeds

@@ -19,8 +19,8 @@ from scipy.sparse.csgraph import (
 
 from planopt.channel.nearest.place_index import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import MeasuringRule
+from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Term
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
-from planopt.objectives.batch_derivatives import PathDerivatives, add_own_blocks
-from planopt.objectives.terms.context import NearPath, NearStation, Part
+from planopt.objectives.path_derivatives import PathDerivatives, add_own_blocks
+from planopt.objectives.stage_power import ServingStages, StagePredictor, connectivity_derivatives
+from planopt.objectives.terms.context import NearPath, Part
 from planopt.objectives.terms.term import Structure, Term
-from planopt.objectives.tracking import connectivity_derivatives
 from planopt.parts import calling, class_name, is_own, returned
 from planopt.planning.programme.margin_source import (
     EvaluatePath,
@@ -28,13 +28,9 @@ from planopt.planning.programme.margin_source import (
     margins_of,
     remembering,
 )
+from planopt.planning.proof.predictions import Broad, Serving
 from planopt.planning.worth.left_to_learn import region_along
 from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
-from planopt.planning.worth.serving_stages import (
-    ServingStages,
-    StagePredictor,
-    stage_predictor,
-)
 from planopt.planning.worth.situation import Situation, shares_places, structure_of
 from planopt.targets.rounding import Derivatives
 
@@ -54,10 +50,11 @@ def local_worth(
         broad = situation.circumstances.broad
         return stage_predictor(posterior, broad, path_m, problem.planner.neighbours)
 
-    joint = _joint_channels(situation, situation.stations, path_m)
-    told = joint
+    anticipated = _joint_channels(situation, situation.anticipated, path_m)
+    channels = [channel for channel, _ in anticipated]
     if situation.anticipated != situation.stations:
-        told = _joint_channels(situation, situation.anticipated, path_m)
+        known = _joint_channels(situation, situation.stations, path_m)
+        channels = [channel for channel, _ in known]
     rule = None
     if any(term.is_measured for term in problem.terms):
         rule = situation.near_measuring
@@ -74,7 +71,14 @@ def local_worth(
     def evaluate(places_m: NDArray[np.float64]) -> Evaluation:
         gates = None if rule is None else rule.gates(places_m[None])
         near = NearPath(
-            situation, places_m, lambda: predictor()(places_m), joint, told, gates, ahead, tried
+            situation,
+            places_m,
+            lambda: predictor()(places_m),
+            channels,
+            anticipated,
+            gates,
+            ahead,
+            tried,
         )
         margins, total = None, None
         if bounded:
@@ -92,6 +96,18 @@ def local_worth(
     return evaluated
 
 
+def stage_predictor(
+    posterior: ChannelPosterior,
+    broad: Broad | None,
+    path_m: NDArray[np.float64],
+    neighbours: int,
+) -> StagePredictor | ServingStages:
+    """Return the predictor of stages about a path (N, 2), of several stations by `broad`."""
+    if isinstance(broad, Serving):
+        return ServingStages(broad.posteriors, broad.thresholds_dbm, broad.law, path_m, neighbours)
+    return StagePredictor(LocalChannel.around_each(posterior, path_m, neighbours))
+
+
 def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
     """The weighted sum of the stages' probabilities."""
     return PathValue(
@@ -103,19 +119,19 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
 
 def _joint_channels(
     situation: Situation, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
-) -> list[NearStation]:
-    """Return the channel of each station, where a term couples the places; else none."""
+) -> list[tuple[LocalChannel, LocalGrid | None]]:
+    """Return each station's channel and map, where a term couples the places; else none."""
     problem = situation.problem
     if not shares_places(problem):
         return []
     region = None
     if any(term.averages_map for term in problem.terms):
         region = region_along(problem, situation.near_region, path_m)
-    found: list[NearStation] = []
+    found: list[tuple[LocalChannel, LocalGrid | None]] = []
     for station in posteriors:
         channel = LocalChannel.around(station, path_m, JOINT_NEIGHBOURS)
         grid = None if region is None else LocalGrid.of(channel, region.grid_m, region.weight)
-        found.append(NearStation(station, channel, grid))
+        found.append((channel, grid))
     return found
 
 

@@ -18,7 +18,7 @@ from planopt.channel.prediction import (
     bound_quantile,
     connection_probability,
 )
-from planopt.objectives.told_batch import Pull, WayBatch, pull_of_power
+from planopt.objectives.moments import LocalPaths, Pull
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.rule import Rule, rule_of
@@ -295,7 +295,7 @@ def _value_of_step(rule: Rule, at: Situation, shape: tuple[int, ...]) -> NDArray
     return np.maximum(gained / shape[1], 1e-9)
 
 
-def missing_slope(at: Situation, batch: WayBatch) -> Pull:
+def missing_slope(at: Situation, batch: LocalPaths) -> Pull:
     """Return the derivatives of :func:`missing` by the powers; none of the length of outages."""
     problem, history, power = at.problem, at.circumstances.history, batch.power
     rule, threshold = rule_of(problem), problem.stations[0].threshold_dbm
@@ -304,7 +304,7 @@ def missing_slope(at: Situation, batch: WayBatch) -> Pull:
         margin = power.mean_db - quantile * power.deviation_db - threshold
         held = rule.held(np.ones(batch.shape[1], dtype=np.bool_), history)
         missed = ((margin < 0.0).reshape(batch.shape) & held).astype(np.float64)
-        return pull_of_power(batch, -missed, quantile * missed)
+        return batch.pull_of_power(-missed, quantile * missed)
     if rule.holds_steps:
         return Pull()
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
@@ -314,4 +314,4 @@ def missing_slope(at: Situation, batch: WayBatch) -> Pull:
     density = np.exp(-0.5 * score**2) / (np.sqrt(2.0 * np.pi) * power.deviation_db)
     by_mean = -slope * (missed / _value_of_step(rule, at, batch.shape))[:, None]
     by_mean = by_mean * density.reshape(batch.shape)
-    return pull_of_power(batch, by_mean, -by_mean * score.reshape(batch.shape))
+    return batch.pull_of_power(by_mean, -by_mean * score.reshape(batch.shape))

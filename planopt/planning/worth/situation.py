@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.objectives.batch import KnownPlaces, known_places
 from planopt.objectives.known_links import KnownLinks, known_links
-from planopt.objectives.mapping import Region
 from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
-from planopt.objectives.station_filter import Held
+from planopt.objectives.moments import KnownPlaces, Region, known_places
 from planopt.objectives.terms.term import Structure
+from planopt.objectives.tracking import Held
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import Serving, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M

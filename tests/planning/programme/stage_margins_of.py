@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from planopt.channel.nearest.local_channel import LocalChannel
+from planopt.objectives.stage_power import StagePredictor
 from planopt.planning.programme.margin_source import StageMargins, margins_of
-from planopt.planning.worth.serving_stages import StagePredictor
 
 
 def stage_margins(

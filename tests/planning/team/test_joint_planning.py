@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from terms_scene import TRACKING, terms_problem
 
-from planopt.objectives.mapping import path_information
+from planopt.objectives.information import Information
+from planopt.objectives.moments import posterior_moments
 from planopt.planning.check.check import check
 from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
@@ -42,7 +43,7 @@ def team_information(solution):
         if (np.linalg.norm(places[:k] - place, axis=1) >= 0.5 - 1e-5).all()
         and (np.linalg.norm(posterior.measurements.positions_m - place, axis=1) >= 0.5 - 1e-5).all()
     ]
-    return path_information(posterior, places[kept])
+    return float(Information().value(posterior_moments(posterior, places[kept])))
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, situation_of, terms_problem
 
-from planopt.objectives.mapping import average_reduction, path_information
-from planopt.objectives.path_loss_learning import Criterion, path_loss_gain
+from planopt.objectives.moments import posterior_moments
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.path_worth import PathWorth
@@ -47,13 +46,10 @@ def beside(situation, *others, driven_m=None):
     return replace(situation, pending=Pending(tuple(others), driven))
 
 
-def together(form, posterior, places, situation):
+def together(term, posterior, places, situation):
     """The value of all places as one set, from the first belief."""
-    if form == "information":
-        return path_information(posterior, places)
-    if form == "average":
-        return average_reduction(posterior, places, situation.near_region)
-    return path_loss_gain(posterior, places, Criterion(form))
+    moments = posterior_moments(posterior, places, region=situation.near_region)
+    return float(term.gain(situation, posterior).value(moments))
 
 
 @pytest.mark.parametrize("form", ["information", "average", "T", "D", "A"])
@@ -69,9 +65,8 @@ def test_values_given_the_others_add_up(form):
     )
     places = np.vstack([first, second, third])
     assert situation.measuring.takes(places[None]).all()
-    assert added == pytest.approx(
-        together(form, belief.posterior, places, situation), rel=1e-7, abs=1e-9
-    )
+    whole = together(situation.problem.terms[0], belief.posterior, places, situation)
+    assert added == pytest.approx(whole, rel=1e-7, abs=1e-9)
 
 
 def test_anticipated_measurements_change_no_mean():

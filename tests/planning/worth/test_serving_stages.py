@@ -12,10 +12,9 @@ from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
-from planopt.objectives.tracking import connectivity_derivatives
+from planopt.objectives.stage_power import ServingStages, StagePredictor, connectivity_derivatives
 from planopt.planning.programme.margin_source import margins_of
 from planopt.planning.proof.predictions import Serving
-from planopt.planning.worth.serving_stages import ServingStages, StagePredictor, stage_predictor
 
 PATH = np.array([[12.0, 9.0], [16.3, 11.2], [21.1, 13.0], [27.7, 12.1], [33.4, 8.2]])
 P_MIN = 0.8
@@ -42,7 +41,7 @@ def serving() -> Serving:
 
 def stages(serving: Serving) -> ServingStages:
     """About the path, from all measurements."""
-    return ServingStages(serving, PATH, 60)
+    return ServingStages(serving.posteriors, serving.thresholds_dbm, serving.law, PATH, 60)
 
 
 def predicted(serving: Serving, places: np.ndarray) -> Prediction:
@@ -96,13 +95,6 @@ def test_derivatives_are_finite_differences(serving, what: str) -> None:
         assert here.gradient[:, axis] == pytest.approx(slope, rel=1e-5, abs=1e-7)
         bend = (there.gradient - back.gradient) / (2.0 * h)
         assert here.hessian[:, axis : axis + 2] == pytest.approx(bend, rel=1e-4, abs=1e-6)
-
-
-def test_one_station_has_the_predictor_it_always_had() -> None:
-    """Nothing is added where there is one, and its power is normal."""
-    both = Serving((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
-    assert isinstance(stage_predictor(posterior(0), None, PATH, 30), StagePredictor)
-    assert isinstance(stage_predictor(posterior(0), both, PATH, 30), ServingStages)
 
 
 def test_the_order_of_stations_changes_only_the_reference() -> None:

@@ -10,7 +10,6 @@ import shapely
 from terms_scene import judge_of, situation_of, terms_problem
 
 from planopt.channel.posterior import extend
-from planopt.objectives.mapping import Uncertainty, uncertainty_target
 from planopt.planning.worth.steering import Steering
 from planopt.planning.worth.steering_way import SteeringWay
 from planopt.world.clearance import clearance_m, index_obstacles, swept_clearance_m
@@ -40,12 +39,9 @@ def test_without_obstacles_the_target_is_that_of_the_equation(decay):
     situation, _, ground, problem = scene((), closeness_per_m=decay)
     places, at = situation.region.grid_m, situation.position_m
     unmeasured = places[situation.measuring.is_open(places)]
-    best = uncertainty_target(
-        situation.posterior,
-        unmeasured,
-        np.linalg.norm(unmeasured - at, axis=1),
-        Uncertainty(2.0, decay),
-    )
+    variance = situation.posterior.predict(unmeasured).deviation_db ** 2
+    near = np.exp(-decay * np.linalg.norm(unmeasured - at, axis=1))
+    best = int((np.maximum(0.0, variance - 2.0) * near).argmax())
     way = Steering(problem, ground, problem.terms[0]).find_way(situation)
     np.testing.assert_allclose(way.end_m, unmeasured[best])
     np.testing.assert_allclose(way.turns_m, [at, unmeasured[best]])

@@ -1,28 +1,26 @@
-"""The serving power of every stage with exact derivatives: several stations for a solver.
+"""Predicted power at the stages of a path with exact derivatives, and probabilities from it.
 
-The law of :mod:`planopt.channel.connection.serving_power`, with one difference, only here: its
-deviation is held at what it is along the path that the programme is about. So
+Every stage is predicted from the measurements nearest to it, with the uncertainty of theta. Two
+things differ from the exact posterior: the kernel's cusp at a measured position is rounded
+(:mod:`planopt.objectives.rounded_kernel`), and fewer measurements are used. The verifier uses
+neither. A solver evaluates a path some twenty times a step: kernel values and derivatives of all
+stages are therefore one array, which two products with matrices prepared once turn into the rest.
+
+The serving power of several stations has the law of
+:mod:`planopt.channel.connection.serving_power`, except that its deviation is held at that along the
+path that the programme is built around:
 
     mean = t_1 + c z,    deviation = c
 
 with z the score of any station. Bounds on single steps, whatever their level, are kept by the same
 places, and probabilities are exact, with gradient and Hessian; only how many dB a bound is kept by,
 away from that path, is to first order.
-
-Predicted power and deviation of every stage with exact derivatives, all stages at once.
-
-From the measurements nearest to each stage and with the uncertainty of theta counted.
-Two things differ from the exact posterior, both only here: the kernel's cusp at a measured position
-is rounded (:mod:`planopt.objectives.rounded_kernel`), and fewer measurements are used. The verifier
-uses neither.
-
-A solver asks some twenty times a step. Kernel values and derivatives of all stages are therefore
-one array, which two products with matrices prepared once turn into everything else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +28,16 @@ from numpy.typing import NDArray
 from planopt.channel.connection.serving_power import LEAST_DEVIATION_DB, any_score_derivatives
 from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import Prediction, score_probability
 from planopt.objectives.rounded_kernel import fill_rounded_kernel, rounded_log_distance, softened_m2
-from planopt.planning.proof.predictions import Broad, Serving
 from planopt.targets.rounding import Derivatives, add_products
 
 LEAST_VARIANCE_DB2 = float(np.finfo(float).tiny)
 """Rounding alone can leave none."""
+
+
+StagePower = tuple[Derivatives, Derivatives]
+"""Mean and deviation of every stage."""
 
 
 class StagePredictor:
@@ -67,7 +68,7 @@ class StagePredictor:
         self._y_m = np.ascontiguousarray(model.positions_m[:, :, 1])
         self._soft_m2 = softened_m2(model.added_m2, model.parameters)
 
-    def __call__(self, positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
+    def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
         """Mean and deviation of stage k at ``positions_m[k]``, (n, 2)."""
         f, parameters = self._f, self._model.parameters
         fill_rounded_kernel(
@@ -96,22 +97,25 @@ class StagePredictor:
         return Derivatives.of(mean), Derivatives.of(rows)
 
 
-StagePower = tuple[Derivatives, Derivatives]
-"""Mean and deviation of every stage."""
-
-
 class ServingStages:
     """Predicts the serving power of every stage, again and again."""
 
-    def __init__(self, serving: Serving, path_m: NDArray[np.float64], neighbours: int) -> None:
-        self._thresholds_dbm = serving.thresholds_dbm
+    def __init__(
+        self,
+        posteriors: Sequence[ChannelPosterior],
+        thresholds_dbm: Sequence[float],
+        law: Callable[[Sequence[Prediction]], Prediction],  # From stations' powers to the serving
+        path_m: NDArray[np.float64],  # (N, 2)
+        neighbours: int,
+    ) -> None:
+        self._thresholds_dbm = thresholds_dbm
         self._stations = [
             StagePredictor(LocalChannel.around_each(posterior, path_m, neighbours))
-            for posterior in serving.posteriors
+            for posterior in posteriors
         ]
         powers = [predict(path_m) for predict in self._stations]
         about = [Prediction(mean.value, deviation.value) for mean, deviation in powers]
-        self._scale_db = serving.law(about).deviation_db
+        self._scale_db = law(about).deviation_db
 
     def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
         """Mean and deviation of the serving power of stage k at ``positions_m[k]``, (N, 2)."""
@@ -126,9 +130,8 @@ def serving_derivatives(
 ) -> StagePower:
     """Mean and deviation of the serving power of m stations, its deviation held at `scale_db`.
 
-    With z_i = (mu_i - t_i) / s_i: dz_i = (dmu_i - z_i ds_i) / s_i,
-    d2z_i = (d2mu_i - z_i d2s_i - dz_i ds_i' - ds_i dz_i') / s_i, and of their any-score z:
-    dz = sum_i w_i dz_i, d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i dz_j'.
+    Of the stations' any-score z: dz = sum_i w_i dz_i and
+    d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i dz_j'.
     """
     scores = [
         scores_of(mean, deviation, threshold)
@@ -146,27 +149,28 @@ def serving_derivatives(
     return mean, Derivatives(scale_db, np.zeros_like(first), np.zeros_like(second))
 
 
-def scores_of(
-    mean: Derivatives,
-    deviation: Derivatives,
-    threshold_dbm: float,
+def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -> Derivatives:
+    """Return z = (mu - Upsilon_TH) / sigma of every stage with gradient and Hessian."""
+    by_sigma = 1.0 / np.maximum(deviation.value, LEAST_DEVIATION_DB)
+    z = (mean.value - threshold_dbm) * by_sigma
+    rows = mean.rows - z[:, None] * deviation.rows
+    rows *= by_sigma[:, None]
+    add_products(rows[:, 3:], rows[:, 1:3], -deviation.gradient * by_sigma[:, None])
+    rows[:, 0] = z
+    return Derivatives.of(rows)
+
+
+def connectivity_derivatives(
+    mean_db: Derivatives, deviation_db: Derivatives, threshold_dbm: float
 ) -> Derivatives:
-    """Return the normal score of every stage: deviations of the mean above a threshold."""
-    spread = np.maximum(deviation.value, LEAST_DEVIATION_DB)
-    z, by = (mean.value - threshold_dbm) / spread, (1.0 / spread)[:, None]
-    first = by * (mean.gradient - z[:, None] * deviation.gradient)
-    second = by * (mean.hessian - z[:, None] * deviation.hessian)
-    add_products(second, first, -by * deviation.gradient)
-    return Derivatives(z, first, second)
+    """P = Q((Upsilon_TH - mu) / sigma) with gradient and Hessian by position.
 
-
-def stage_predictor(
-    posterior: ChannelPosterior,
-    broad: Broad | None,
-    path_m: NDArray[np.float64],
-    neighbours: int,
-) -> StagePredictor | ServingStages:
-    """Return the predictor of stages about a path (N, 2), of several stations by `broad`."""
-    if isinstance(broad, Serving):
-        return ServingStages(broad, path_m, neighbours)
-    return StagePredictor(LocalChannel.around_each(posterior, path_m, neighbours))
+    dP = n(z) dz and d2P = n(z) (d2z - z dz dz'), n the standard normal density.
+    """
+    rows = scores_of(mean_db, deviation_db, threshold_dbm).rows
+    z = rows[:, 0].copy()
+    # The density's slope.
+    add_products(rows[:, 3:], rows[:, 1:3], (-0.5 * z)[:, None] * rows[:, 1:3])
+    rows *= (np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))[:, None]
+    rows[:, 0] = score_probability(z)
+    return Derivatives.of(rows)

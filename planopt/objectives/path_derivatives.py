@@ -1,0 +1,330 @@
+"""First and second derivatives of the moments of one path, and the chain rule to its positions.
+
+Row and column i of S, and row i of B, depend on q_i. So the derivative of S by coordinate a of q_i
+is ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are kept. Coordinates are numbered
+x_1, y_1, x_2, y_2, ... throughout. A gate (:mod:`planopt.objectives.moments`) is a third coordinate
+of its place, on which row and column i of S_g depend as they do on the place, so that with gates
+2 h coordinates become 3 h; :func:`by_positions` then puts in how gates change with the places.
+
+Cusps are rounded and only the measurements of a local channel are used, so that the path that a
+solver returns is to be valued again with the exact posterior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
+from planopt.channel.places import require_places
+from planopt.objectives.measuring import Gates
+from planopt.objectives.moments import blind_variance_db2
+from planopt.objectives.rounded_kernel import rounded_kernel, rounded_log_distance
+from planopt.targets.rounding import Derivatives
+
+
+@dataclass(frozen=True, eq=False)
+class PathDerivatives:
+    """An objective of a path of h places with derivatives by its 2 h coordinates."""
+
+    value: float  # The objective
+    gradient: NDArray[np.float64]  # (2 h,) by x_1, y_1, x_2,
+    hessian: NDArray[np.float64]  # (2 h, 2 h) symmetric
+
+    def plus(self, other: PathDerivatives, weight: float = 1.0) -> PathDerivatives:
+        """Return the sum with `weight` times the other."""
+        return PathDerivatives(
+            self.value + weight * other.value,
+            self.gradient + weight * other.gradient,
+            self.hessian + weight * other.hessian,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """r numbers for each place that depend on that place alone, such as the rows of B."""
+
+    value: NDArray[np.float64]  # (h, r)
+    first: NDArray[np.float64]  # (2 h, r) by the place's own coordinates
+    # (h, 3, r) xx, xy, yy; with gates (h, 6, r), then x, y and the gate by the gate
+    second: NDArray[np.float64]
+
+    def times(self, matrix: NDArray[np.float64]) -> Rows:
+        """Each row times `matrix` (r, s), or its numbers times those of a row (r,)."""
+        if matrix.ndim == 1:
+            return Rows(self.value * matrix, self.first * matrix, self.second * matrix)
+        return Rows(self.value @ matrix, self.first @ matrix, self.second @ matrix)
+
+    def gated(self, gates: Gates | None) -> Rows:
+        """G times the rows; the rows themselves without gates."""
+        if gates is None:
+            return self
+        gate, steps = gates.value[0], len(self.value)
+        plain = self.first.reshape(steps, 2, -1)
+        first = np.concatenate([gate[:, None, None] * plain, self.value[:, None]], axis=1)
+        second = [gate[:, None, None] * self.second, plain, np.zeros_like(plain[:, :1])]
+        return Rows(
+            gate[:, None] * self.value,
+            first.reshape(3 * steps, -1),
+            np.concatenate(second, axis=1),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CovarianceDerivatives:
+    """S of a path with derivatives."""
+
+    value: NDArray[np.float64]  # (h, h) S
+    # (2 h, h) D[2 i + a, k]: of S_ik by coordinate a of q_i; half of it where k = i
+    first: NDArray[np.float64]
+    # (2 h, 2 h) of S_ij by coordinates of q_i and of q_j; half of that part where j = i
+    mixed: NDArray[np.float64]
+    # (h, 3, h) of S_ik by two coordinates of q_i, k held; half of that part where k = i
+    second: NDArray[np.float64]
+
+    @property
+    def owner(self) -> NDArray[np.intp]:
+        """Number of the place that each coordinate belongs to."""
+        steps, count = len(self.value), len(self.first)
+        return np.repeat(np.arange(steps), count // steps)
+
+    def curvature(self, gradient_by_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """sum_ij G_ij d^2 S_ij for symmetric G = `gradient_by_s` (h, h); ``(2 h, 2 h)``."""
+        width = len(self.first) // len(self.value)
+        wide = np.repeat(np.repeat(gradient_by_s, width, axis=0), width, axis=1)
+        found = 2.0 * wide * self.mixed
+        own = (self.second @ gradient_by_s[:, :, None])[:, :, 0]
+        add_own_blocks(found, 2.0 * own)
+        return found
+
+    def gated(self, gates: Gates | None, blind_db2: float) -> CovarianceDerivatives:
+        """S_g; S itself without gates."""
+        if gates is None:
+            return self
+        gate, steps = gates.value[0], len(self.value)
+        both = gate[:, None] * gate
+        blind = blind_db2 * np.eye(steps)
+        part = self.value - blind
+        first = self.first.reshape(steps, 2, steps)
+        wide_first = np.empty((steps, 3, steps))
+        wide_first[:, :2] = both[:, None] * first
+        wide_first[:, 2] = gate * part
+        mixed = np.empty((steps, 3, steps, 3))
+        mixed[:, :2, :, :2] = both[:, None, :, None] * self.mixed.reshape(steps, 2, steps, 2)
+        by_gate = gate[:, None, None] * first
+        mixed[:, :2, :, 2] = by_gate
+        mixed[:, 2, :, :2] = by_gate.transpose(2, 0, 1)
+        mixed[:, 2, :, 2] = part
+        second = np.zeros((steps, 6, steps))
+        second[:, :3] = both[:, None] * self.second
+        second[:, 3:5] = gate * first
+        return CovarianceDerivatives(
+            both * part + blind,
+            wide_first.reshape(3 * steps, steps),
+            mixed.reshape(3 * steps, 3 * steps),
+            second,
+        )
+
+
+class LocalPath:
+    """Moments of measuring along a path (h, 2) by a local channel, with derivatives."""
+
+    def __init__(
+        self,
+        channel: LocalChannel,
+        path_m: NDArray[np.float64],  # (h, 2)
+        gates: Gates | None = None,
+        grid: LocalGrid | None = None,  # The map that is averaged, if any
+    ) -> None:
+        self.channel, self.gates, self._grid = channel, gates, grid
+        self.path_m, self.steps = require_places(path_m), len(path_m)
+        kernel = rounded_kernel(
+            path_m[:, None] - channel.positions_m, channel.parameters, channel.added_m2
+        )
+        # (h, 6, m) covariance with the measurements: value, x, y, xx, xy, yy
+        self._phi = np.empty((self.steps, 6, len(channel.positions_m)))
+        self._phi[:, 0] = kernel.value
+        self._phi[:, 1:3] = kernel.gradient.transpose(0, 2, 1)
+        self._phi[:, 3:] = kernel.hessian.transpose(0, 2, 1)
+
+    @property
+    def blind_db2(self) -> float:
+        """Variance of a measurement without information."""
+        return blind_variance_db2(self.channel.parameters)
+
+    @cached_property
+    def plain_trend(self) -> Rows:
+        """B without gates."""
+        parameters, phi = self.channel.parameters, self._phi
+        loss = rounded_log_distance(self.path_m, parameters.station)
+        # b = (1, gamma) - trend' phi.
+        rows = -phi @ self.channel.trend
+        rows[:, 0] += np.column_stack([np.ones(self.steps), loss.value])
+        rows[:, 1:3, 1] += loss.gradient
+        rows[:, 3:, 1] += loss.hessian
+        return Rows(rows[:, 0], rows[:, 1:3].reshape(-1, 2), rows[:, 3:])
+
+    @cached_property
+    def _known(self) -> CovarianceDerivatives:
+        """S without gates, theta known."""
+        channel, steps, phi = self.channel, self.steps, self._phi
+        parameters, own = channel.parameters, np.arange(self.steps)
+        solved = phi[:, :3].reshape(3 * steps, -1) @ channel.precision
+        explained = (phi.reshape(6 * steps, -1) @ solved.T).reshape(steps, 6, steps, 3)
+        between = rounded_kernel(self.path_m[:, None] - self.path_m, parameters)
+        between.value[own, own] = self.blind_db2
+        between.hessian[own, own] = 0.0
+        covariance = between.value - explained[:, 0, :, 0]
+        first = between.gradient.transpose(0, 2, 1) - explained[:, 1:3, :, 0]
+        mixed = -between.hessian[:, :, [[0, 1], [1, 2]]].transpose(0, 2, 1, 3)
+        mixed = (mixed - explained[:, 1:3, :, 1:]).reshape(2 * steps, 2 * steps)
+        second = between.hessian.transpose(0, 2, 1) - explained[:, 3:, :, 0]
+        return CovarianceDerivatives(
+            0.5 * (covariance + covariance.T),
+            first.reshape(2 * steps, steps),
+            0.5 * (mixed + mixed.T),
+            second,
+        )
+
+    @cached_property
+    def plain_universal(self) -> CovarianceDerivatives:
+        """S + B M B' without gates."""
+        known, trend, spread = self._known, self.plain_trend, self.channel.theta_covariance
+        pulled = spread @ trend.value.T
+        mixed = known.mixed + trend.first @ spread @ trend.first.T
+        return CovarianceDerivatives(
+            known.value + trend.value @ pulled,
+            known.first + trend.first @ pulled,
+            0.5 * (mixed + mixed.T),
+            known.second + trend.second @ pulled,
+        )
+
+    @cached_property
+    def covariance(self) -> CovarianceDerivatives:
+        """S_g as if theta were known."""
+        return self._known.gated(self.gates, self.blind_db2)
+
+    @cached_property
+    def universal(self) -> CovarianceDerivatives:
+        """S_g + B_g M B_g', theta's uncertainty included."""
+        return self.plain_universal.gated(self.gates, self.blind_db2)
+
+    @cached_property
+    def trend(self) -> Rows:
+        """B_g."""
+        return self.plain_trend.gated(self.gates)
+
+    @cached_property
+    def across(self) -> Rows:
+        """Covariances with the map's places, theta uncertain, times the roots of its weights."""
+        channel, grid, steps = self.channel, self._grid, self.steps
+        if grid is None:
+            raise AssertionError("the spatial average needs a map")
+        kernel = rounded_kernel(self.path_m[:, None] - grid.positions_m, channel.parameters)
+        explained = self._phi @ grid.solved
+        by_theta = self.plain_trend.times(channel.theta_covariance @ grid.trend.T)
+        first = kernel.gradient.transpose(0, 2, 1) - explained[:, 1:3]
+        across = Rows(
+            kernel.value - explained[:, 0] + by_theta.value,
+            first.reshape(2 * steps, -1) + by_theta.first,
+            kernel.hessian.transpose(0, 2, 1) - explained[:, 3:] + by_theta.second,
+        )
+        return across.times(grid.root_weight).gated(self.gates)
+
+    @cached_property
+    def power_mean(self) -> Derivatives:
+        """Predicted mean power of every place, dBm."""
+        channel, trend = self.channel, self.plain_trend
+        power = self._phi @ channel.weights
+        return Derivatives(
+            trend.value @ channel.theta + power[:, 0],
+            trend.first.reshape(self.steps, 2, 2) @ channel.theta + power[:, 1:3],
+            trend.second @ channel.theta + power[:, 3:],
+        )
+
+
+OWN_BLOCKS = {
+    3: ((0, 0, 0), (1, 0, 1), (2, 1, 1)),
+    6: ((0, 0, 0), (1, 0, 1), (2, 1, 1), (3, 0, 2), (4, 1, 2), (5, 2, 2)),
+}
+"""Which two of a place's coordinates each of its 3 or 6 second derivatives is by."""
+
+
+def add_own_blocks(hessian: NDArray[np.float64], own: NDArray[np.float64]) -> None:
+    """Add `own` (h, 3), xx, xy, yy of each place, to the diagonal blocks of `hessian`.
+
+    Or ``(h, 6)``, as in :class:`Rows`.
+    """
+    first = np.arange(0, len(hessian), len(hessian) // len(own))
+    for column, a, b in OWN_BLOCKS[int(own.shape[1])]:
+        hessian[first + a, first + b] += own[:, column]
+        if a != b:
+            hessian[first + b, first + a] += own[:, column]
+
+
+def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
+    """Turn derivatives by places and gates, (3 h,) and (3 h, 3 h), into those by places."""
+    if gates is None:
+        return found
+    steps = len(found.gradient) // 3
+    gradient = found.gradient.reshape(steps, 3)
+    place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
+    gate = 3 * np.arange(steps) + 2
+    jacobian = gates.jacobian()
+    crossed = found.hessian[np.ix_(place, gate)] @ jacobian
+    hessian = found.hessian[np.ix_(place, place)] + crossed + crossed.T
+    hessian += jacobian.T @ found.hessian[np.ix_(gate, gate)] @ jacobian
+    hessian += gates.curvature(gradient[:, 2])
+    return PathDerivatives(
+        found.value, gradient[:, :2].ravel() + gradient[:, 2] @ jacobian, hessian
+    )
+
+
+def by_stages(
+    value: float,
+    gradient: NDArray[np.float64],  # (h, c)
+    hessian: NDArray[np.float64],  # (h, c, h, c)
+    inputs: Sequence[Derivatives],
+) -> PathDerivatives:
+    """Return derivatives by positions of a value of c numbers of each stage.
+
+    Connectivity, sensing, mean and deviation of a stage depend on its own position alone.
+    """
+    steps = len(gradient)
+    slopes = np.stack([each.gradient for each in inputs], axis=1)
+    bent = np.stack([each.hessian for each in inputs], axis=1)
+    inner = np.einsum("kcld,ldb->kclb", hessian, slopes)
+    found = np.einsum("kclb,kca->kalb", inner, slopes).reshape(2 * steps, 2 * steps)
+    add_own_blocks(found, np.einsum("kc,kcx->kx", gradient, bent))
+    return PathDerivatives(value, np.einsum("kc,kca->ka", gradient, slopes).ravel(), found)
+
+
+def by_lengths(
+    lengths: Derivatives,  # (h,) of the steps, by their offsets
+    gradient: NDArray[np.float64],  # (h,) by the lengths
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return sum_k gradient_k d length_k (2 h,) and sum_k gradient_k d^2 length_k (2 h, 2 h)."""
+    count = len(gradient)
+    slope = gradient[:, None] * lengths.gradient
+    slope[:-1] -= slope[1:].copy()
+    blocks = (gradient[:, None] * lengths.hessian)[:, [0, 1, 1, 2]].reshape(count, 2, 2)
+    hessian = np.zeros((count, 2, count, 2))
+    k = np.arange(count)
+    hessian[k, :, k] += blocks
+    hessian[k[:-1], :, k[:-1]] += blocks[1:]
+    hessian[k[:-1], :, k[1:]] -= blocks[1:]
+    hessian[k[1:], :, k[:-1]] -= blocks[1:]
+    return slope.ravel(), hessian.reshape(2 * count, 2 * count)
+
+
+def length_jacobian(lengths: Derivatives) -> NDArray[np.float64]:
+    """Return the derivatives of the lengths of all steps by all coordinates, ``(h, 2 h)``."""
+    steps = len(lengths.value)
+    found, k = np.zeros((steps, steps, 2)), np.arange(steps)
+    found[k, k] = lengths.gradient
+    found[k[1:], k[:-1]] = -lengths.gradient[1:]
+    return found.reshape(steps, 2 * steps)

@@ -12,6 +12,7 @@ from scenes import bad_band, belief_of, small_problem
 from planopt import load
 from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
+from planopt.planning.explain.keys import Trials, deadline_s
 from planopt.planning.explain.no_way import explain_blocked
 from planopt.planning.files.saved import save_run
 from planopt.planning.history import History
@@ -145,18 +146,17 @@ def test_what_would_open_a_hard_bound():
 
     def solve_again(changed):
         try:
-            return ReachPlanner(changed, scene).plan(belief, np.array(START)).verdict
+            return ReachPlanner(changed, scene).plan(belief, np.array(START))
         except NoPlanError:
-            return Verdict.NONE
+            return None
 
-    found = explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, solve_again)
+    trials = Trials(solve_again, deadline_s())
+    found = explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, trials)
     by_key = {(each.constraint, each.relaxed_value is None): each for each in found}
     lower = by_key["stations[0].threshold_dbm", False]
     slack = by_key["constraints.slack_max_db", False]
     assert by_key["constraints.slack_max_db", True].verified
     assert slack.relaxed_value == pytest.approx(-80.0 - lower.relaxed_value, abs=0.05)
     rule = ConnectivityRule(slack_max_db=0.95 * slack.relaxed_value)
-    assert solve_again(ruled(0.9, rule)) is Verdict.NONE
-    assert solve_again(ruled(0.9, replace(rule, slack_max_db=slack.relaxed_value))) is (
-        Verdict.VERIFIED
-    )
+    assert solve_again(ruled(0.9, rule)) is None
+    assert trials.is_verified(ruled(0.9, replace(rule, slack_max_db=slack.relaxed_value)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +13,11 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of
-from planopt.planning.explain.explanation import Case, Crossing, Explanation, Relaxation
-from planopt.planning.explain.no_verified_plan import (
-    Deadline,
-    deadline_from_now,
-    explain_no_verified_plan,
-)
+from planopt.planning.explain.explanation import Crossing, Explanation, Relaxation
+from planopt.planning.explain.faults import Case
+from planopt.planning.explain.keys import Trials, deadline_s
 from planopt.planning.explain.no_way import explain_blocked, explain_no_way, is_open
-from planopt.planning.given import team_seeds
-from planopt.planning.loop.target_watch import aim_of, watch_target
+from planopt.planning.explain.violated import explain_violated
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.proof.predictions import broad_prediction
@@ -29,7 +26,6 @@ from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solution import Solution
 from planopt.planning.solve import solve, solve_on
 from planopt.planning.team.reservations import beside, others_of, planned_motion
-from planopt.planning.team.team_step import build_team
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.road_map import shortest_ways, way_from
 
@@ -38,19 +34,19 @@ from planopt.world.road_map import shortest_ways, way_from
 def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
     """Return changes that would give every robot a verified plan, and why holes are crossed.
 
-    There are none of a verified plan, which keeps all bounds; ``print(explain(...))`` says so.
+    A verified plan needs no change, as ``print(explain(...))`` says.
 
-    Each change is by itself, and of its robot alone. Problems are solved again with the proposed
-    value, for some seconds in all. For a verified plan that crosses coverage holes on the way to
-    its goal these are listed, with the length of the way that keeps contact.
+    Each change suffices by itself and belongs to one robot. The problem is solved again with each
+    proposed value, for some seconds in all. For a verified plan that crosses coverage holes on its
+    path to a goal, these are listed with the length of the path that stays connected.
 
     Parameters
     ----------
     asked
-        From :func:`planopt.solve`; or a problem, which is solved first. Where that raises a
-        `NoPlanError`, what would open a way to the goal is returned.
+        From :func:`planopt.solve`; or a problem, which is solved first. If that raises a
+        `NoPlanError`, changes that would open a path to the goal are returned.
     seed
-        That the problem was planned with; a solution knows its own.
+        Random seed that a problem is planned with; a solution has its own.
 
     Examples
     --------
@@ -64,7 +60,7 @@ def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
     try:
         solution = solve(asked, seed=seed)
     except (NoPlanError, InputError) as error:
-        # What opens a way can be said without measurements as well.
+        # A blocked path can be explained without measurements as well.
         found = explain_no_plan(asked, seed)
         if not found and isinstance(error, InputError):
             raise
@@ -83,100 +79,79 @@ def _summary(verdict: Verdict, found: Sequence[Relaxation]) -> str:
 
 def _explain_solution(solution: Solution) -> Explanation:
     found: list[Relaxation] = []
-    problem, deadline = solution.problem, deadline_from_now()
+    problem, belief = solution.problem, solution.belief
     motions = [planned_motion(problem, plan) for plan in solution.plans]
+    ends_s = deadline_s()
     for number, plan in enumerate(solution.plans):
-        if plan.verdict is Verdict.VERIFIED:
-            continue
-        moving = beside(problem, 0, others_of(motions, number))
-        case = Case(problem, number, solution.belief.posteriors, plan, moving)
-
-        def plan_again(changed: Problem, number: int = number) -> Plan | None:
-            return _planned(changed, solution, number)
-
-        found += explain_no_verified_plan(case, plan_again, deadline)
-    crossed = crossings(problem, solution.plans, solution.belief.posteriors)
+        if plan.verdict is not Verdict.VERIFIED:
+            moving = beside(problem, 0, others_of(motions, number))
+            case = Case(problem, number, belief.posteriors, plan, moving)
+            plan_again = partial(_planned, belief=belief, seed=solution.seed, number=number)
+            found += explain_violated(case, Trials(plan_again, ends_s))
+    crossed = crossings(problem, solution.plans, belief.posteriors)
     return Explanation((*found, *crossed), _summary(solution.verdict, found))
 
 
-def _planned(problem: Problem, solution: Solution, number: int) -> Plan | None:
-    """Plan a changed problem for one robot; with the others if they keep apart."""
-    if problem.task == "reach":
-        return _reached(problem, solution.belief, number)
-    if problem.constraints.separation_m > 0.0:
-        return solve_on(problem, solution.belief, solution.seed).plans[number]
-    seeds = team_seeds(problem, solution.seed)
-    watch = watch_target(problem, seeds.target)
-    watched = aim_of(watch, number, problem.planner.horizon)
-    member = build_team(problem, seeds)[number]
-    moving = beside(problem, 0, {})
-    return member.plan(solution.belief, member.start, watched, None, moving)[0]
-
-
-@one_blas_thread()
-def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
-    """Return what would open a way to the goal of a problem that has none; each change suffices.
-
-    With several robots, to the goals of those that have no way if they are alone. Parameters are
-    those of :func:`explain`.
-    """
-    deadline = deadline_from_now()
-    owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
-    try:
-        belief = prepare(problem, seed).belief
-    except InputError:
-        # Without measurements nothing can be solved again; what opens a way can still be said.
-        shut = [own for own in owns if not is_open(own)]
-        return tuple(
-            one for own in shut for one in explain_no_way(own, lambda _: Verdict.NONE, deadline)
-        )
-    found: list[Relaxation] = []
-    for own in owns:
-        if len(owns) == 1 or _reached(own, belief) is None:
-            found += _explain_robot(own, belief, deadline)
-    return tuple(found)
-
-
-def _explain_robot(problem: Problem, belief: Belief, deadline: Deadline) -> tuple[Relaxation, ...]:
-    """Explain why the only robot of a problem has no way to its goal."""
-    scenes: list[Scene] = []
-
-    def solve_again(changed: Problem) -> Verdict:
-        if deadline.over:
-            return Verdict.NONE
-        plan = _reached(changed, belief, scenes=scenes or None)
-        return Verdict.NONE if plan is None else plan.verdict
-
-    try:
-        scene = build_scene(problem)
-    except NoPlanError:
-        return explain_no_way(problem, solve_again, deadline)
-    scenes.append(scene)  # no bound on connectivity changes the ground
-    radio, p_min = problem.stations[0], problem.constraints.p_min
-    margins = NodeMargins(scene.road_map, radio.threshold_dbm, p_min)
-    margins.refresh(belief.posterior, broad_prediction(problem, belief.posteriors))
-    first, _ = first_moves(scene.ground, problem, np.asarray(problem.robots[0].start_m))
-    return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, solve_again)
-
-
-def _reached(
-    problem: Problem, belief: Belief, number: int = 0, scenes: Sequence[Scene] | None = None
+def _planned(
+    problem: Problem,
+    *,
+    belief: Belief,
+    seed: int = 0,
+    number: int = 0,
+    scenes: Sequence[Scene] | None = None,
 ) -> Plan | None:
-    """Plan a changed problem to its goal, on its ground; None where nothing leads there."""
+    """Plan a changed problem with all robots; return the plan of one."""
     try:
-        return solve_on(problem, belief, 0, scenes).plans[number]
+        return solve_on(problem, belief, seed, scenes).plans[number]
     except NoPlanError:
         return None
 
 
+@one_blas_thread()
+def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
+    """Return changes that would open a path to the goal of a problem without plan.
+
+    With several robots, to the goals of those that have no path if they are alone.
+    """
+    owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
+    ends_s = deadline_s()
+    try:
+        belief = prepare(problem, seed).belief
+    except InputError:
+        # Nothing can be solved again without measurements; obstacles can still be named.
+        shut = [own for own in owns if not is_open(own)]
+        nothing = Trials(lambda _: None, ends_s)
+        return tuple(one for own in shut for one in explain_no_way(own, nothing))
+    found: list[Relaxation] = []
+    for own in owns:
+        if len(owns) == 1 or _planned(own, belief=belief) is None:
+            found += _explain_robot(own, belief, ends_s)
+    return tuple(found)
+
+
+def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Relaxation, ...]:
+    """Explain why the only robot of a problem has no path to its goal."""
+    try:
+        scene = build_scene(problem)
+    except NoPlanError:
+        return explain_no_way(problem, Trials(partial(_planned, belief=belief), ends_s))
+    # A chance constraint does not change the ground.
+    trials = Trials(partial(_planned, belief=belief, scenes=[scene]), ends_s)
+    radio, p_min = problem.stations[0], problem.constraints.p_min
+    margins = NodeMargins(scene.road_map, radio.threshold_dbm, p_min)
+    margins.refresh(belief.posterior, broad_prediction(problem, belief.posteriors))
+    first, _ = first_moves(scene.ground, problem, np.asarray(problem.robots[0].start_m))
+    return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, trials)
+
+
 BY_ALL_MEANS = 1e4
-"""Price at which contact counts first and length second."""
+"""Price at which connection dominates length."""
 
 
 def crossings(
     problem: Problem, plans: Sequence[Plan], posteriors: Sequence[ChannelPosterior]
 ) -> tuple[Crossing, ...]:
-    """Return what verified plans to goals cross and why, one for each robot that crosses a hole."""
+    """Return the holes that verified plans to goals cross, with the reason, by robot."""
     found = [
         explain_crossing(problem_of_robot(problem, number), posteriors, plan)
         for number, plan in enumerate(plans)
@@ -188,7 +163,7 @@ def crossings(
 def explain_crossing(
     problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan
 ) -> Crossing | None:
-    """Return what a robot's way to its goal crosses and why; None where it keeps the bound."""
+    """Return the holes on a robot's path to its goal and the reason; None without holes."""
     if not plan.holes:
         return None
     scene = build_scene(problem)
@@ -220,9 +195,9 @@ def _way(
     start_m: NDArray[np.float64],
     surcharge: NDArray[np.float64],
 ) -> tuple[float, NDArray[np.float64]]:
-    """Cost and places (n, 2) of the cheapest way from a place to the goal.
+    """Return cost and places (n, 2) of the cheapest path from a place to the goal.
 
-    A metre at each node costs one and its `surcharge` (n,).
+    A metre at each node costs one plus its `surcharge` (n,).
     """
     road_map = scene.road_map
     ways = shortest_ways(road_map, scene.goal_node, 1.0 + surcharge)

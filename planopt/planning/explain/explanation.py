@@ -2,44 +2,20 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.holes import SHORTEST_IN_WORDS_M, Hole
-from planopt.planning.plan import Plan
-from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.moving_obstacle import MovingDiscs
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One robot's plan from the start of a run."""
-
-    problem: Problem  # With all robots
-    number: int  # Of the robot
-    posteriors: Sequence[ChannelPosterior]  # What the plan was made from, of each station
-    plan: Plan  # The plan
-    # What it must keep from: moving obstacles, and the plans of the other robots where a separation
-    # is asked for
-    moving: MovingDiscs
-
-    @property
-    def own(self) -> Problem:
-        """The problem with this robot alone."""
-        return problem_of_robot(self.problem, self.number)
-
 
 LIMITS = ("robots[", "planner.", "world.")
-"""Begins of keys that say what there is to do it with: nobody asks for them to be kept."""
+"""Prefixes of keys that state means rather than requirements."""
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """One key of the problem file that is at odds with the rest, and what of it would do.
+    """A key of the problem file that prevents a verified plan, and the value that would suffice.
 
-    Any one relaxation of an explanation that is `verified` suffices.
+    Each relaxation that is `verified` suffices by itself.
 
     Attributes
     ----------
@@ -48,17 +24,18 @@ class Relaxation:
     unit
         Of `value` and `relaxed_value`; empty for a probability or a count.
     value
-        What is asked; None for an obstacle.
+        The required value; None for an obstacle.
     stages
-        Steps (1 is the first) at which it cannot be kept; empty where it is no matter of steps.
+        Steps (1 is the first) that violate it; empty if it does not belong to steps.
     shortfall, shortfall_unit
-        By how much, at the worst of them; None where there is no number for it.
+        Largest violation of these steps; None without a number.
     relaxed_value
-        The value nearest to `value` that was found to help; None for an obstacle, which must go.
+        The value nearest to `value` that was found to suffice; None for an obstacle, which has to
+        be removed.
     verified
         Whether the problem solved again with it has a verified plan.
     robot
-        Whose plan it is about.
+        The robot of the plan.
     """
 
     constraint: str
@@ -91,24 +68,24 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class Crossing:
-    """The coverage holes that a way to a goal crosses, and the way with the best contact beside it.
+    """The coverage holes that a path to a goal crosses, and the path with the best connection.
 
     Attributes
     ----------
     robot
-        Whose way it is.
+        The robot of the path.
     holes
-        In the order of the way.
+        In the order of the path.
     cost_m
-        What the cheapest way over the lattice costs, in metres at `outage_price`.
+        Cost of the cheapest lattice path, in metres at `outage_price`.
     outage_price
         ``objective.outage_price``.
     kept_m
-        Length of the way that is out of contact for the fewest metres.
+        Length of the path that is out of contact for the fewest metres.
     outside_m
-        How many those are: zero where a way keeps the bound all along.
+        These metres: zero if a path satisfies the chance constraint throughout.
     p_min
-        The bound.
+        The required probability of connection.
     """
 
     robot: str
@@ -126,7 +103,7 @@ class Crossing:
 
     @property
     def why(self) -> str:
-        """Return why they are crossed: what the way costs, and what keeps the bound instead."""
+        """Return the cost of the path, and the alternative that stays connected."""
         instead = (
             f"the way that keeps it all along is {self.kept_m:.0f} m long"
             if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal
@@ -146,12 +123,12 @@ class Crossing:
 
 
 class Explanation(tuple[Relaxation | Crossing, ...]):
-    """Relaxations and crossings, and in one sentence what they say together.
+    """Relaxations and crossings with a summary.
 
     Attributes
     ----------
     summary
-        Whether the plans keep all bounds, and if not, whether anything that was tried helps.
+        Whether all plans are verified, and if not, whether any change that was tried helps.
     """
 
     summary: str
@@ -165,16 +142,6 @@ class Explanation(tuple[Relaxation | Crossing, ...]):
     def __str__(self) -> str:
         """Return the summary, and a line for each entry."""
         return "\n".join([self.summary, *map(str, self)])
-
-
-def towards(value: float, step_digits: int, down: bool) -> float:
-    """`value` rounded to so many significant digits, down or up: a number that can be typed in."""
-    if value == 0.0 or not math.isfinite(value):
-        return value
-    unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - step_digits)
-    rounded = (math.floor if down else math.ceil)(value / unit) * unit
-    # Decimal digits, not what multiplying by a power of ten leaves.
-    return float(f"{rounded:.{step_digits}g}")
 
 
 def _shown(value: float, unit: str) -> str:

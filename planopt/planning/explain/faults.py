@@ -1,19 +1,19 @@
-"""The constraints that a plan does not keep: at which steps, and by how much."""
+"""The constraints that a plan violates, with steps and shortfall."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.explain.explanation import Case
+from planopt.planning.explain.keys import Missed
 from planopt.planning.history import BEGINNING
+from planopt.planning.plan import Plan
 from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.proof.predictions import broad_prediction, search_prediction
 from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
@@ -26,33 +26,49 @@ from planopt.planning.tolerances import (
     margins_asked_db,
 )
 from planopt.planning.worth.rule_rows import common_level
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.robots.drive import braked_motion
 from planopt.world.clearance import index_obstacles
 from planopt.world.least_distance import step_distances_m
+from planopt.world.moving_obstacle import MovingDiscs
 
-Missed = Literal["connection", "separation", "moving"]
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One robot's plan from the start of a run."""
+
+    problem: Problem  # With all robots
+    number: int  # Of the robot
+    posteriors: Sequence[ChannelPosterior]  # The belief that it was planned on, by station
+    plan: Plan
+    # Moving obstacles, and the plans of other robots if a separation is required
+    moving: MovingDiscs
+
+    @property
+    def own(self) -> Problem:
+        """Return the problem with this robot alone."""
+        return problem_of_robot(self.problem, self.number)
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A constraint that a plan does not keep."""
+    """A constraint that a plan violates."""
 
-    missed: Missed  # The connection, the distance of other robots, or that of moving obstacles
-    stages: tuple[int, ...]  # Steps (1 is the first) that it is about
-    shortfall: float  # By how much it is missed; the unit is empty for a probability
-    unit: str
+    missed: Missed
+    stages: tuple[int, ...]  # Its steps; 1 is the first
+    shortfall: float  # The violation
+    unit: str  # Of the shortfall; empty for a probability
 
 
 def faults_of(case: Case) -> tuple[Fault, ...]:
-    """Everything that the plan misses; empty where it is only the motion."""
+    """Return all violated constraints but those of the motion."""
     connection = _connection(case)
     found = [] if connection is None else [connection]
     return (*found, *_distances(case))
 
 
 def met_nowhere(case: Case) -> bool:
-    """Return whether single steps are asked for, may be missed, and all are."""
+    """Return whether p_min is required of single steps without slack, and all miss it."""
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
@@ -84,7 +100,7 @@ def _connection(case: Case) -> Fault | None:
     stages = tuple(step for step, _ in missed)
     short_db = max(missing for _, missing in missed)
     if met_nowhere(case) or is_priced(problem):
-        # The limit of what any plan could keep, unless that is not what is in the way.
+        # The shortfall of the best place, if that is negative itself.
         best_db = best_margin_db(problem, case.posteriors)
         short_db = -best_db if best_db < 0.0 else short_db
     elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
@@ -93,9 +109,9 @@ def _connection(case: Case) -> Fault | None:
 
 
 def _distances(case: Case) -> list[Fault]:
-    """Distances at equal times that are not kept, of robots and of moving obstacles.
+    """Return violated distances of robots and moving obstacles at equal times.
 
-    What is not kept while robots stop after the last step counts as of the last.
+    Violations while a robot brakes after the last step belong to the last step.
     """
     discs, planned = case.moving, len(case.plan.positions_m) - 1
     motion = braked_motion(case.plan.positions_m, case.plan.drive, case.problem.planner.step_s)
@@ -121,7 +137,7 @@ def _distances(case: Case) -> list[Fault]:
 
 
 def _level(problem: Problem, steps: int) -> float:
-    """Return the probability that all steps of a plan would need, were they alike."""
+    """Return the probability that equal steps of a plan would need."""
     constraints, rule = problem.constraints, rule_of(problem, np.ones(steps))
     if constraints.rule.kind.holds_steps:
         return constraints.p_min
@@ -133,10 +149,7 @@ def _stages(which: NDArray[np.bool_]) -> tuple[int, ...]:
 
 
 def best_probability(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> float:
-    """Largest probability of connection at a place that a step which is asked for comes to.
-
-    It is the largest ``p_min`` that the verifier can find to be met at any of them.
-    """
+    """Return the largest ``p_min`` that a step which counts can satisfy at any reachable place."""
     radio, least = problem.stations[0], problem.constraints.p_min
 
     def beyond(power: Prediction) -> NDArray[np.float64]:
@@ -144,24 +157,24 @@ def best_probability(problem: Problem, posteriors: Sequence[ChannelPosterior]) -
             connection_probability(power.mean_db, power.deviation_db, radio.threshold_dbm) - least
         )
 
-    return least + float(_of_asked(problem, best_by_step(problem, posteriors, beyond)).max())
+    return least + float(_of_asked(problem, _best_by_step(problem, posteriors, beyond)).max())
 
 
 def best_margin_db(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> float:
-    """Largest margin in dB at a place that a step which is asked for comes to."""
-    margins = best_by_step(problem, posteriors, partial(margins_asked_db, problem))
+    """Return the largest margin in dB at any reachable place of a step which counts."""
+    margins = _best_by_step(problem, posteriors, partial(margins_asked_db, problem))
     return float(_of_asked(problem, margins).max())
 
 
-def best_by_step(
+def _best_by_step(
     problem: Problem,
     posteriors: Sequence[ChannelPosterior],
     score: Callable[[Prediction], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """Largest score within reach by each step of the horizon, searched for as margins are; (N,).
+    """Return the largest score within reach by each step of the horizon; (N,).
 
-    Where it is negative, the search looks closer. Where steps may miss the bound at a price, the
-    whole workspace is within reach.
+    The search refines negative scores. If steps may miss p_min at a price, the whole workspace is
+    within reach.
     """
     broad = broad_prediction(problem, posteriors)
     if is_priced(problem):

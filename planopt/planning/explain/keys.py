@@ -1,137 +1,192 @@
-"""The keys of the problem file that say how much of a constraint is required."""
+"""Keys of a problem that an explanation loosens, and the trials of changed problems."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from time import process_time
+from typing import Literal
 
-from planopt.planning.explain.explanation import towards
-from planopt.planning.explain.faults import Fault
+from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.plan import Plan, Verdict
 from planopt.problems.problem import Problem
 
+Missed = Literal["connection", "separation", "moving"]
+"""The connection, the separation of robots, or the clearance of moving obstacles."""
+
 DIGITS = 5
-"""Significant digits of a value that is proposed."""
+"""Significant digits of a proposed value."""
+
+EXPLAINED_S = 6.0
+"""No solve begins later than this after the explanation."""
+
+EXTRA = (1.01, 1.03, 1.1, 1.5)
+"""Factors of the least amount that are solved for: planners keep small margins."""
+
+SETTLING_HALVINGS = 40
+
+SETTLED = 1e-3
+"""The least amount is found to this share of itself."""
+
+LEAST_P_MIN = 0.01
+"""No smaller probability of connection is proposed."""
+
+MOST_DB = 200.0
+"""No threshold is lowered, and no slack widened, by more."""
+
+MOST_FACTOR = 1e3
+"""Required data are not reduced by a larger factor."""
+
+MOST_OUTAGE = 1e6
+"""No longer outage is considered, in metres or seconds."""
 
 
 @dataclass(frozen=True)
 class Key:
     """One key with a number."""
 
-    name: str  # As the problem file has them; the unit is empty for a probability or a count
-    unit: str
-    asked: float  # Its value
-    limit: float  # The loosest value that is looked at; above or below `asked`
-    # From the whole problem and a value to the problem with it
-    changed: Callable[[Problem, float], Problem]
+    name: str  # As in the problem file
+    unit: str  # Empty for a probability or a count
+    value: float
+    limit: float  # The loosest value that is considered, above or below `value`
 
     @property
     def most(self) -> float:
-        """The largest amount by which it is loosened."""
-        return abs(self.limit - self.asked)
+        """Return the largest amount by which it is loosened."""
+        return abs(self.limit - self.value)
 
     def loosened(self, amount: float) -> float:
-        """The value that is looser by `amount`, or by a little more: one that can be typed in."""
-        down = self.limit < self.asked
-        value = self.asked + min(amount, self.most) * (-1.0 if down else 1.0)
-        value = towards(value, DIGITS, down=down)
+        """Return the value that is looser by `amount`, rounded to the looser side."""
+        down = self.limit < self.value
+        value = self.value + min(amount, self.most) * (-1.0 if down else 1.0)
+        value = rounded(value, DIGITS, down=down)
         return max(value, self.limit) if down else min(value, self.limit)
 
-    def amount_of(self, value: float) -> float:
-        """Return by how much a value is looser than what is asked; negative where it is tighter."""
-        return self.asked - value if self.limit < self.asked else value - self.asked
+    def changed(self, problem: Problem, value: float) -> Problem:
+        """Return a problem with another value of the key."""
+        table, name = self.name.split(".")
+        if table == "planner":
+            return replace(problem, planner=replace(problem.planner, step_s=value))
+        if table == "constraints":
+            constraints = problem.constraints
+            if hasattr(constraints, name):
+                return replace(problem, constraints=replace(constraints, **{name: value}))
+            rule = replace(constraints.rule, **{name: value})
+            return replace(problem, constraints=replace(constraints, rule=rule))
+        stations = list(problem.stations)
+        number = int(table.removeprefix("stations[").rstrip("]"))
+        stations[number] = replace(stations[number], threshold_dbm=value)
+        return replace(problem, stations=tuple(stations))
+
+    def relaxation(
+        self,
+        robot: str,
+        value: float | None,
+        stages: tuple[int, ...] = (),
+        shortfall: float | None = None,
+        unit: str = "",
+        *,
+        verified: bool = True,
+    ) -> Relaxation:
+        """Return the entry that proposes a value."""
+        return Relaxation(
+            self.name, self.unit, self.value, stages, shortfall, unit, value, verified, robot
+        )
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Solves changed problems until the time of an explanation is over."""
+
+    # Plans a changed problem for the robot of the explanation; None without a plan
+    solve: Callable[[Problem], Plan | None]
+    ends_s: float  # In the process's own time, so that other programs change nothing
+
+    @property
+    def are_over(self) -> bool:
+        """Return whether no further solve may begin."""
+        return process_time() >= self.ends_s
+
+    def plan(self, changed: Problem) -> Plan | None:
+        """Return the plan of a changed problem."""
+        return None if self.are_over else self.solve(changed)
+
+    def is_verified(self, changed: Problem) -> bool:
+        """Return whether a changed problem has a verified plan."""
+        plan = self.plan(changed)
+        return plan is not None and plan.verdict is Verdict.VERIFIED
+
+    def first(self, problem: Problem, key: Key, least: float) -> float | None:
+        """Return the value near the least amount of loosening that has a verified plan."""
+        values = dict.fromkeys(key.loosened(factor * least) for factor in EXTRA)
+        return next((v for v in values if self.is_verified(key.changed(problem, v))), None)
+
+
+def deadline_s() -> float:
+    """Return the end of the trials of an explanation that begins."""
+    return process_time() + EXPLAINED_S
+
+
+def rounded(value: float, digits: int, down: bool) -> float:
+    """Round to so many significant digits, down or up, to a number that can be typed in."""
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
+    found = (math.floor if down else math.ceil)(value / unit) * unit
+    # Decimal digits, not the remainder of multiplying by a power of ten.
+    return float(f"{found:.{digits}g}")
+
+
+def least_amount(suffices: Callable[[float], bool], most: float) -> float | None:
+    """Return the least amount up to `most` that suffices, by bisection; None if none does."""
+    low, high = 0.0, most
+    if not suffices(high):
+        return None
+    for _ in range(SETTLING_HALVINGS):
+        if high - low <= SETTLED * high:
+            break
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if suffices(middle) else (middle, high)
+    return high
 
 
 def constraint_key(problem: Problem, name: str, unit: str, limit: float) -> Key:
-    """A key of ``[constraints]`` that every problem has, such as ``p_min``."""
-    asked = float(getattr(problem.constraints, name))
-
-    def changed(of: Problem, value: float) -> Problem:
-        return replace(of, constraints=replace(of.constraints, **{name: value}))
-
-    return Key(f"constraints.{name}", unit, asked, limit, changed)
-
-
-def rule_key(problem: Problem, name: str, unit: str, limit: float) -> Key:
-    """A key of ``[constraints]`` that belongs to the rule of connectivity; absent is 0."""
-    asked = float(getattr(problem.constraints.rule, name) or 0.0)
-
-    def changed(of: Problem, value: float) -> Problem:
-        rule = replace(of.constraints.rule, **{name: value})
-        return replace(of, constraints=replace(of.constraints, rule=rule))
-
-    return Key(f"constraints.{name}", unit, asked, limit, changed)
-
-
-def threshold_key(problem: Problem, number: int, limit: float) -> Key:
-    """The threshold of a station."""
-
-    def changed(of: Problem, value: float) -> Problem:
-        stations = list(of.stations)
-        stations[number] = replace(stations[number], threshold_dbm=value)
-        return replace(of, stations=tuple(stations))
-
-    asked = problem.stations[number].threshold_dbm
-    return Key(f"stations[{number}].threshold_dbm", "dBm", asked, limit, changed)
-
-
-def absent_key(name: str) -> Key:
-    """A moving obstacle, which is there or is not: it has no value to be loosened."""
-
-    def changed(of: Problem, _: float) -> Problem:
-        rest = tuple(each for each in of.workspace.moving if each.name != name)
-        return replace(of, workspace=replace(of.workspace, moving=rest))
-
-    return Key(f"world.moving ({name})", "", 0.0, 0.0, changed)
-
-
-LEAST_P_MIN = 0.01
-"""A smaller probability is no answer to who wants to be connected."""
-
-MOST_DB = 200.0
-"""No threshold is lowered, and no slack widened, by more."""
-
-MOST_FACTOR = 1e3
-"""Data are not lessened by a larger factor."""
-
-MOST_OUTAGE = 1e6
-"""No longer outage is looked at, in metres or seconds."""
-
-MOST_MOVING = 3
-"""With more moving obstacles, it is not tried which of them could go."""
+    """Return a key of ``[constraints]``; an absent one of its rule counts as 0."""
+    constraints = problem.constraints
+    owner = constraints if hasattr(constraints, name) else constraints.rule
+    return Key(f"constraints.{name}", unit, float(getattr(owner, name) or 0.0), limit)
 
 
 def connection_keys(problem: Problem) -> list[Key]:
-    """The keys that say how well each step must be connected where that is a hard bound."""
-    keys = [constraint_key(problem, "p_min", "", LEAST_P_MIN)]
-    for number, station in enumerate(problem.stations):
-        keys.append(threshold_key(problem, number, station.threshold_dbm - MOST_DB))
+    """Return the keys of a hard chance constraint on each step: p_min, thresholds, slack."""
     slack_db = problem.constraints.rule.slack_max_db or 0.0
-    return [*keys, rule_key(problem, "slack_max_db", "dB", slack_db + MOST_DB)]
+    return [
+        constraint_key(problem, "p_min", "", LEAST_P_MIN),
+        *(
+            Key(f"stations[{number}].threshold_dbm", "dBm", value, value - MOST_DB)
+            for number, value in enumerate(each.threshold_dbm for each in problem.stations)
+        ),
+        constraint_key(problem, "slack_max_db", "dB", slack_db + MOST_DB),
+    ]
 
 
-def blamed_keys(problem: Problem, fault: Fault) -> list[Key]:
-    """The keys that state a missed constraint: each is named, whether loosening it helps or not."""
-    if fault.missed == "separation":
+def violated_keys(problem: Problem, missed: Missed) -> list[Key]:
+    """Return the keys that state a missed requirement."""
+    if missed == "separation":
         return [constraint_key(problem, "separation_m", "m", 0.0)]
-    if fault.missed == "moving":
+    if missed == "moving":
         return [constraint_key(problem, "clearance_m", "m", 0.0)]
-    rule, p_min = problem.constraints.rule, problem.constraints.p_min
-    keys: list[Key] = []
-    if p_min > LEAST_P_MIN:
-        keys.append(constraint_key(problem, "p_min", "", LEAST_P_MIN))
-    for name in ("outage_max_m", "outage_max_s"):
-        if getattr(rule, name) is not None:
-            keys.append(rule_key(problem, name, name[-1], MOST_OUTAGE))
+    rule = problem.constraints.rule
+    p_min, *thresholds, slack = connection_keys(problem)
+    keys = [p_min] if p_min.value > LEAST_P_MIN else []
+    keys += [
+        constraint_key(problem, name, name[-1], MOST_OUTAGE)
+        for name in ("outage_max_m", "outage_max_s")
+        if getattr(rule, name) is not None
+    ]
     if rule.data_mbit:
-        keys.append(rule_key(problem, "data_mbit", "Mbit", rule.data_mbit / MOST_FACTOR))
+        keys.append(constraint_key(problem, "data_mbit", "Mbit", rule.data_mbit / MOST_FACTOR))
     # Single steps without slack may be missed where nothing keeps them: slack 0 is not the same.
-    slack = rule.slack_max_db is not None or not rule.by_step
-    return [*keys, *connection_keys(problem)[1 : None if slack else -1]]
-
-
-def moving_keys(problem: Problem, fault: Fault) -> list[Key]:
-    """Moving obstacles that could go."""
-    moving = problem.workspace.moving
-    if fault.missed == "separation" or len(moving) > MOST_MOVING:
-        return []
-    return [absent_key(obstacle.name) for obstacle in moving]
+    has_slack = rule.slack_max_db is not None or not rule.by_step
+    return [*keys, *thresholds, *([slack] if has_slack else [])]

@@ -10,7 +10,7 @@ import scipy.stats
 from scenes import BAD, THRESHOLD_DBM, bad_everywhere, belief_of, kriged, small_problem
 
 from planopt.planning.explain.explain import explain
-from planopt.planning.explain.explanation import towards
+from planopt.planning.explain.keys import rounded
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.reach_planner import ReachPlanner
@@ -106,8 +106,8 @@ def test_a_threshold_is_named_where_nothing_is_connected():
 
 def test_numbers_that_can_be_typed_in():
     """Rounded to the side that helps."""
-    assert towards(0.123456, 4, down=True) == 0.1234
-    assert towards(0.123456, 4, down=False) == 0.1235
-    assert towards(-83.4567, 4, down=True) == -83.46
-    assert towards(2.0, 4, down=True) == 2.0
-    assert towards(0.0, 4, down=True) == 0.0
+    assert rounded(0.123456, 4, down=True) == 0.1234
+    assert rounded(0.123456, 4, down=False) == 0.1235
+    assert rounded(-83.4567, 4, down=True) == -83.46
+    assert rounded(2.0, 4, down=True) == 2.0
+    assert rounded(0.0, 4, down=True) == 0.0

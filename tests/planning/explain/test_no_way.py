@@ -10,23 +10,29 @@ import shapely
 from scenes import belief_of, small_problem
 
 from planopt.errors import NoPlanError
-from planopt.planning.explain.no_verified_plan import deadline_from_now
+from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explain.keys import Trials, deadline_s
 from planopt.planning.explain.no_way import explain_no_way
 from planopt.planning.free_space import is_joined, widest_clearance_m
-from planopt.planning.plan import Verdict
+from planopt.planning.plan import Plan, Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.problems.problem import Problem
 
 
-def verdict(problem: Problem) -> Verdict:
-    """What planning gives, with connection everywhere."""
+def planned(problem: Problem) -> Plan | None:
+    """The plan, with connection everywhere."""
     try:
         scene = build_scene(problem)
     except NoPlanError:
-        return Verdict.NONE
+        return None
     start = np.asarray(problem.robots[0].start_m)
-    return ReachPlanner(problem, scene).plan(belief_of(problem), start).verdict
+    return ReachPlanner(problem, scene).plan(belief_of(problem), start)
+
+
+def explained(problem: Problem) -> dict[str, Relaxation]:
+    """The changes that open a path, by key."""
+    return {r.constraint: r for r in explain_no_way(problem, Trials(planned, deadline_s()))}
 
 
 def corridor(width_m: float, clearance_m: float, **options) -> Problem:
@@ -45,17 +51,18 @@ def with_clearance(problem: Problem, clearance_m: float) -> Problem:
 def test_corridor_of_known_width(width_m, clearance_m):
     """Half the width would do: it is verified, and with 5 % less relaxation it is not."""
     problem = corridor(width_m, clearance_m)
-    assert verdict(problem) is Verdict.NONE
-    found = {r.constraint: r for r in explain_no_way(problem, verdict, deadline_from_now())}
+    assert planned(problem) is None
+    found = explained(problem)
     said = found["constraints.clearance_m"]
     assert said.value == clearance_m and said.unit == said.shortfall_unit == "m"
     assert said.relaxed_value <= 0.5 * width_m
     assert said.relaxed_value == pytest.approx(0.5 * width_m, abs=3e-3)
     assert said.shortfall == pytest.approx(clearance_m - said.relaxed_value)
     assert said.verified
-    assert verdict(with_clearance(problem, said.relaxed_value)) is Verdict.VERIFIED
+    open_ = planned(with_clearance(problem, said.relaxed_value))
+    assert open_ is not None and open_.verdict is Verdict.VERIFIED
     almost = clearance_m - 0.95 * (clearance_m - said.relaxed_value)
-    assert verdict(with_clearance(problem, almost)) is Verdict.NONE
+    assert planned(with_clearance(problem, almost)) is None
     assert "constraints.clearance_m" in str(said) and "would do (verified" in str(said)
 
 
@@ -76,7 +83,7 @@ def test_goal_that_is_walled_in():
         [(30, 10), (39, 10), (39, 20), (30, 20)], [[(31, 11), (38, 11), (38, 19), (31, 19)]]
     )
     problem = small_problem(shapely.box(10, 5, 12, 25), room)
-    (said,) = explain_no_way(problem, verdict, deadline_from_now())
+    (said,) = explained(problem).values()
     assert said.constraint == "world.obstacles (obstacle 1)"
     assert said.value is None and said.relaxed_value is None and said.verified
     assert "without it there is a plan" in str(said)
@@ -86,7 +93,7 @@ def test_steps_too_long_for_the_lattice():
     """A slot between the nodes: shorter steps find it, and so does a smaller clearance."""
     walls = shapely.box(19.0, 0.0, 21.0, 14.31), shapely.box(19.0, 15.33, 21.0, 30.0)
     problem = small_problem(*walls)
-    found = {r.constraint: r for r in explain_no_way(problem, verdict, deadline_from_now())}
+    found = explained(problem)
     assert set(found) == {"constraints.clearance_m", "planner.step_s"}
     assert all(relaxation.verified for relaxation in found.values())
     assert found["constraints.clearance_m"].relaxed_value < 0.5

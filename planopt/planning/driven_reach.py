@@ -20,8 +20,9 @@ from planopt.planning.fallbacks import braked, drive_candidate, without_guess
 from planopt.planning.horizon_planner import FallbackCascade
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, shifted_drive
+from planopt.planning.programme.goal_value import ROUNDING_STEPS, GoalCharge
 from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.pivot import ROUNDING_STEPS, Ahead, GoalCharge, find_pivot
+from planopt.planning.programme.pivot import Ahead, find_pivot
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalStart

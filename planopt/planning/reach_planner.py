@@ -26,7 +26,8 @@ from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.clearance_lines import MOVING_LINES
 from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.path_nlp import ReachNlp, build_reach_nlp
+from planopt.planning.programme.path_nlp import GOAL, PathNlp, build_path_nlp
+from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.goal_paths import build_goal_grid
@@ -71,17 +72,14 @@ class ReachPlanner:
         # What the verifier compares prices on; a bound that may not be missed has none.
         may_miss = problem.constraints.rule.slack_max_db is None
         self._goal_grid = build_goal_grid(problem, scene.index) if may_miss else None
-        self._nlp: ReachNlp | None = None
+        self._nlp: PathNlp | None = None
         self._driven = DrivenReach(problem, scene) if problem.robots[0].dynamics else None
         if problem.planner.name in METHODS and self._driven is None:
             moving = len(problem.workspace.moving) + others
             lines = LINES_PER_SEGMENT + min(moving, MOVING_LINES)
-            self._nlp = build_reach_nlp(
-                problem.planner.horizon,
-                lines,
-                METHODS[problem.planner.name],
-                solve_limit_s(problem),
-            )
+            shape = PathShape(problem.planner.horizon, lines, "chain", bounded=True, slacked=False)
+            method, limit_s = METHODS[problem.planner.name], solve_limit_s(problem)
+            self._nlp = build_path_nlp(shape, method, limit_s, GOAL)
 
     def plan(
         self,

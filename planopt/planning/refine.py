@@ -16,15 +16,11 @@ from planopt.planning.budget import Budget
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.clearance_lines import REPAIRS, lines_about, lines_with_violated
-from planopt.planning.programme.margin_source import (
-    MarginFunction,
-    StageMargins,
-    joined,
-    margins_of,
-)
-from planopt.planning.programme.path_nlp import ReachNlp
+from planopt.planning.programme.goal_value import GoalValue, OutagePrice
+from planopt.planning.programme.margin_source import StageMargins, margins_of
+from planopt.planning.programme.path_nlp import PathNlp
+from planopt.planning.programme.path_polish import PathTask, Polished, polish_path
 from planopt.planning.programme.pivot import Ahead
-from planopt.planning.programme.polish import OutagePrice, Polished, ReachTask, polish
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.lattice_search import retime
@@ -36,6 +32,7 @@ from planopt.planning.tolerances import (
 from planopt.planning.worth.local_worth import stage_predictor
 from planopt.planning.worth.reach_cost import ReachCost
 from planopt.planning.worth.rule_rows import RuleRows
+from planopt.targets.rounding import Derivatives
 
 
 class Refiner:
@@ -43,7 +40,7 @@ class Refiner:
 
     def __init__(
         self,
-        nlp: ReachNlp,
+        nlp: PathNlp,
         scene: Scene,
         judge: Judge,
         cost: ReachCost,
@@ -127,8 +124,8 @@ class Refiner:
         begun = perf_counter()
         self._look_at(faster)
         task = self._task(faster)
-        bound = self._asked(np.minimum(task.margins(faster).value[: len(faster)], MARGIN_PAD_DB))
-        polished = polish(self._nlp, replace(task, bound_db=bound))
+        bound = self._asked(np.minimum(_margins_at(task, faster), MARGIN_PAD_DB))
+        polished = polish_path(self._nlp, replace(task, bound_db=bound))
         iterations = candidate.iterations + polished.iterations
         solve_s = candidate.solve_s + perf_counter() - begun
         better = self._judged(polished, candidate.rung, solve_s, iterations)
@@ -146,7 +143,7 @@ class Refiner:
         self._look_at(path_m)
         task = self._task(path_m)
         exact = self._start_margins(path_m)
-        local = task.margins(path_m).value[: len(path_m)]
+        local = _margins_at(task, path_m)
         # Where the local model is too optimistic by e, ask it for e more.
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
         begun = perf_counter()
@@ -158,7 +155,7 @@ class Refiner:
         for _ in range(REPAIRS):
             if self._budget.spent:
                 return
-            polished = polish(self._nlp, replace(task, bound_db=self._asked(bound)))
+            polished = polish_path(self._nlp, replace(task, bound_db=self._asked(bound)))
             iterations += polished.iterations
             candidate = self._judged(polished, rung, perf_counter() - begun, iterations)
             yield candidate
@@ -184,7 +181,7 @@ class Refiner:
                 return
             bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
 
-    def _task(self, path_m: NDArray[np.float64]) -> ReachTask:
+    def _task(self, path_m: NDArray[np.float64]) -> PathTask:
         """Set the programme up about a start path."""
         judge = self._judge
         problem, pivot = judge.problem, self._ahead.leading(path_m[-1])
@@ -193,7 +190,7 @@ class Refiner:
             self._scene.pieces,
             judge.circumstances.moving,
             ends,
-            self._nlp.lines,
+            self._nlp.shape.lines,
             problem.constraints.clearance_m,
             problem.step_length_m,
         )
@@ -204,20 +201,25 @@ class Refiner:
         standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
         arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
         dwells = at_goal or arrival < len(path_m) - 1
-        return ReachTask(
+        value = GoalValue(
+            start_m=judge.position_m,
+            pivot_m=pivot.position_m,
+            effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
+            rate_s_m=self._cost.rate_s_m * max(pivot.metre_cost, self._dearest_metre(path_m)),
+            outage=self._outage(path_m),
+            margins=self._margins_about(path_m),
+        )
+        return PathTask(
             start_m=judge.position_m,
             path_m=path_m,
             lines=lines,
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
-            arrival=arrival + 1 if dwells else None,
-            pivot_m=pivot.position_m,
-            effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
-            rate_s_m=self._cost.rate_s_m * max(pivot.metre_cost, self._dearest_metre(path_m)),
-            margins=self._margins_about(path_m),
+            evaluate=value,
+            scale=1.0,
             bound_db=np.full(len(path_m), -np.inf),
-            outage=self._outage(path_m),
+            arrival=arrival + 1 if dwells else None,
         )
 
     def _dearest_metre(self, path_m: NDArray[np.float64]) -> float:
@@ -233,7 +235,9 @@ class Refiner:
         price = self._cost.rate_s_m * self._cost.outage_price
         return OutagePrice(price, before, charged)
 
-    def _margins_about(self, path_m: NDArray[np.float64]) -> MarginFunction:
+    def _margins_about(
+        self, path_m: NDArray[np.float64]
+    ) -> Callable[[NDArray[np.float64]], tuple[StageMargins, Derivatives]]:
         """Margins and scores conditioned on the measurements nearest to each stage of a path."""
         problem = self._judge.problem
         predict_stages = stage_predictor(
@@ -247,10 +251,10 @@ class Refiner:
         if self._rows is not None:
             threshold, z = self._rows.threshold_dbm, self._rows.quantile
 
-        def margins(positions_m: NDArray[np.float64]) -> StageMargins:
+        def margins(positions_m: NDArray[np.float64]) -> tuple[StageMargins, Derivatives]:
             power = predict_stages(positions_m)
             scores = scores_of(*power, self._cost.threshold_dbm)
-            return joined(margins_of(*power, threshold, z), scores)
+            return margins_of(*power, threshold, z), scores
 
         return margins
 
@@ -289,3 +293,11 @@ class Refiner:
         # Moved a little, the path may keep the bound after all.
         met_after_all = rung is Rung.RELAXED and not judged.relaxes
         return replace(judged, rung=Rung.PLAN) if met_after_all else judged
+
+
+def _margins_at(task: PathTask, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the margins (N,) of a path by the local model."""
+    margins = task.evaluate(path_m).margins
+    if margins is None:
+        raise AssertionError("the way to a goal has margins")
+    return margins.value

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction
-from planopt.planning.programme.path_polish import PathTask
-from planopt.planning.programme.polish import Polished
+from planopt.planning.programme.path_polish import PathTask, Polished
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB, is_search_exact
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.worth.local_worth import local_worth

@@ -25,7 +25,7 @@ from planopt.planning.programme.clearance_lines import (
     tail_count,
 )
 from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp
+from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp, near_start
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.proof.circumstances import obstacles_ahead
@@ -156,7 +156,10 @@ class StartPolish:
                 charged=self._problem.task == "reach",
             )
             self._built[lines] = build_path_nlp(
-                shape, METHODS[settings.name], solve_limit_s(self._problem), until_settled=True
+                shape,
+                METHODS[settings.name],
+                solve_limit_s(self._problem),
+                near_start(shape, until_settled=True),
             )
         return self._built[lines]
 

@@ -1,9 +1,14 @@
 """Small polishing tasks for the tests of the reach programme: a straight start, nothing about."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 
+from planopt.planning.programme.goal_value import GoalValue, OutagePrice
 from planopt.planning.programme.margin_source import StageMargins
-from planopt.planning.programme.polish import OutagePrice, ReachTask
+from planopt.planning.programme.path_nlp import GOAL, build_path_nlp
+from planopt.planning.programme.path_polish import PathTask
+from planopt.planning.programme.path_shape import PathShape
 from planopt.world.separation import EMPTY_OFFSET_M, SeparatingLines
 
 
@@ -60,18 +65,9 @@ def slope_margins(gradient_db_m, offset_db):
 
 
 def scored(margins, scores=None):
-    """Margins of all stages, then their scores; certain connection unless scores are given."""
+    """Margins and scores of all stages; certain connection unless scores are given."""
     scores = constant_margins(40.0) if scores is None else scores
-
-    def both(positions_m):
-        one, other = margins(positions_m), scores(positions_m)
-        return StageMargins(
-            np.concatenate([one.value, other.value]),
-            np.concatenate([one.gradient, other.gradient]),
-            np.concatenate([one.hessian, other.hessian]),
-        )
-
-    return both
+    return lambda positions_m: (margins(positions_m), scores(positions_m))
 
 
 def outage_of(horizon, price_s_m=0.0, share_before=0.0, charged=1.0):
@@ -79,21 +75,36 @@ def outage_of(horizon, price_s_m=0.0, share_before=0.0, charged=1.0):
     return OutagePrice(price_s_m, share_before, np.broadcast_to(charged, horizon).astype(float))
 
 
+OF_VALUE = {field.name for field in fields(GoalValue)}
+OF_TASK = {field.name for field in fields(PathTask)}
+
+
+def goal_nlp(horizon, lines, method="ipopt"):
+    """The programme for the cost of a goal, as the planner builds it."""
+    shape = PathShape(horizon, lines, "chain", bounded=True, slacked=False)
+    return build_path_nlp(shape, method, options=GOAL)
+
+
+def changed(task, **changes):
+    """The task with other fields, of its value as well."""
+    of_value = {name: value for name, value in changes.items() if name in OF_VALUE}
+    own = {name: value for name, value in changes.items() if name in OF_TASK}
+    return replace(task, **own, evaluate=replace(task.evaluate, **of_value))
+
+
 def reach_task(horizon, line_count, **changes):
     """From the origin along x in free space: effort 0.1 s/m^2, 1 s/m to a pivot 50 m away."""
-    defaults = {
-        "start_m": np.zeros(2),
-        "path_m": np.outer(np.arange(1, horizon + 1), [1.0, 0.0]),
-        "lines": no_lines(horizon, line_count),
-        "clearance_m": 0.0,
-        "step_length_m": 2.0,
-        "bounds_m": (-100.0, -100.0, 100.0, 100.0),
-        "arrival": None,
-        "pivot_m": np.array([50.0, 0.0]),
-        "effort_s_m2": 0.1,
-        "rate_s_m": 1.0,
-        "margins": scored(constant_margins(10.0)),
-        "bound_db": np.zeros(horizon),
-        "outage": outage_of(horizon),
-    }
-    return ReachTask(**(defaults | changes))
+    margins = scored(constant_margins(10.0))
+    value = GoalValue(np.zeros(2), np.array([50.0, 0.0]), 0.1, 1.0, outage_of(horizon), margins)
+    task = PathTask(
+        start_m=np.zeros(2),
+        path_m=np.outer(np.arange(1, horizon + 1), [1.0, 0.0]),
+        lines=no_lines(horizon, line_count),
+        clearance_m=0.0,
+        step_length_m=2.0,
+        bounds_m=(-100.0, -100.0, 100.0, 100.0),
+        evaluate=value,
+        scale=1.0,
+        bound_db=np.zeros(horizon),
+    )
+    return changed(task, **changes)

@@ -24,7 +24,7 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.nlp_functions import NlpPoint
-from planopt.planning.programme.path_nlp import REACH_OPTIONS
+from planopt.planning.programme.path_nlp import GOAL
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 
@@ -159,7 +159,7 @@ def test_real_evaluation_error(monkeypatch):
 
 def test_real_iteration_limit(monkeypatch):
     """Two iterations are too few: what is released is verified and no worse than the lattice."""
-    monkeypatch.setitem(REACH_OPTIONS, "ipopt.max_iter", 1)
+    monkeypatch.setitem(GOAL, "ipopt.max_iter", 1)
     problem = small_problem(CUP, start_m=(18.0, 15.0), horizon=12)
     plan = planner_of(problem).plan(belief_of(problem), np.array([18.0, 15.0]))
     assert_safe(problem, plan)

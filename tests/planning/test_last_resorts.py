@@ -9,7 +9,7 @@ import pytest
 from terms_scene import TRACKING, situation_of, terms_problem
 
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.programme.polish import Polished
+from planopt.planning.programme.path_polish import Polished
 from planopt.planning.proof import predictions
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB
 from planopt.planning.rule_bounds import lacks

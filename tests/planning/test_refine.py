@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reach_tasks import goal_nlp
 from scenes import (
     CUP,
     WALL,
@@ -22,7 +23,6 @@ import planopt.planning.refine as refine
 from planopt.planning.budget import Budget
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.programme.path_nlp import build_reach_nlp
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.worth.reach_cost import ReachCost
 
@@ -37,7 +37,7 @@ def refiner_of(problem, power_at=good_everywhere, lines=4):
     ahead = Ahead(problem, scene, start, None)
     reach_cost = ReachCost(problem, at, situation.power, ahead)
     judge = Judge(problem, scene.index, belief, at, reach_cost)
-    nlp = build_reach_nlp(problem.planner.horizon, lines)
+    nlp = goal_nlp(problem.planner.horizon, lines)
     cost = judge.objective(start.path_m)
     refiner = refine.Refiner(nlp, scene, judge, reach_cost, start, ahead, cost, Budget())
     return refiner, judge, start
@@ -72,14 +72,14 @@ def test_shifted_plan_is_tried():
     refiner, _, _ = refiner_of(problem)
     good = next(refiner.attempts(None)).path_m
     polished_from = []
-    polish = refine.polish
+    polish = refine.polish_path
 
     def noting(nlp, task):
         polished_from.append(task.path_m)
         return polish(nlp, task)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "polish", noting)
+        patch.setattr(refine, "polish_path", noting)
         # As a plan is shifted: standing at its end.
         next(refiner.attempts(np.vstack([good[:-1], good[-2]])))
         # Its last step leads on, as far as a step may.

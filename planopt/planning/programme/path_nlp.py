@@ -1,8 +1,7 @@
 # pyright: basic
-"""The two parametric programmes over N steps: for any smooth value, and to reach a goal.
+"""The nonlinear programme over N steps, for any smooth value of a path.
 
-Variables are the positions q_1..q_N. For any smooth value, with a slack s_k of each stage's
-connectivity bound::
+Variables are the positions q_1..q_N, with a slack s_k of each stage's connectivity bound::
 
     max   scale * value(q_1, ..., q_N) - slack_weight sum s_k
     s.t.  the rows of planopt.planning.programme.path_rows
@@ -10,24 +9,16 @@ connectivity bound::
           total(q_1, ..., q_N) + c t >= bound                             "connectivity"
 
 There are rows of margins, one of a total (a sum over stages), or none. The total's slack t is in dB
-like the others, c what a dB is worth. The cost of the way to a goal
-(:mod:`planopt.planning.programme.pivot`) is subtracted from the value, where it is charged.
+like the others, c is the change of the total per dB. A programme without slacks keeps its bounds.
+The cost of a goal is a value like any other (:mod:`planopt.planning.programme.goal_value`); that of
+a robot with dynamics is symbolic and subtracted here.
 
-To reach a goal, with h the step duration and Phi the normal distribution::
-
-    min   w / h sum l_k^2 + rate |q_N - pivot| + price sum l_k (c_{k-1} + c_k) / 2
-    s.t.  the rows of planopt.planning.programme.path_rows
-          margin_k(q_k) >= bound_k                   k = 1..N             "connectivity"
-
-with step lengths ``l_k = |q_k - q_{k-1}|``, rounded at zero, and the share of a metre that the
-outage price is charged on, ``c_k = charged_k (1 - Phi(score_k(q_k)))``.
-
-Value v, margins m and total w, or margins and scores, come by callbacks
+Value v, margins m and total w come by callbacks
 (:mod:`planopt.planning.programme.margin_source`) with exact gradients (dv, dm, dw) and what is not
 zero of their Hessians (hv, hm, hw): margins by callbacks take a fifth of the time of their symbolic
 form. All else is symbolic.
 What the value couples (:data:`planopt.planning.programme.margin_source.Structure`) is known to the
-solver. The parameters of the first programme are ``head`` (start, scale, slack weight, what a dB is
+solver. The parameters are ``head`` (start, scale, slack weight, what a dB is
 worth in the total), the lines, and those of the robot's dynamics and its goal. A robot with
 dynamics adds variables after the positions and rows before "connectivity", those of
 :mod:`planopt.planning.programme.motion_rows`.
@@ -44,9 +35,9 @@ from typing import Any
 
 import casadi as ca
 
-from planopt.planning.programme import ipopt
+from planopt.planning.programme.goal_value import PARAMETERS, goal_cost_s
 from planopt.planning.programme.ipopt import OPTIONS, ExactNlp, exact_solver, time_limit
-from planopt.planning.programme.margin_source import MarginSource, ValueSource
+from planopt.planning.programme.margin_source import ValueSource
 from planopt.planning.programme.methods import Method, solve_by
 from planopt.planning.programme.motion_rows import motion_rows
 from planopt.planning.programme.nlp_functions import SolveNlp
@@ -60,7 +51,6 @@ from planopt.planning.programme.path_rows import (
     weighted_blocks,
 )
 from planopt.planning.programme.path_shape import PathShape
-from planopt.planning.programme.pivot import PARAMETERS, goal_cost_s
 
 
 @dataclass(frozen=True)
@@ -98,7 +88,7 @@ def path_functions(shape: PathShape) -> PathFunctions:
     v, dv, hv = ca.SX.sym("v"), ca.SX.sym("dv", 2 * n), ca.SX.sym("hv", curved)
     m, dm, hm = (ca.SX.sym(f"m{width}", width * n * int(shape.bounded)) for width in (1, 2, 3))
     w, dw, hw = (ca.SX.sym(f"w{size}", size * int(shape.summed)) for size in (1, 2 * n, 3 * n))
-    lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + slacks)
+    lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + shape.bounds)
     # The solver minimises.
     objective = head[2] * (at.cost - v) + head[3] * ca.sum1(at.s)
     gradient = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(slacks), ca.SX.zeros(driven))
@@ -112,8 +102,8 @@ def path_functions(shape: PathShape) -> PathFunctions:
     if shape.bounded:
         blocks = weighted_blocks(lam[plain:], hm, n)
         hessian += ca.diagcat(blocks, ca.SX(beside, beside))
-        rows = ca.vertcat(rows, m + at.s)
-        slopes = ca.horzcat(stage_rows(dm, n), ca.SX.eye(n), ca.SX(n, driven))
+        rows = ca.vertcat(rows, m + at.s if shape.slacked else m)
+        slopes = ca.horzcat(stage_rows(dm, n), ca.SX.eye(n)[:, :slacks], ca.SX(n, driven))
         jacobian = ca.vertcat(jacobian, slopes)
     if shape.summed:
         hessian += ca.diagcat(stage_blocks(lam[plain] * hw, n), ca.SX(beside, beside))
@@ -126,7 +116,7 @@ def path_functions(shape: PathShape) -> PathFunctions:
         jacobian=ca.Function("dg", [x, p, dm, dw], [jacobian]),
         hessian=ca.Function("h", [x, p, lam_f, lam, hv, hm, hw], [ca.triu(hessian)]),
         parameters=p.numel(),
-        row_count=plain + slacks,
+        row_count=plain + shape.bounds,
     )
 
 
@@ -212,11 +202,27 @@ class PathNlp:
     callbacks: tuple[PathCallbacks, ...]  # Kept so that they live as long as the solver
 
 
+GOAL: dict[str, Any] = {"ipopt.tol": 1e-5, "ipopt.max_soc": 0}
+"""For the cost of a goal. No second order corrections: with them IPOPT cycled at the rounded kink
+of a pivot within reach in 14 of 180 straight tasks, without in none, and elsewhere they gained
+nothing."""
+
+
+def near_start(shape: PathShape, *, until_settled: bool = False) -> dict[str, Any]:
+    """Return the options for refining a guess near the best path.
+
+    A solve ends where the value has `SETTLED`, which need not be a KKT point, if `until_settled`.
+    """
+    settled = SETTLED if shape.motion is None else DRIVEN_SETTLED
+    driven = {} if shape.motion is None else DRIVEN
+    return NEAR_START | driven | (settled if until_settled else {})
+
+
 def build_path_nlp(
     shape: PathShape,
     method: Method = "ipopt",
     budget_s: float | None = None,
-    until_settled: bool = False,
+    options: dict[str, Any] | None = None,
 ) -> PathNlp:
     """Build the programme.
 
@@ -228,8 +234,8 @@ def build_path_nlp(
         Whose solver: IPOPT's, or sequential convex programming.
     budget_s
         Seconds after which a solve ends; None for no limit.
-    until_settled
-        Stop where the value has `SETTLED`, which need not be a point of KKT.
+    options
+        Options of IPOPT; None for those of :func:`near_start`.
     """
     n = shape.horizon
     source = ValueSource()
@@ -256,103 +262,8 @@ def build_path_nlp(
         jacobian=parts.jacobian(x, p, dm, dw),
         hessian=parts.hessian(x, p, lam_f, lam_g, hv, hm, hw),
     )
-    options, settled = OPTIONS | NEAR_START | time_limit(budget_s), SETTLED
-    if shape.motion is not None:
-        options, settled = options | DRIVEN, DRIVEN_SETTLED
-    if until_settled:
-        options |= settled
-    solver = exact_solver("path", nlp, options)
+    own = near_start(shape) if options is None else options
+    solver = exact_solver("path", nlp, OPTIONS | own | time_limit(budget_s))
     solve = solve_by(method, solver, shape, budget_s)
     kept = tuple(each for each in (value, margins, total) if each is not None)
     return PathNlp(shape, source, solver, solve, kept)
-
-
-PIVOT_ROUNDING_M = 1e-2
-"""Rounding of the distance to the pivot, so that its gradient exists at the pivot."""
-
-REACH_OPTIONS: dict[str, Any] = {**ipopt.OPTIONS, "ipopt.tol": 1e-5, "ipopt.max_soc": 0}
-"""No second order corrections: with them IPOPT cycled at the rounded kink of a pivot within reach
-in 14 of 180 straight tasks, without in none, and elsewhere they gained nothing."""
-
-
-@dataclass(frozen=True)
-class ReachNlp:
-    """A built solver."""
-
-    horizon: int  # Its structure: N, and separating lines a segment
-    lines: int
-    source: MarginSource  # Where its margins come from
-    solver: Any  # The CasADi solver
-    solve: SolveNlp  # One call of it, or of another method with its functions
-    callbacks: PathCallbacks  # Kept so that they live as long as the solver
-
-
-STEP_ROUNDING_M = 1e-2
-"""The same of a step's length, at a standstill."""
-
-REACH_HEAD = 8
-"""Parameters before those of each step: start (2), pivot (2), effort / h, rate, price, c_0."""
-
-
-def _reach_objective(n: int, q: Any, score: Any, p: Any, charged: Any) -> Any:
-    """Assemble the cost of positions and scores."""
-    moved = ca.reshape(q - ca.vertcat(p[0:2], q[: 2 * n - 2]), 2, n)
-    squares = ca.sum1(moved**2).T
-    to_pivot = ca.sqrt(ca.sumsqr(q[2 * n - 2 :] - p[2:4]) + PIVOT_ROUNDING_M**2)
-    share = charged * (0.5 - 0.5 * ca.erf(score / 2.0**0.5))
-    lengths = ca.sqrt(squares + STEP_ROUNDING_M**2)
-    outage = 0.5 * ca.dot(lengths, ca.vertcat(p[7], share)[:n] + share)
-    return p[4] * ca.sum1(squares) + p[5] * to_pivot + p[6] * outage
-
-
-def build_reach_nlp(
-    horizon: int, lines: int, method: Method = "ipopt", budget_s: float | None = None
-) -> ReachNlp:
-    """Build the programme for N = `horizon` steps and `lines` separating lines a segment.
-
-    A solve ends after `budget_s` seconds, if that is given.
-    """
-    n = horizon
-    source = MarginSource(n)
-    margins = path_callbacks("margin", n, 2 * n, 6 * n, source.at)
-    q, head, charged = ca.SX.sym("q", 2 * n), ca.SX.sym("head", REACH_HEAD), ca.SX.sym("charged", n)
-    line = ca.SX.sym("line", 4 * n * lines)
-    p_sx = ca.vertcat(head, charged, line)
-    m_sx, dm_sx, hm_sx = (ca.SX.sym(f"m{width}", 2 * width * n) for width in (1, 2, 3))
-    f_sx = _reach_objective(n, q, m_sx[n:], head, charged)
-    f_q, f_m = ca.gradient(f_sx, q), ca.gradient(f_sx, m_sx)
-    f_qm, f_mm = ca.jacobian(f_q, m_sx), ca.jacobian(f_m, m_sx)
-    g_sx = path_rows(n, lines, q, head[0:2], line)
-    plain = g_sx.numel()
-    lam_f_sx, lam_sx = ca.SX.sym("lam_f"), ca.SX.sym("lam", plain + n)
-    margin_rows = stage_rows(dm_sx[: 2 * n], n)
-    stages = ca.vertcat(margin_rows, stage_rows(dm_sx[2 * n :], n))
-    lagrangian = lam_f_sx * f_sx + ca.dot(lam_sx[:plain], g_sx)
-    curved = weighted_blocks(lam_sx[plain:], hm_sx[: 3 * n], n)
-    curved += weighted_blocks(lam_f_sx * f_m[n:], hm_sx[3 * n :], n)
-    mixed = f_qm @ stages
-    across = lam_f_sx * (mixed + mixed.T + stages.T @ f_mm @ stages)
-    hessian_sx = ca.triu(ca.hessian(lagrangian, q)[0] + curved + across)
-    objective = ca.Function("f", [q, p_sx, m_sx], [f_sx])
-    gradient = ca.Function("df", [q, p_sx, m_sx, dm_sx], [f_q + stages.T @ f_m])
-    rows = ca.Function("g", [q, p_sx, m_sx], [ca.vertcat(g_sx, m_sx[:n])])
-    jacobian = ca.Function("dg", [q, p_sx, dm_sx], [ca.vertcat(ca.jacobian(g_sx, q), margin_rows)])
-    hessian = ca.Function("h", [q, p_sx, lam_f_sx, lam_sx, m_sx, dm_sx, hm_sx], [hessian_sx])
-
-    x, p = ca.MX.sym("x", 2 * n), ca.MX.sym("p", p_sx.numel())
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", plain + n)
-    m, dm, hm = margins(x)
-    nlp = ExactNlp(
-        x,
-        p,
-        lam_f,
-        lam_g,
-        f=objective(x, p, m),
-        g=rows(x, p, m),
-        gradient=gradient(x, p, m, dm),
-        jacobian=jacobian(x, p, dm),
-        hessian=hessian(x, p, lam_f, lam_g, m, dm, hm),
-    )
-    solver = exact_solver("reach", nlp, REACH_OPTIONS | ipopt.time_limit(budget_s))
-    shape = PathShape(n, lines, "stagewise", bounded=True, slacked=False)
-    return ReachNlp(n, lines, source, solver, solve_by(method, solver, shape, budget_s), margins)

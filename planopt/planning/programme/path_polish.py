@@ -11,7 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.plan import Termination
 from planopt.planning.programme.cone_rows import path_row_values
+from planopt.planning.programme.goal_value import GoalCharge, goal_cost_gradient
 from planopt.planning.programme.margin_source import EvaluatePath
 from planopt.planning.programme.motion_rows import MotionShape, motion_row_values, motion_rows
 from planopt.planning.programme.nlp_functions import (
@@ -21,8 +23,6 @@ from planopt.planning.programme.nlp_functions import (
     named_multipliers,
 )
 from planopt.planning.programme.path_nlp import PathNlp
-from planopt.planning.programme.pivot import GoalCharge, goal_cost_gradient
-from planopt.planning.programme.polish import Polished
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.robots.drive import Drive
 from planopt.world.separation import SeparatingLines
@@ -99,6 +99,21 @@ def motion_numbers(
 
 
 @dataclass(frozen=True)
+class Polished:
+    """The result of a polish."""
+
+    path_m: NDArray[np.float64]  # (N, 2); only worth something if a verifier says so
+    slack_db: NDArray[np.float64]  # (N,) missing dB
+    termination: Termination  # Why the solver stopped, after how many iterations
+    iterations: int
+    kkt_residual: float  # Unscaled, computed without the solver's derivatives
+    # By name: speed (N,), line_end (N, lines), line_start (N - 1, lines), connectivity (N,)
+    multipliers: dict[str, NDArray[np.float64]]
+    # (N, m) of a robot that cannot turn or stop at will; None of a single integrator
+    inputs: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
 class PathTask:
     """The task of one polish."""
 
@@ -120,6 +135,9 @@ class PathTask:
     total_per_db: float = 0.0  # What a dB of slack adds to it
     motion: MotionTask | None = None  # Of the robot's dynamics; None for the single integrator
     charge: GoalCharge | None = None  # Of the way to a goal; None where none is charged
+    # Step (1..N) from which on the start path stands still and so does the refined one; None if it
+    # moves to its end
+    arrival: int | None = None
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
@@ -129,7 +147,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     bound = np.zeros(0) if task.bound_db is None else task.bound_db
     if task.total_bound is not None:
         bound = np.append(bound, task.total_bound)
-    slack_limit = np.zeros(len(bound)) if task.slack_limit_db is None else task.slack_limit_db
+    slack_limit = np.zeros(shape.slacks) if task.slack_limit_db is None else task.slack_limit_db
     pad = 0.0 if shape.motion is None else shape.motion.dynamics.way_pad_m(shape.motion.step_s)
     kept = task.clearance_m + pad + CLEARANCE_PAD_M
     line = task.lines.rows(kept)
@@ -139,10 +157,10 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     motion = motion_numbers(task.motion, line, stop, task.bounds_m)
     free = np.full(len(motion.start), np.inf)
     head = np.array([*task.start_m, task.scale, task.slack_weight, task.total_per_db])
-    x_min, y_min, x_max, y_max = task.bounds_m
+    lower, upper = _position_bounds(task, n)
     variables = Bounds(
-        np.concatenate([np.tile([x_min, y_min], n), np.zeros(len(bound)), -free]),
-        np.concatenate([np.tile([x_max, y_max], n), slack_limit, free]),
+        np.concatenate([lower, np.zeros(shape.slacks), -free]),
+        np.concatenate([upper, slack_limit, free]),
     )
     plain = n * (2 * shape.lines) - shape.lines
     longest = task.step_length_m - STEP_PAD_M if shape.motion is None else np.inf
@@ -159,15 +177,15 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     )
     charge = np.zeros(0) if task.charge is None else task.charge.numbers
     nlp.source.use(task.evaluate)
-    missing = np.zeros(0) if len(bound) == 0 else _missing_db(task, bound)
+    missing = np.zeros(0) if shape.slacks == 0 else _missing_db(task, bound)
     point = nlp.solve(
         np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit), motion.start]),
         np.concatenate([head, line.ravel(), motion.parameters, charge]),
         variables,
         rows,
     )
-    driven = point.slack_db[len(bound) :]
-    point = replace(point, slack_db=point.slack_db[: len(bound)])
+    driven = point.slack_db[shape.slacks :]
+    point = replace(point, slack_db=point.slack_db[: shape.slacks])
     return Polished(
         path_m=point.positions_m,
         slack_db=point.slack_db,
@@ -177,6 +195,16 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
         multipliers=named_multipliers(point.row_multipliers, n, shape.lines, len(bound)),
         inputs=None if task.motion is None else task.motion.shape.inputs_of(driven),
     )
+
+
+def _position_bounds(task: PathTask, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the workspace's bounds (2 N,); after the arrival positions are those of the start."""
+    x_min, y_min, x_max, y_max = task.bounds_m
+    lower, upper = np.tile([x_min, y_min], n), np.tile([x_max, y_max], n)
+    if task.arrival is not None:
+        arrived = slice(2 * (task.arrival - 1), 2 * n)
+        lower[arrived] = upper[arrived] = task.path_m[task.arrival - 1 :].ravel()
+    return lower, upper
 
 
 def _missing_db(task: PathTask, bound: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -214,10 +242,11 @@ def _residual(
         connectivity = np.zeros((n, jacobian.shape[1]))
         connectivity[stage, 2 * stage] = at.margins.gradient[:, 0]
         connectivity[stage, 2 * stage + 1] = at.margins.gradient[:, 1]
-        rows = np.concatenate([rows, at.margins.value + point.slack_db])
+        margins = at.margins.value + point.slack_db if slacks else at.margins.value
+        rows = np.concatenate([rows, margins])
         jacobian = np.concatenate([jacobian, connectivity])
     slack_columns = np.zeros((len(jacobian), slacks))
-    if at.margins is not None:
+    if at.margins is not None and slacks:
         slack_columns[-slacks:] = np.eye(slacks)
     if at.total is not None:
         rows = np.append(rows, at.total.value + task.total_per_db * point.slack_db)

@@ -41,11 +41,14 @@ class PathShape:
     slacked: bool = True
 
     @property
-    def slacks(self) -> int:
-        """Slacks: of each stage's bound, or of the sum's."""
-        if not self.slacked:
-            return 0
+    def bounds(self) -> int:
+        """Return the number of rows that bound connectivity: of each stage, or of the sum."""
         return self.horizon if self.bounded else int(self.summed)
+
+    @property
+    def slacks(self) -> int:
+        """Return the number of slacks, one of each such row if any."""
+        return self.bounds if self.slacked else 0
 
     @property
     def driven(self) -> int:

@@ -1,112 +1,25 @@
-"""Cost-to-go that a solver can differentiate: the pivot, and the cost of a robot's states to it.
+"""The rest of the route beyond a path's end, as one point: the pivot of the cost-to-go.
 
-Round obstacles the shortest way from q is straight up to some corner: its length is the distance to
-any visible point of the way plus the length from there. The farthest visible point is the pivot,
-unless the path could come to it and beyond: then a farther point is, seen or not. Distance plus
-length never overestimates the way.
-
-With the state x_k = (q_k, r_k), its resting place s(x_k), and turning(x, pivot) the time before it
-drives towards the pivot, of the dynamics, the cost is::
-
-    effort sum |q_k - q_{k-1}|^2
-        + sum c_k (rate |s(x_k) - pivot| + braking |s(x_k) - q_k| + turning(x_k, pivot))
-
-c_N is 1: that is the way beyond the horizon. If the pivot is reached within the horizon, every step
-is charged besides, or arriving late would cost nothing. Charged from where the robot would come to
-stand, it accelerates and brakes as late as it can: past the pivot there is nothing to gain. Braking
-is the price of outage on the way to that place: free, a robot would put off what is dear until
-after the horizon, again and again.
+Round obstacles the shortest route from q is straight up to some corner: its length is the distance
+to any visible point of the route plus the length from there. The farthest visible point is the
+pivot, unless the path could reach it and go beyond: then a farther point is, visible or not.
+Distance plus length never overestimates the route.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Pivot
-from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
-from planopt.robots.dynamics import Components
 from planopt.world.clearance import is_clear, swept_clearance_m
 from planopt.world.road_map import shortest_ways, way_from
-
-ROUNDING_STEPS = 0.01
-"""Rounding of the distance to the pivot, in longest steps, so that its gradient exists there."""
-
-PARAMETERS = 7
-"""Numbers of a charge."""
-
-
-@dataclass(frozen=True)
-class GoalCharge:
-    """The numbers of the cost."""
-
-    pivot_m: NDArray[np.float64]  # (2,)
-    # Cost of squared step length, of a metre beyond the horizon, and of a metre driven before it
-    # comes to stand
-    effort_s_m2: float
-    rate_s_m: float
-    braking_s_m: float
-    each_step: float  # What c_k is besides, for every k: 0 where the pivot is not come to
-    rounding_m: float  # Of the distance to the pivot
-
-    @property
-    def numbers(self) -> NDArray[np.float64]:
-        """``(7,)`` as :func:`goal_cost_s` takes them."""
-        costs = (self.effort_s_m2, self.rate_s_m, self.braking_s_m)
-        return np.array([*self.pivot_m, *costs, self.each_step, self.rounding_m])
-
-
-def goal_cost_s(shape: MotionShape, q: Any, w: Any, start: Components, charge: Any) -> Any:
-    """The cost of positions `q` and variables `w`."""
-    pivot = (charge[0], charge[1])
-    effort, rate, braking, each_step, rounding = (charge[i] for i in range(2, PARAMETERS))
-    before, cost = start, 0.0
-    for k in range(shape.horizon):
-        own = (w[k * shape.per_step + i] for i in range(shape.rest))
-        here = (q[2 * k], q[2 * k + 1], *own)
-        x, y = shape.dynamics.resting_place(here)
-        square = (x - pivot[0]) ** 2 + (y - pivot[1]) ** 2
-        braked = (x - here[0]) ** 2 + (y - here[1]) ** 2
-        ahead = rate * (square + rounding**2) ** 0.5 + shape.dynamics.turning_s(here, pivot)
-        ahead = ahead + braking * (braked + rounding**2) ** 0.5
-        weight = each_step + 1.0 if k == shape.horizon - 1 else each_step
-        driven = (here[0] - before[0]) ** 2 + (here[1] - before[1]) ** 2
-        cost = cost + effort * driven + weight * ahead
-        before = here
-    return cost
-
-
-def goal_cost_gradient(
-    shape: MotionShape,
-    positions_m: NDArray[np.float64],
-    w: NDArray[np.float64],
-    start: NDArray[np.float64],
-    charge: GoalCharge,
-) -> NDArray[np.float64]:
-    """Gradient (2 N + len(w),) of the cost."""
-    found = _gradient_function(shape)(positions_m.ravel(), w, start, charge.numbers)
-    return np.asarray(found).ravel()
-
-
-@lru_cache(maxsize=64)
-def _gradient_function(shape: MotionShape) -> Any:
-    """Gradient of the cost as a CasADi function of (q, w, start, charge)."""
-    import casadi as ca
-
-    q, w = ca.SX.sym("q", 2 * shape.horizon), ca.SX.sym("w", shape.variables)
-    start, charge = ca.SX.sym("start", 2 + shape.rest), ca.SX.sym("charge", PARAMETERS)
-    cost = goal_cost_s(shape, q, w, tuple(ca.vertsplit(start)), charge)
-    gradient = ca.densify(ca.gradient(cost, ca.vertcat(q, w)))
-    return ca.Function("gradient", [q, w, start, charge], [gradient])
-
 
 LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""

@@ -13,7 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reach_tasks import (
     bowl_margins,
+    changed,
     constant_margins,
+    goal_nlp,
     no_lines,
     outage_of,
     reach_task,
@@ -33,12 +35,8 @@ from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db, bound_quantile
 from planopt.planning.plan import Termination
 from planopt.planning.programme import ipopt
-from planopt.planning.programme.path_nlp import (
-    PIVOT_ROUNDING_M,
-    STEP_ROUNDING_M,
-    build_reach_nlp,
-)
-from planopt.planning.programme.polish import polish
+from planopt.planning.programme.goal_value import PIVOT_ROUNDING_M, STEP_ROUNDING_M
+from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 from planopt.world.separation import pack_pieces, separating_lines
@@ -51,12 +49,12 @@ ALONG = np.outer(np.arange(1, N + 1), [1.0, 0.0])
 @pytest.fixture(scope="module")
 def nlp():
     """Three steps, two lines a segment, shared by all tests: reuse must not matter."""
-    return build_reach_nlp(N, LINES)
+    return goal_nlp(N, LINES)
 
 
 def solved(nlp, task, tolerance=1e-4):
     """The polished task, converged and with a small residual."""
-    polished = polish(nlp, task)
+    polished = polish_path(nlp, task)
     assert polished.termination is Termination.CONVERGED
     assert polished.kkt_residual < tolerance
     return polished
@@ -117,7 +115,7 @@ def test_the_speed_limit_is_padded(nlp, monkeypatch):
         return call(*arguments)
 
     monkeypatch.setattr(ipopt, "call_nlp", spy)
-    polish(nlp, reach_task(N, LINES))
+    polish_path(nlp, reach_task(N, LINES))
     np.testing.assert_array_equal(asked, np.full((1, N), (2.0 - STEP_PAD_M) ** 2))
 
 
@@ -130,7 +128,7 @@ def test_a_pivot_within_reach_is_reached(nlp):
 
 def test_every_pivot_within_reach_is_reached():
     """The same for ten steps, pivots before and beyond the start path's end."""
-    nlp = build_reach_nlp(10, 0)
+    nlp = goal_nlp(10, 0)
     path = np.outer(np.arange(1, 11), [1.0, 0.0])
     for ahead in (3.0, 5.0, 8.0, 9.0, 9.7, 10.0, 10.1, 10.3, 11.0, 13.0):
         for aside in (0.0, 0.3):
@@ -160,7 +158,7 @@ def test_a_path_that_arrives_at_once_has_nothing_to_choose(nlp):
     task = reach_task(N, LINES, path_m=path, arrival=1)
     polished = solved(nlp, task)
     np.testing.assert_array_equal(polished.path_m, path)
-    broken = polish(nlp, replace(task, bound_db=np.full(N, 11.0)))
+    broken = polish_path(nlp, changed(task, bound_db=np.full(N, 11.0)))
     assert broken.termination is Termination.INFEASIBLE
     assert broken.kkt_residual == pytest.approx(1.0)
 
@@ -280,9 +278,9 @@ def test_a_mirrored_task_has_a_mirrored_path(nlp):
         lines=with_line(no_lines(N, LINES), 1, [-0.6, 0.8], 0.2),
     )
     flip = np.array([1.0, -1.0])
-    mirrored = replace(
+    mirrored = changed(
         task,
-        pivot_m=task.pivot_m * flip,
+        pivot_m=task.evaluate.pivot_m * flip,
         margins=scored(bowl_margins([2.0, -2.0], 9.0)),
         path_m=task.path_m * flip,
         lines=with_line(no_lines(N, LINES), 1, [-0.6, -0.8], 0.2),
@@ -367,7 +365,7 @@ def test_a_field_of_one_measurement(nlp):
 def test_a_hard_bound_out_of_reach_is_infeasible(nlp):
     """It is refused, and by how much is in the residual."""
     task = reach_task(N, LINES, bound_db=np.full(N, 11.0))
-    polished = polish(nlp, task)
+    polished = polish_path(nlp, task)
     assert polished.termination is Termination.INFEASIBLE
     assert polished.kkt_residual >= 0.99
 
@@ -379,13 +377,14 @@ def outage_cost(task, flat):
     """The cost of a task in NumPy and SciPy, lengths rounded at a centimetre as the solver's."""
     n = len(task.path_m)
     q = np.vstack([task.start_m, flat.reshape(n, 2)])
-    score = task.margins(q[1:]).value[n:]
-    share = np.append(task.outage.share_before, task.outage.charged * norm.sf(score))
+    score = task.evaluate.margins(q[1:])[1].value
+    outage = task.evaluate.outage
+    share = np.append(outage.share_before, outage.charged * norm.sf(score))
     lengths = np.hypot(np.linalg.norm(np.diff(q, axis=0), axis=1), STEP_ROUNDING_M)
     charged_m = (lengths * 0.5 * (share[1:] + share[:-1])).sum()
-    effort = task.effort_s_m2 * (np.diff(q, axis=0) ** 2).sum()
-    to_pivot = np.hypot(np.linalg.norm(q[-1] - task.pivot_m), PIVOT_ROUNDING_M)
-    return effort + task.rate_s_m * to_pivot + task.outage.price_s_m * charged_m
+    effort = task.evaluate.effort_s_m2 * (np.diff(q, axis=0) ** 2).sum()
+    to_pivot = np.hypot(np.linalg.norm(q[-1] - task.evaluate.pivot_m), PIVOT_ROUNDING_M)
+    return effort + task.evaluate.rate_s_m * to_pivot + outage.price_s_m * charged_m
 
 
 @pytest.mark.parametrize("chance", [1e-9, 0.3, 0.9])
@@ -439,7 +438,7 @@ def test_the_priced_path_is_the_best_that_another_solver_finds(nlp):
     )
     assert outage_cost(task, polished.path_m.ravel()) <= other.fun + 1e-6
     np.testing.assert_allclose(polished.path_m.ravel(), other.x, atol=2e-3)
-    free = solved(nlp, replace(task, outage=outage_of(N)))
+    free = solved(nlp, changed(task, outage=outage_of(N)))
     assert (polished.path_m[:, 1] > free.path_m[:, 1] + 0.2).all()
 
 
@@ -456,7 +455,7 @@ def test_the_residual_of_a_priced_path_by_differences(nlp):
         lines = task.lines.normals[:, :, None] @ q[1:, None, :, None]
         starts = task.lines.normals[1:, :, None] @ q[1:-1, None, :, None]
         squares = (np.diff(q, axis=0) ** 2).sum(1)
-        margins = task.margins(q[1:]).value[:N]
+        margins = task.evaluate.margins(q[1:])[0].value
         return np.concatenate([squares, lines.ravel(), starts.ravel(), margins])
 
     def slopes(function):
@@ -485,7 +484,7 @@ def test_a_point_moved_along_the_outage_shows_in_the_residual(nlp, monkeypatch, 
     task = reach_task(N, LINES, **PRICED)
     residual = solved(nlp, task, 1e-5).kkt_residual
     monkeypatch.setattr(ipopt, "call_nlp", moved)
-    found = polish(nlp, task)
+    found = polish_path(nlp, task)
     assert found.kkt_residual > max(0.01, 100.0 * residual)
     at = found.path_m.ravel()
     slope = [
@@ -497,10 +496,10 @@ def test_a_point_moved_along_the_outage_shows_in_the_residual(nlp, monkeypatch, 
 def test_scores_that_nothing_is_charged_on_change_nothing(nlp):
     """Without a price, or with no step charged, the path is that of the task without outage."""
     task = reach_task(N, LINES, **PRICED)
-    free = solved(nlp, replace(task, margins=scored(constant_margins(10.0)), outage=outage_of(N)))
+    free = solved(nlp, changed(task, margins=scored(constant_margins(10.0)), outage=outage_of(N)))
     for outage in (outage_of(N), outage_of(N, 3.0, 0.0, 0.0)):
         np.testing.assert_allclose(
-            solved(nlp, replace(task, outage=outage)).path_m, free.path_m, atol=1e-6
+            solved(nlp, changed(task, outage=outage)).path_m, free.path_m, atol=1e-6
         )
 
 
@@ -510,7 +509,7 @@ def test_a_dearer_outage_is_less_of_it(nlp):
     for price in (0.0, 0.5, 1.0, 2.0):
         task = reach_task(N, LINES, **PRICED | {"outage": outage_of(N, price, 0.4)})
         at = solved(nlp, task).path_m.ravel()
-        doubled = replace(task, outage=outage_of(N, price + 1.0, 0.4))
+        doubled = changed(task, outage=outage_of(N, price + 1.0, 0.4))
         charged.append(outage_cost(doubled, at) - outage_cost(task, at))
     assert (np.diff(charged) < -1e-2).all()
 
@@ -519,9 +518,9 @@ def test_a_mirrored_priced_task_has_a_mirrored_path(nlp):
     """Turning pivot and scores upside down turns the path."""
     flip = np.array([1.0, -1.0])
     task = reach_task(N, LINES, **PRICED)
-    mirrored = replace(
+    mirrored = changed(
         task,
-        pivot_m=task.pivot_m * flip,
+        pivot_m=task.evaluate.pivot_m * flip,
         margins=scored(constant_margins(10.0), slope_margins([0.2, -0.6], -1.0)),
     )
     np.testing.assert_allclose(
@@ -553,7 +552,7 @@ def test_a_perturbed_multiplier_shows_in_the_residual(nlp, monkeypatch, which):
     task = reach_task(N, LINES, **HARD)
     assert solved(nlp, task).kkt_residual < 1e-5
     monkeypatch.setattr(ipopt, "call_nlp", wrong)
-    assert polish(nlp, task).kkt_residual > 0.05
+    assert polish_path(nlp, task).kkt_residual > 0.05
 
 
 def test_a_moved_point_shows_in_the_residual(nlp, monkeypatch):
@@ -566,15 +565,15 @@ def test_a_moved_point_shows_in_the_residual(nlp, monkeypatch):
 
     task = reach_task(N, LINES, **HARD)
     monkeypatch.setattr(ipopt, "call_nlp", moved)
-    assert polish(nlp, task).kkt_residual > 0.01
+    assert polish_path(nlp, task).kkt_residual > 0.01
 
 
 def test_the_same_solve_twice_is_the_same(nlp):
     """Bit for bit, from this solver and from a new one."""
     task = reach_task(N, LINES, **HARD)
-    first = polish(nlp, task)
-    assert same(polish(nlp, task), first)
-    assert same(polish(build_reach_nlp(N, LINES), task), first)
+    first = polish_path(nlp, task)
+    assert same(polish_path(nlp, task), first)
+    assert same(polish_path(goal_nlp(N, LINES), task), first)
 
 
 FAILURES = {
@@ -604,17 +603,17 @@ def test_a_failed_solve_leaves_nothing_behind(nlp, name):
     """The next solve is what it would have been, and the failed one is not taken for solved."""
     changes, termination = FAILURES[name]
     task = reach_task(N, LINES, **HARD)
-    before = polish(nlp, task)
-    failed = polish(nlp, replace(task, **changes))
+    before = polish_path(nlp, task)
+    failed = polish_path(nlp, changed(task, **changes))
     if termination is not None:
         assert failed.termination is termination
         assert failed.kkt_residual > 0.1
-    assert same(polish(nlp, task), before)
+    assert same(polish_path(nlp, task), before)
 
 
 def test_margins_that_are_not_a_number_have_no_residual(nlp):
     """Nothing says how far from a solution such a point is."""
-    polished = polish(nlp, reach_task(N, LINES, margins=scored(constant_margins(np.nan))))
+    polished = polish_path(nlp, reach_task(N, LINES, margins=scored(constant_margins(np.nan))))
     assert polished.kkt_residual == np.inf
 
 
@@ -625,17 +624,17 @@ def test_margins_that_turn_into_no_number_on_the_way(nlp):
         here = constant_margins(10.0)(positions_m)
         return replace(here, value=np.where(positions_m[:, 0] < 3.5, here.value, np.nan))
 
-    polished = polish(nlp, reach_task(N, LINES, margins=scored(ends)))
+    polished = polish_path(nlp, reach_task(N, LINES, margins=scored(ends)))
     assert np.isfinite(polished.path_m).all()
     assert polished.termination is not Termination.CONVERGED or polished.path_m[:, 0].max() < 3.5
 
 
 def test_nothing_is_printed(nlp, capfd):
     """Not by a solve that works, nor by one that fails in any way: at the level of files."""
-    build_reach_nlp(2, 1)
-    polish(nlp, reach_task(N, LINES, **HARD))
+    goal_nlp(2, 1)
+    polish_path(nlp, reach_task(N, LINES, **HARD))
     for changes, _ in FAILURES.values():
-        polish(nlp, replace(reach_task(N, LINES, **HARD), **changes))
+        polish_path(nlp, changed(reach_task(N, LINES, **HARD), **changes))
     captured = capfd.readouterr()
     assert captured.out == ""
     assert captured.err == ""
@@ -644,10 +643,9 @@ def test_nothing_is_printed(nlp, capfd):
 def test_a_new_process_prints_nothing():
     """IPOPT's banner comes once a process, so that only a first solve could show it."""
     program = (
-        "from reach_tasks import reach_task\n"
-        "from planopt.planning.programme.polish import polish\n"
-        "from planopt.planning.programme.path_nlp import build_reach_nlp\n"
-        "assert polish(build_reach_nlp(1, 0), reach_task(1, 0)).termination == 'converged'\n"
+        "from reach_tasks import goal_nlp, reach_task\n"
+        "from planopt.planning.programme.path_polish import polish_path\n"
+        "assert polish_path(goal_nlp(1, 0), reach_task(1, 0)).termination == 'converged'\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program],
@@ -662,7 +660,7 @@ def test_a_new_process_prints_nothing():
 
 def test_one_step_without_lines():
     """The smallest structure: one step straight to the limit, empty tables of lines."""
-    polished = solved(build_reach_nlp(1, 0), reach_task(1, 0))
+    polished = solved(goal_nlp(1, 0), reach_task(1, 0))
     np.testing.assert_allclose(polished.path_m, [[2.0, 0.0]], atol=1e-4)
     assert polished.multipliers["line_end"].shape == (1, 0)
     assert polished.multipliers["line_start"].shape == (0, 0)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from reach_tasks import (
     bowl_margins,
+    changed,
     constant_margins,
+    goal_nlp,
     outage_of,
     reach_task,
     scored,
@@ -18,8 +20,7 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Termination, Verdict
 from planopt.planning.programme.cone_rows import no_cones
 from planopt.planning.programme.nlp_functions import Bounds, NlpFunctions
-from planopt.planning.programme.path_nlp import build_reach_nlp
-from planopt.planning.programme.polish import polish
+from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.programme.scp import scp_solve
 
 N, LINES = 6, 2
@@ -28,7 +29,7 @@ N, LINES = 6, 2
 @pytest.fixture(scope="module")
 def solvers():
     """One programme, solved by both methods."""
-    return build_reach_nlp(N, LINES), build_reach_nlp(N, LINES, "scp")
+    return goal_nlp(N, LINES), goal_nlp(N, LINES, "scp")
 
 
 def test_the_circle_and_the_line():
@@ -60,7 +61,7 @@ def test_it_finds_what_ipopt_finds(solvers, bound_db):
     task = reach_task(
         N, LINES, margins=scored(bowl_margins([3.0, 1.5], 4.0)), bound_db=np.full(N, bound_db)
     )
-    by_ipopt, by_scp = (polish(nlp, task) for nlp in solvers)
+    by_ipopt, by_scp = (polish_path(nlp, task) for nlp in solvers)
     assert by_scp.termination is Termination.CONVERGED
     np.testing.assert_allclose(by_scp.path_m, by_ipopt.path_m, atol=5e-3)
     for name, expected in by_ipopt.multipliers.items():
@@ -79,32 +80,32 @@ def test_it_finds_what_ipopt_finds_at_a_price_of_outage(solvers):
         outage=outage_of(N, 2.0, 0.4),
         pivot_m=np.array([15.0, 4.0]),
     )
-    by_ipopt, by_scp = (polish(nlp, task) for nlp in solvers)
+    by_ipopt, by_scp = (polish_path(nlp, task) for nlp in solvers)
     assert by_ipopt.termination is by_scp.termination is Termination.CONVERGED
     np.testing.assert_allclose(by_scp.path_m, by_ipopt.path_m, atol=2e-2)
-    free = polish(solvers[0], replace(task, outage=outage_of(N)))
+    free = polish_path(solvers[0], changed(task, outage=outage_of(N)))
     assert np.abs(by_ipopt.path_m - free.path_m).max() > 0.3
 
 
 def test_rows_that_cannot_be_kept(solvers):
     """A bound above what any place has: infeasible, not converged."""
     task = reach_task(N, LINES, margins=scored(constant_margins(-5.0)), bound_db=np.zeros(N))
-    assert polish(solvers[1], task).termination is Termination.INFEASIBLE
+    assert polish_path(solvers[1], task).termination is Termination.INFEASIBLE
 
 
 def test_no_numbers(solvers):
     """A start or a bound that is no number gives a point of NaN, and the next solve is unharmed."""
     task = reach_task(N, LINES)
-    before = polish(solvers[1], task)
+    before = polish_path(solvers[1], task)
     for spoilt in (
         replace(task, path_m=np.full((N, 2), np.nan)),
         replace(task, bound_db=np.full(N, np.nan)),
-        replace(task, margins=scored(constant_margins(np.nan)), bound_db=np.zeros(N)),
+        changed(task, margins=scored(constant_margins(np.nan)), bound_db=np.zeros(N)),
     ):
-        lost = polish(solvers[1], spoilt)
+        lost = polish_path(solvers[1], spoilt)
         assert lost.termination is Termination.NUMERICAL_FAILURE
         assert np.isnan(lost.path_m).all()
-    after = polish(solvers[1], task)
+    after = polish_path(solvers[1], task)
     np.testing.assert_array_equal(after.path_m, before.path_m)
 
 

@@ -1,0 +1,197 @@
+"""The cost of reaching a goal over N steps, with derivatives: the value that a solver maximises.
+
+With h the duration of a step, w the weight of effort, Phi the normal distribution and
+l_k = |q_k - q_{k-1}|, rounded at zero, a path of a single integrator costs::
+
+    w / h sum l_k^2 + rate |q_N - pivot| + price sum l_k (c_{k-1} + c_k) / 2
+
+where ``c_k = charged_k (1 - Phi(score_k(q_k)))`` is the share of a metre that the outage price is
+charged on. The value is minus this cost; it couples each stage with the next.
+
+For a robot with dynamics, state x_k = (q_k, r_k), resting position s(x_k) and turning time
+turning(x_k, pivot), the cost is written symbolically::
+
+    effort sum |q_k - q_{k-1}|^2
+        + sum c_k (rate |s(x_k) - pivot| + braking |s(x_k) - q_k| + turning(x_k, pivot))
+
+c_N is 1: that is the way beyond the horizon. If the pivot is reached within the horizon, every step
+is charged in addition, or arriving late would cost nothing. Charged from its resting position, the
+robot accelerates and brakes as late as it can: past the pivot there is nothing to gain. Braking
+is the price of outage up to the resting position: if it were free, a robot would put off what is
+expensive until after the horizon, again and again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from planopt.planning.programme.margin_source import Evaluation, PathValue, StageMargins
+from planopt.planning.programme.motion_rows import MotionShape
+from planopt.robots.dynamics import Components
+from planopt.targets.rounding import Derivatives, add_products
+
+PIVOT_ROUNDING_M, STEP_ROUNDING_M = 1e-2, 1e-2
+"""Rounding of the distance to the pivot, and of the length of a step, so that their gradients exist
+at the pivot and at a standstill."""
+
+
+DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
+"""Of the normal distribution at zero."""
+
+
+@dataclass(frozen=True)
+class OutagePrice:
+    """The price of being out of contact along a path."""
+
+    price_s_m: float  # Of a metre that is certainly out of contact
+    share_before: float  # Share of a metre that is charged at the start
+    # (N,) the same after each step, were that certainly out of contact
+    charged: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class GoalValue:
+    """Value of paths of a single integrator to a goal, and their connectivity margins."""
+
+    start_m: NDArray[np.float64]  # (2,) where the robot is
+    pivot_m: NDArray[np.float64]  # (2,) the last position is drawn to it
+    effort_s_m2: float  # Cost of squared step length, and of a metre beyond the horizon
+    rate_s_m: float
+    outage: OutagePrice
+    # Connectivity margin of each stage by position, and the normal score of its connection
+    margins: Callable[[NDArray[np.float64]], tuple[StageMargins, Derivatives]]
+
+    def __call__(self, places_m: NDArray[np.float64]) -> Evaluation:
+        """Evaluate a path (N, 2)."""
+        margins, scores = self.margins(places_m)
+        return Evaluation(self._value(places_m, scores), margins)
+
+    def _value(self, places_m: NDArray[np.float64], score: Derivatives) -> PathValue:
+        outage, half, effort = self.outage, 0.5 * self.outage.price_s_m, 2.0 * self.effort_s_m2
+        steps = places_m.copy()
+        steps[0] -= self.start_m
+        steps[1:] -= places_m[:-1]
+        squares = np.einsum("ij,ij->i", steps, steps)
+        lengths = np.sqrt(squares + STEP_ROUNDING_M**2)
+        # Of the charged share of a metre after each step, with slopes by score and place.
+        z = score.value
+        share = outage.charged * ndtr(-z)
+        by_score = outage.charged * np.exp(-0.5 * z * z) * -DENSITY
+        share_slope = by_score[:, None] * score.gradient
+        by_length, by_share = half * share, half * lengths
+        by_length[0] += half * outage.share_before
+        by_length[1:] += half * share[:-1]
+        by_share[:-1] += half * lengths[1:]
+        to_pivot = places_m[-1] - self.pivot_m
+        away = math.sqrt(float(to_pivot @ to_pivot) + PIVOT_ROUNDING_M**2)
+        cost = 0.5 * effort * squares.sum() + self.rate_s_m * away + by_length @ lengths
+
+        bend = by_length / lengths
+        by_step = (effort + bend)[:, None] * steps
+        gradient = by_share[:, None] * share_slope
+        gradient += by_step
+        gradient[:-1] -= by_step[1:]
+        gradient[-1] += self.rate_s_m / away * to_pivot
+
+        along = steps / lengths[:, None]
+        step_bend = -bend[:, None] * _square(along)
+        step_bend[:, ::2] += (effort + bend)[:, None]
+        own = score.hessian - z[:, None] * _square(score.gradient)
+        own *= (by_share * by_score)[:, None]
+        own += step_bend
+        own[:-1] += step_bend[1:]
+        turn = half * along
+        turn[:-1] -= half * along[1:]
+        add_products(own, turn, share_slope)
+        own[-1, ::2] += self.rate_s_m / away
+        own[-1] -= self.rate_s_m / away**3 * _square(to_pivot)
+        # Between each stage and the next.
+        on = half * along[1:]
+        across = share_slope[:-1, :, None] * on[:, None] - on[:, :, None] * share_slope[1:, None]
+        across = across.reshape(-1, 4) - step_bend[1:, [0, 1, 1, 2]]
+        hessian = np.concatenate([own.ravel(), across.ravel()])
+        return PathValue(-float(cost), -gradient, -hessian)
+
+
+def _square(a: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the entries xx, xy, yy of a a', a (..., 2)."""
+    return a[..., [0, 0, 1]] * a[..., [0, 1, 1]]
+
+
+ROUNDING_STEPS = 0.01
+"""Rounding of the distance to the pivot of a robot with dynamics, in longest steps."""
+
+PARAMETERS = 7
+"""Numbers of a charge."""
+
+
+@dataclass(frozen=True)
+class GoalCharge:
+    """The numbers of the cost."""
+
+    pivot_m: NDArray[np.float64]  # (2,)
+    # Cost of squared step length, of a metre beyond the horizon, and of a metre driven before it
+    # comes to stand
+    effort_s_m2: float
+    rate_s_m: float
+    braking_s_m: float
+    each_step: float  # What c_k is besides, for every k: 0 where the pivot is not come to
+    rounding_m: float  # Of the distance to the pivot
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """``(7,)`` as :func:`goal_cost_s` takes them."""
+        costs = (self.effort_s_m2, self.rate_s_m, self.braking_s_m)
+        return np.array([*self.pivot_m, *costs, self.each_step, self.rounding_m])
+
+
+def goal_cost_s(shape: MotionShape, q: Any, w: Any, start: Components, charge: Any) -> Any:
+    """The cost of positions `q` and variables `w`."""
+    pivot = (charge[0], charge[1])
+    effort, rate, braking, each_step, rounding = (charge[i] for i in range(2, PARAMETERS))
+    before, cost = start, 0.0
+    for k in range(shape.horizon):
+        own = (w[k * shape.per_step + i] for i in range(shape.rest))
+        here = (q[2 * k], q[2 * k + 1], *own)
+        x, y = shape.dynamics.resting_place(here)
+        square = (x - pivot[0]) ** 2 + (y - pivot[1]) ** 2
+        braked = (x - here[0]) ** 2 + (y - here[1]) ** 2
+        ahead = rate * (square + rounding**2) ** 0.5 + shape.dynamics.turning_s(here, pivot)
+        ahead = ahead + braking * (braked + rounding**2) ** 0.5
+        weight = each_step + 1.0 if k == shape.horizon - 1 else each_step
+        driven = (here[0] - before[0]) ** 2 + (here[1] - before[1]) ** 2
+        cost = cost + effort * driven + weight * ahead
+        before = here
+    return cost
+
+
+def goal_cost_gradient(
+    shape: MotionShape,
+    positions_m: NDArray[np.float64],
+    w: NDArray[np.float64],
+    start: NDArray[np.float64],
+    charge: GoalCharge,
+) -> NDArray[np.float64]:
+    """Gradient (2 N + len(w),) of the cost."""
+    found = _gradient_function(shape)(positions_m.ravel(), w, start, charge.numbers)
+    return np.asarray(found).ravel()
+
+
+@lru_cache(maxsize=64)
+def _gradient_function(shape: MotionShape) -> Any:
+    """Gradient of the cost as a CasADi function of (q, w, start, charge)."""
+    import casadi as ca
+
+    q, w = ca.SX.sym("q", 2 * shape.horizon), ca.SX.sym("w", shape.variables)
+    start, charge = ca.SX.sym("start", 2 + shape.rest), ca.SX.sym("charge", PARAMETERS)
+    cost = goal_cost_s(shape, q, w, tuple(ca.vertsplit(start)), charge)
+    gradient = ca.densify(ca.gradient(cost, ca.vertcat(q, w)))
+    return ca.Function("gradient", [q, w, start, charge], [gradient])

@@ -1,0 +1,140 @@
+"""The value of a path to a goal: the documented cost, its derivatives, and who evaluates it."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from reach_tasks import bowl_margins, constant_margins, goal_nlp, outage_of, scored
+from scipy.stats import norm
+
+from planopt.planning.plan import Termination
+from planopt.planning.programme.goal_value import (
+    PIVOT_ROUNDING_M,
+    STEP_ROUNDING_M,
+    GoalValue,
+    OutagePrice,
+)
+from planopt.planning.programme.margin_source import StageMargins, ValueSource
+from planopt.planning.programme.nlp_functions import Bounds
+from planopt.planning.programme.path_rows import curvature
+
+N = 4
+START = np.array([0.3, -0.2])
+
+
+def waves(positions_m):
+    """Scores about zero, where the probability of connection bends most."""
+    x, y = positions_m.T
+    k = np.arange(1.0, len(x) + 1.0)
+    sin, cos = np.sin(k * x), np.cos(k * x)
+    return StageMargins(
+        sin * np.cos(y),
+        np.stack([k * cos * np.cos(y), -sin * np.sin(y)], axis=1),
+        np.stack([-(k**2) * sin * np.cos(y), -k * cos * np.sin(y), -sin * np.cos(y)], axis=1),
+    )
+
+
+VALUE = GoalValue(
+    START,
+    np.array([5.0, 4.0]),
+    0.7,
+    1.3,
+    OutagePrice(0.9, 0.6, np.array([1.0, 0.0, 0.8, 1.0])),
+    scored(constant_margins(1.0), waves),
+)
+
+
+def cost(flat):
+    """The docstring's cost in NumPy."""
+    q = np.vstack([START, flat.reshape(N, 2)])
+    steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    share = np.append(0.6, VALUE.outage.charged * norm.sf(waves(q[1:]).value))
+    outage = (np.hypot(steps, STEP_ROUNDING_M) * (share[:-1] + share[1:]) / 2.0).sum()
+    to_pivot = np.hypot(np.linalg.norm(q[-1] - VALUE.pivot_m), PIVOT_ROUNDING_M)
+    return 0.7 * (steps**2).sum() + 1.3 * to_pivot + 0.9 * outage
+
+
+def differences(function, x, h):
+    """Jacobian by central differences."""
+    steps = h * np.eye(len(x))
+    return np.stack([(function(x + s) - function(x - s)) / (2.0 * h) for s in steps], axis=-1)
+
+
+@pytest.mark.parametrize("stands", [False, True])
+def test_value_gradient_and_hessian(stands):
+    """By differences; at a standstill the rounding keeps slope and curvature finite."""
+    flat = np.tile(START, N) if stands else np.random.default_rng(4).standard_normal(2 * N)
+    found = VALUE(flat.reshape(N, 2)).value
+    assert found.value == pytest.approx(-cost(flat), rel=1e-12)
+    np.testing.assert_allclose(found.gradient.ravel(), -differences(cost, flat, 1e-6), atol=1e-6)
+    hessian = np.asarray(curvature(ca.DM(found.hessian), N, "chain"), dtype=float)
+
+    def gradient(at):
+        return VALUE(at.reshape(N, 2)).value.gradient.ravel()
+
+    np.testing.assert_allclose(hessian, differences(gradient, flat, 1e-6), atol=1e-4)
+
+
+@pytest.mark.parametrize(("horizon", "lines"), [(1, 0), (1, 2), (2, 1), (5, 0)])
+def test_every_structure_solves(horizon, lines):
+    """One step, no lines: as many variables and multipliers as the structure says."""
+    nlp = goal_nlp(horizon, lines)
+    margins = scored(bowl_margins([0.0, 0.0], 100.0))
+    nlp.source.use(
+        GoalValue(np.zeros(2), np.array([9.0, 0.0]), 0.1, 1.0, outage_of(horizon, 0.5), margins)
+    )
+    parameters = np.zeros(5 + 4 * horizon * lines)
+    parameters[2] = 1.0
+    plain = horizon + (2 * horizon - 1) * lines
+    lower = np.concatenate([np.full(horizon, -np.inf), np.zeros(plain)])
+    upper = np.concatenate([np.ones(horizon), np.full(plain, np.inf)])
+    bound = np.full(2 * horizon, 50.0)
+    found = nlp.solve(
+        np.zeros(2 * horizon), parameters, Bounds(-bound, bound), Bounds(lower, upper)
+    )
+    assert found.termination == Termination.CONVERGED
+    expected = np.outer(np.arange(1, horizon + 1), [1.0, 0.0])
+    np.testing.assert_allclose(found.positions_m, expected, atol=1e-4)
+    assert found.slack_db.shape == (0,)
+    assert found.row_multipliers.shape == (plain + horizon,)
+
+
+FLAT = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
+
+
+def test_a_point_is_computed_once_by_the_function_in_use():
+    """The last bit of a coordinate is another point, and another function forgets everything."""
+    evaluated = []
+
+    def counting(places_m):
+        evaluated.append(places_m.copy())
+        return VALUE(places_m)
+
+    source = ValueSource()
+    with pytest.raises(AssertionError, match="before its value"):
+        source.at(FLAT)
+    source.use(counting)
+    place = FLAT.copy()
+    assert source.margins_at(place).value.tolist() == [1.0] * N
+    assert source.at(FLAT) is source.at(place)
+    assert len(evaluated) == 1
+    # The solver writes its iterates into one array: contents count, not identity.
+    place[3] = np.nextafter(4.0, 5.0)
+    source.at(place)
+    assert len(evaluated) == 2
+    source.use(replace(VALUE, margins=scored(constant_margins(7.0), waves)))
+    assert source.margins_at(place).value.tolist() == [7.0] * N
+
+
+def test_a_failing_function_leaves_nothing_behind():
+    """After an error the point is computed again, not answered from the point before it."""
+
+    def broken(_places_m):
+        raise ValueError("broken")
+
+    source = ValueSource()
+    source.use(broken)
+    for _ in range(2):
+        with pytest.raises(ValueError, match="broken"):
+            source.at(FLAT)

@@ -13,6 +13,7 @@ sys.path.insert(0, str(HERE))
 from problem_keys import write_problem_keys  # noqa: E402
 
 project = "planopt"
+copyright = "2026, the planopt authors"
 author = "the planopt authors"
 extensions = [
     "sphinx.ext.autodoc",

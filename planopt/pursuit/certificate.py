@@ -268,7 +268,7 @@ def certify(
 
 @dataclass(frozen=True)
 class Claim:
-    """What a saved run claims by one theorem for its first pursuer and evader."""
+    """Claims of a saved run under one theorem for its first pursuer and evader."""
 
     theorem: Theorem
     distances: Distances

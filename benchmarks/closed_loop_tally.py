@@ -16,7 +16,6 @@ from closed_loop_scenes import MAX_STEPS, random_problem
 
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.problems.problem import Problem
@@ -90,7 +89,7 @@ def _drive(problem: Problem, seed: int, folder: Path, tally: Tally) -> None:
     run = simulate(problem, seed=seed, on_step=lambda _: clock.append(process_time()))
     # The first step has the setting up in it.
     tally.slowest_s = max(np.diff(clock)[1:], default=0.0) / len(problem.robots)
-    save_run(run, folder)
+    run.save(folder)
     said: dict[str, Plan] = {}
     for number, (made, log) in enumerate(zip(run.plans, run.runs, strict=True)):
         said |= {f"plans[{number}].released[{step}]": plan for step, plan in enumerate(made)}

@@ -13,8 +13,8 @@ from planopt.planning.live_planner import Planner as Planner
 from planopt.planning.loop.closed_loop import simulate as simulate
 from planopt.planning.plan import Plan as Plan
 from planopt.planning.plan import Verdict as Verdict
-from planopt.planning.run import Run as Run
-from planopt.planning.solution import Solution as Solution
+from planopt.planning.results import Run as Run
+from planopt.planning.results import Solution as Solution
 from planopt.planning.solve import solve as solve
 from planopt.problems.base_station import BaseStation as BaseStation
 from planopt.problems.channel_setup import ChannelSetup as ChannelSetup

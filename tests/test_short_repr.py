@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import planopt
-from planopt.planning.run import Run
-from planopt.planning.solution import Solution
+from planopt.planning.results import Run, Solution
 from planopt.short_repr import short_repr
 
 

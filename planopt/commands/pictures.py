@@ -10,8 +10,7 @@ from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.planning.holes import BlockedError
 from planopt.planning.prepare import prepare
-from planopt.planning.run import Run
-from planopt.planning.solution import Solution
+from planopt.planning.results import Run, Solution
 from planopt.problems.problem import Problem
 from planopt.report.calibration_figure import draw_calibration
 from planopt.report.comparison_figure import draw_comparison, draw_traces

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from planopt.planning.plan import Plan
-    from planopt.planning.run import Run
+    from planopt.planning.results import Run
 
 
 @driving_command
@@ -29,9 +29,8 @@ def simulate(asked: Asked) -> int:
     """Drive the closed loop in the ground truth. Exit code 0 verified, 3 not all, 4 not done."""
     from planopt.errors import NoPlanError
     from planopt.planning.files.result_json import no_run_json, run_json
-    from planopt.planning.files.saved import PLAN_OR_RUN, RUN_FILE, save_no_plan, save_run
+    from planopt.planning.files.saved import PLAN_OR_RUN, RUN_FILE, save_no_plan
     from planopt.planning.loop.closed_loop import simulate as drive
-    from planopt.planning.run_summary import exit_code
 
     problem, seed = asked.problem, asked.seed
     with results_folder(asked.out) as folder:
@@ -50,7 +49,7 @@ def simulate(asked: Asked) -> int:
             show(asked.json, data, f"{problem.name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
-            save_run(run, folder)
+            run.save(folder)
         show(asked.json, run_json(run), _in_words(run))
         with drawing(folder, PLAN_OR_RUN, wanted=asked.has_pictures) as new:
             if new is not None:
@@ -60,7 +59,7 @@ def simulate(asked: Asked) -> int:
                     picture_run(run, new)
                 if asked.animation:
                     animate(run, new)
-    return exit_code(run)
+    return run.exit_code
 
 
 def _say_ahead(asked: Asked, plans: Sequence[Plan]) -> None:

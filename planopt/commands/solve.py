@@ -19,7 +19,7 @@ from planopt.commands.planning import Asked, planning_command
 
 if TYPE_CHECKING:
     from planopt.planning.plan import Plan
-    from planopt.planning.solution import Solution
+    from planopt.planning.results import Solution
     from planopt.problems.problem import Problem
 
 
@@ -31,9 +31,8 @@ def solve(asked: Asked) -> int:
     from planopt.errors import NoPlanError
     from planopt.planning.explain.explain import explain, explain_no_plan
     from planopt.planning.files.result_json import no_plan_json, solution_json
-    from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, save_no_plan, save_solution
+    from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, save_no_plan
     from planopt.planning.holes import BlockedError
-    from planopt.planning.solution import exit_code
     from planopt.planning.solve import solve as find_plans
 
     problem, seed = asked.problem, asked.seed
@@ -63,18 +62,18 @@ def solve(asked: Asked) -> int:
                     picture_no_plan(problem, seed, error, new)
             return NO_PLAN
         crosses = any(plan.holes for plan in solution.plans)
-        if exit_code(solution) != 0 or crosses:
+        if solution.exit_code != 0 or crosses:
             with progress("explaining"):
                 solution = replace(solution, explanation=explain(solution))
         if folder is not None:
-            save_solution(solution, folder)
+            solution.save(folder)
         show(asked.json, solution_json(solution), _in_words(solution))
         with drawing(folder, PLAN_OR_RUN, wanted=problem.report.figures) as new:
             if new is not None:
                 from planopt.commands.pictures import picture_solution
 
                 picture_solution(solution, new)
-    return exit_code(solution)
+    return solution.exit_code
 
 
 def _in_words(solution: Solution) -> str:

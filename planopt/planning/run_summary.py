@@ -1,29 +1,15 @@
-"""A run without its steps, as comparisons list it, and its exit code."""
+"""A run without its steps, as comparisons list it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.loop.log import Outcome
-
-if TYPE_CHECKING:
-    from planopt.planning.run import Run
-
-ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
-"""Outcomes of runs that did what the problem asks."""
-
-
-def exit_code(run: Run) -> int:
-    """Return 0 if the task was done with every step verified, 3 if some was not, 4 if not done."""
-    if run.outcome not in ARRIVED:
-        return 4
-    # Without a step there is nothing that was not verified.
-    return 3 if run.verified_rate < 1.0 else 0
+from planopt.planning.results import Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +70,7 @@ def summary_of(run: Run) -> RunSummary:
         seed=run.seed,
         outcome=run.outcome.value,
         reason=run.reason,
-        exit_code=exit_code(run),
+        exit_code=run.exit_code,
         metrics=run.metrics,
         rungs=run.rungs,
         verified_rate=run.verified_rate,

@@ -14,8 +14,8 @@ from planopt.planning.given import (
 )
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.prepare import prepare
+from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scenes
-from planopt.planning.solution import Solution
 from planopt.planning.stepping import Stepper
 from planopt.planning.team.plan_step import planning
 from planopt.problems.overrides import with_overrides

@@ -10,7 +10,7 @@ import numpy as np
 
 from planopt.planning.loop.log import RobotRun
 from planopt.planning.plan import Plan
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.problems.problem import Problem
 from planopt.report.animation import animate, frames
 from planopt.report.map_window import map_window

@@ -10,8 +10,7 @@ import numpy as np
 
 from planopt.channel.belief import Belief
 from planopt.planning.holes import BlockedWay
-from planopt.planning.run import Run
-from planopt.planning.solution import Solution
+from planopt.planning.results import Run, Solution
 from planopt.problems.problem import Problem
 from planopt.report.map_window import map_window, window_about
 from planopt.report.maps import draw_ground, draw_moving, draw_places

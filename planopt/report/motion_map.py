@@ -15,7 +15,7 @@ from planopt.planning.holes import BlockedWay, Hole
 from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
 from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.plan import Plan
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.problems.problem import Problem
 from planopt.report.grid import Bounds, believed_rasters
 from planopt.report.map_window import show_window

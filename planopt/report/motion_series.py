@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.loop.log import StepLog
 from planopt.planning.plan import Plan, Rung, Verdict
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.planning.team.reservations import (
     driven_motion,
     least_moving_clearances_m,

@@ -24,9 +24,8 @@ from planopt.planning.check.check import load_result as load_plan_or_run
 from planopt.planning.files.record import finite
 from planopt.planning.files.result_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
-from planopt.planning.run import Run
+from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary
-from planopt.planning.solution import Solution
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.problems.systems import SystemProblem, system_from_tables

@@ -16,7 +16,6 @@ import planopt.planning.search.start_search as search_module
 import planopt.planning.start_polish as polish_module
 from planopt.errors import InputError
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_solution
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.reach_planner import ReachPlanner
@@ -167,7 +166,7 @@ def test_a_polish_that_takes_too_long_ends(monkeypatch):
 def test_saved_and_checked(tmp_path):
     """A plan without a polish is judged from disk as it is."""
     problem = with_budget(TERMS, NO_TIME)
-    save_solution(solve(problem, seed=1), tmp_path)
+    solve(problem, seed=1).save(tmp_path)
     assert check(tmp_path).reasons == ()
 
 

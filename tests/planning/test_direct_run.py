@@ -9,7 +9,7 @@ import pytest
 
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Rung
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems.load import problem_from_tables

@@ -13,7 +13,6 @@ from scenes import WALL, bad_band, belief_of, good_everywhere, prepared_of, smal
 from planopt import load
 from planopt.channel.prediction import Prediction
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Pivot, Verdict, shifted_drive
@@ -245,9 +244,9 @@ def test_saved_plan_and_run_are_judged_again(dynamics, rest, tmp_path) -> None:
     problem = load("harbour_reach")
     problem = problem if dynamics is None else with_dynamics(problem, dynamics, *rest)
     problem = replace(problem, planner=replace(problem.planner, horizon=4, max_steps=6))
-    save_run(simulate(problem), tmp_path / "run")
+    simulate(problem).save(tmp_path / "run")
     assert check(tmp_path / "run").reasons == ()
-    save_solution(solve(problem), tmp_path / "plan")
+    solve(problem).save(tmp_path / "plan")
     assert check(tmp_path / "plan").reasons == ()
     for folder in (tmp_path / "run", tmp_path / "plan"):
         lines = (folder / "steps.csv").read_text().splitlines()

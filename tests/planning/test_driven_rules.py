@@ -12,7 +12,6 @@ from terms_scene import TRACKING
 
 from planopt.planning.check.check import check
 from planopt.planning.explain.explain import explain
-from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
@@ -49,7 +48,7 @@ def test_missed_steps_are_excused_by_where_it_can_be(dynamics, horizon: int, tmp
     assert np.all(np.array(certificate.best_margin_db) <= np.array(wide.best_margin_db) + 0.05)
     assert certificate.best_margin_db[0] < wide.best_margin_db[0]
     run = simulate(problem, seed=SEED)
-    save_run(run, tmp_path)
+    run.save(tmp_path)
     assert not [text for text in check(tmp_path).reasons if "is met at none of" not in text]
 
 

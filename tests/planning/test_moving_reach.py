@@ -12,7 +12,6 @@ from scenes import prepared_of, small_problem
 
 from planopt import load
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Verdict
@@ -107,13 +106,9 @@ def test_saved_runs_and_plans_are_judged_beside_what_moves(tmp_path):
         workspace=replace(problem.workspace, moving=(cart,)),
         planner=replace(problem.planner, horizon=4, max_steps=8),
     )
-    for name, save, made in (
-        ("plan", save_solution, solve(problem)),
-        ("run", save_run, simulate(problem)),
-    ):
+    for name, made in (("plan", solve(problem)), ("run", simulate(problem))):
         folder = tmp_path / name
-        folder.mkdir()
-        save(made, folder)
+        made.save(folder)
         result = check(folder)
         assert result.verdict is Verdict.VERIFIED, result.reasons
         assert result.certificate.min_moving_clearance_m >= 1.5

@@ -13,7 +13,6 @@ from planopt import check, load, solve
 from planopt.errors import InputError
 from planopt.planning.baselines.baseline import held, released
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner
-from planopt.planning.files.saved import save_solution
 from planopt.problems import planner_kinds
 from planopt.problems.load import problem_from_tables
 from planopt.problems.planner_kinds import (
@@ -55,7 +54,7 @@ def test_registered_planner_plans(eastward, tmp_path) -> None:
     path_m, step_m = solution.plan.positions_m, solution.problem.step_length_m
     assert path_m[1:] - path_m[:-1] == pytest.approx(np.array([[0.5 * step_m, 0.0]] * 4))
     assert solution.problem.planner.name == "eastward"
-    save_solution(solution, tmp_path)
+    solution.save(tmp_path)
     assert check(tmp_path).verdict is solution.verdict
     tables = problem_to_dict(solution.problem)
     unregister_planner("eastward")

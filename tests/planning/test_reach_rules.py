@@ -14,7 +14,6 @@ from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
 from planopt.planning.explain.keys import Trials, deadline_s
 from planopt.planning.explain.no_way import explain_blocked
-from planopt.planning.files.saved import save_run
 from planopt.planning.history import History
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
@@ -130,7 +129,7 @@ def test_check_agrees_with_a_run(rule, tmp_path: Path):
         constraints=replace(problem.constraints, p_min=p_min, rule=rule),
         planner=replace(problem.planner, max_steps=4, horizon=5),
     )
-    save_run(simulate(problem, seed=1), tmp_path)
+    simulate(problem, seed=1).save(tmp_path)
     found = check(tmp_path)
     assert found.reasons == ()
     assert found.certificate.rule.connectivity == rule.connectivity

@@ -16,7 +16,7 @@ import planopt
 from planopt import Run, Solution
 from planopt.files.tables import table_text
 from planopt.planning.files.result_json import no_plan_json
-from planopt.planning.files.run_tables import step_columns, steps_of_plans, steps_of_runs
+from planopt.planning.files.run_tables import tables_of
 from planopt.planning.files.saved import save_no_plan
 
 
@@ -35,10 +35,7 @@ def results() -> dict[str, Solution | Run]:
 
 def table_of(result: Solution | Run) -> str:
     """The text of ``steps.csv`` from the result's own arrays."""
-    columns = step_columns(result.problem)
-    if isinstance(result, Solution):
-        return table_text(columns, steps_of_plans(result.problem, result.plans))
-    return table_text(columns, steps_of_runs(result.problem, result.runs))
+    return table_text(*tables_of(result)["steps.csv"])
 
 
 @pytest.mark.parametrize("name", ["plan", "plans", "run", "team"])

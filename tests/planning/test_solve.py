@@ -10,7 +10,7 @@ import pytest
 from planopt import load
 from planopt.errors import InputError
 from planopt.planning.plan import Verdict
-from planopt.planning.solution import Solution, exit_code
+from planopt.planning.results import Solution
 from planopt.planning.solve import solve
 
 
@@ -24,7 +24,7 @@ def test_library_problem(solution):
     """Verified, no worse than the lattice, exit code 0."""
     plan = solution.plan
     assert plan.verdict is Verdict.VERIFIED
-    assert exit_code(solution) == 0
+    assert solution.exit_code == 0
     assert plan.objective <= plan.lattice_objective
     assert plan.certificate.min_clearance_m >= 1.5 - 1e-6
     assert plan.certificate.min_connectivity >= 0.8 - 1e-6
@@ -80,7 +80,7 @@ def test_threshold_that_cannot_be_met(horizon):
     radio = replace(problem.stations[0], threshold_dbm=40.0)
     found = solve(replace(problem, stations=(radio,)), horizon=horizon)
     assert found.plan.verdict is Verdict.VIOLATED
-    assert exit_code(found) == 3
+    assert found.exit_code == 3
     assert "constraints.p_min 0.8" in found.plan.message
     assert "dB" in found.plan.message
     assert len(found.plan.certificate.relaxed_steps) == horizon
@@ -97,7 +97,7 @@ def test_threshold_that_cannot_be_met(horizon):
 )
 def test_exit_codes(solution, verdict, code):
     """Design section 3."""
-    assert exit_code(replace(solution, plans=(replace(solution.plan, verdict=verdict),))) == code
+    assert replace(solution, plans=(replace(solution.plan, verdict=verdict),)).exit_code == code
 
 
 def test_plans_and_verdict_are_asked_for_as_of_several_robots():

@@ -12,12 +12,12 @@ import pytest
 from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
 from planopt.planning.files.belief_file import BELIEF_FILE
-from planopt.planning.files.saved import RUN_FILE, save_run
+from planopt.planning.files.saved import RUN_FILE
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
 from planopt.problems.constraints import ConnectivityRule
@@ -138,7 +138,7 @@ def courier(tmp_path_factory: pytest.TempPathFactory) -> Path:
     problem = load("two_station_courier")
     problem = replace(problem, planner=replace(problem.planner, max_steps=6, horizon=4))
     folder = tmp_path_factory.mktemp("courier")
-    save_run(simulate(problem, seed=2), folder)
+    simulate(problem, seed=2).save(folder)
     return folder
 
 

@@ -18,9 +18,8 @@ from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.run import Run
+from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary, summary_of
-from planopt.planning.solution import Solution
 from planopt.planning.worth.situation import Aim
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup

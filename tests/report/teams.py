@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from planopt.planning.loop.log import ChannelLog, TargetLog
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.planning.worth.situation import Aim
 from planopt.problems.objective import LearningTerm, MappingTerm, TermsObjective, TrackingTerm
 from planopt.problems.robot import Robot

@@ -14,7 +14,7 @@ from teams import team_problem, team_run
 from planopt import MovingObstacle, Verdict, load, simulate, solve
 from planopt.commands.pictures import picture_run, picture_solution
 from planopt.extend import Rung
-from planopt.planning.solution import Solution
+from planopt.planning.results import Solution
 from planopt.planning.worth.situation import Aim
 from planopt.problems import GivenParameters
 from planopt.report.motion_figures import WORDS_LINES, draw_run, draw_run_series, draw_solution

@@ -20,25 +20,27 @@ from planopt.errors import InputError, NoPlanError, path_of
 from planopt.files.compare import DIGEST, differences, digest, in_words
 from planopt.files.tables import REMEDY, comparable
 from planopt.planning.certificate import Certificate, dearest, worst_result
-from planopt.planning.check.replay import Start, plan_reasons, replay_run, replay_solution, start_of
+from planopt.planning.check.replay import plan_reasons, replayed, start_of
 from planopt.planning.check.replay_belief import belief_reasons
-from planopt.planning.files.belief_file import belief_of_plan, beliefs_of_run
-from planopt.planning.files.result_json import NoPlanRecord, PlanRecord, no_plan_json, no_run_json
-from planopt.planning.files.run_tables import STEPS_FILE, run_tables, steps_of_plans
+from planopt.planning.files.result_json import (
+    NoPlanRecord,
+    RunRecord,
+    no_plan_json,
+    no_run_json,
+)
 from planopt.planning.files.saved import (
     FORMAT,
     PLAN_FILE,
+    Contents,
     Saved,
-    plan_data,
+    contents,
     read_object,
     read_saved,
-    run_data,
     saved_from,
 )
 from planopt.planning.given import with_drawn_starts
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.run import Run
-from planopt.planning.solution import Solution
+from planopt.planning.results import Run, Solution
 from planopt.planning.team.reservations import least_of, worst_of_robots
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load
@@ -135,14 +137,18 @@ def check(path: Path | str) -> CheckResult:
     remarks = library_remarks(name, saved.problem, saved.record.seed)
     if isinstance(saved.record, NoPlanRecord):
         return CheckResult(Verdict.NONE, (), tuple(_no_plan_reasons(saved)), tuple(remarks))
-    made = list[tuple[Plan, ...]]()
+    made: tuple[tuple[Plan, ...], ...] = ()
     try:
         start = start_of(saved)
     except InputError as error:
         reasons = [f"{saved.beliefs[0].file.name}: the channel cannot be fitted again: {error}"]
     else:
         remarks += start.remarks
-        made, reasons = (_judged_plan if name == PLAN_FILE else _judged_run)(saved, start)
+        result = replayed(saved, start)
+        made = (
+            tuple(zip(*result.plans, strict=True)) if isinstance(result, Run) else (result.plans,)
+        )
+        reasons = [*_objections(saved, result), *_different(saved, contents(result))]
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     certificates = tuple(
         worst_of_robots({plan.robot: plan.certificate for plan in plans}) for plans in made
@@ -150,54 +156,43 @@ def check(path: Path | str) -> CheckResult:
     return CheckResult(verdict, certificates, tuple(reasons), tuple(remarks))
 
 
-def _judged_plan(saved: Saved, start: Start) -> tuple[list[tuple[Plan, ...]], list[str]]:
-    """Return the plans found again, and every reason to reject what is said of them."""
-    solution = replay_solution(saved, start)
-    reasons = [
-        f"{plan.robot}: {reason}" if len(solution.plans) > 1 else reason
-        for number, plan in enumerate(solution.plans)
-        for reason in plan_reasons(problem_of_robot(saved.problem, number), plan)
-    ]
-    found = {STEPS_FILE: steps_of_plans(saved.problem, solution.plans)}
-    reasons += _document_reasons(saved, plan_data(solution), found)
-    reasons += belief_reasons(saved.beliefs[0], belief_of_plan(solution.belief), saved.record.seed)
-    return [solution.plans], reasons
-
-
-def _judged_run(saved: Saved, start: Start) -> tuple[list[tuple[Plan, ...]], list[str]]:
-    """Return the plans of each step found again, and every reason to reject the run."""
-    run = replay_run(saved, start)
+def _objections(saved: Saved, result: Solution | Run) -> list[str]:
+    """Return the verifier's objections to each plan of a replayed result."""
+    if isinstance(result, Solution):
+        return [
+            f"{plan.robot}: {reason}" if len(result.plans) > 1 else reason
+            for number, plan in enumerate(result.plans)
+            for reason in plan_reasons(problem_of_robot(saved.problem, number), plan)
+        ]
     reasons: list[str] = []
-    for number, plans in enumerate(run.plans):
+    for number, plans in enumerate(result.plans):
         for step, plan in enumerate(plans):
             own = problem_of_robot(problem_at(saved.problem, step), number)
             where = f"plans[{number}].released[{step}], the plan for step {step + 1}"
             reasons += [
                 f"{saved.file.name}, key {where}: {reason}" for reason in plan_reasons(own, plan)
             ]
-    if len(run.plans[0]) < len(saved.plans[0]):
-        late = f"the run goes on after step {len(run.plans[0])}, {run.reason}"
+    if len(result.plans[0]) < len(saved.plans[0]):
+        late = f"the run goes on after step {len(result.plans[0])}, {result.reason}"
         reasons.append(f"{saved.file.name}, key plans: {late}")
-    found = {name: table for name, (_, table) in run_tables(run).items()}
-    reasons += _document_reasons(saved, run_data(run), found)
-    for belief, arrays in zip(saved.beliefs, beliefs_of_run(run), strict=True):
-        reasons += belief_reasons(belief, arrays, saved.record.seed)
-    return list(zip(*run.plans, strict=True)), reasons
+    return reasons
 
 
-def _document_reasons(saved: Saved, data: dict[str, Any], tables: dict[str, Any]) -> list[str]:
-    """Return the differences of JSON object and tables from those found again."""
-    # What was asked is not judged: library_remarks says what there is to say.
-    found = {**data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
-    reasons = in_words(saved.file.name, differences(saved.data, found))
-    for name, table in tables.items():
+def _different(saved: Saved, found: Contents) -> list[str]:
+    """Return the differences of all files from those of the replay."""
+    # The problem is not compared: library_remarks describes it.
+    data = {**found.data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
+    reasons = in_words(found.name, differences(saved.data, data))
+    for name, (_, table) in found.tables.items():
         said = comparable(saved.tables[name])
         reasons += in_words(name, differences(said, comparable(table)))
+    for belief, arrays in zip(saved.beliefs, found.beliefs.values(), strict=True):
+        reasons += belief_reasons(belief, arrays, saved.record.seed)
     return reasons
 
 
 def _no_plan_reasons(saved: Saved) -> list[str]:
-    """Return that there is nothing to judge, and what the file says besides that is not so."""
+    """Return that there is no plan, and the differences from the file of such a result."""
     message, record = str(saved.data["message"]), saved.record
     found: dict[str, Any]
     if saved.file.name == PLAN_FILE and isinstance(record, NoPlanRecord):
@@ -241,10 +236,8 @@ def load_result(path: Path | str) -> Solution | Run:
     saved = read_saved(Path(path))
     if isinstance(saved.record, NoPlanRecord):
         raise NoPlanError(saved.record.message)
-    start = start_of(saved)
-    if isinstance(saved.record, PlanRecord):
-        return replay_solution(saved, start)
-    run = replay_run(saved, start)
-    if (run.outcome.value, run.reason) != (saved.record.outcome, saved.record.message):
-        raise InputError(run.reason, file=saved.file, key="outcome", remedy=REMEDY)
-    return run
+    result, record = replayed(saved, start_of(saved)), saved.record
+    if isinstance(result, Run) and isinstance(record, RunRecord):
+        if (result.outcome.value, result.reason) != (record.outcome, record.message):
+            raise InputError(result.reason, file=saved.file, key="outcome", remedy=REMEDY)
+    return result

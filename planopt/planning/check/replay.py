@@ -24,7 +24,7 @@ from planopt.errors import InputError
 from planopt.objectives.moments import Region
 from planopt.planning.certificate import plan_message
 from planopt.planning.check.replay_belief import initial_belief
-from planopt.planning.files.result_json import RobotPlan, RunRecord
+from planopt.planning.files.result_json import PlanRecord, RobotPlan, RunRecord
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
 from planopt.planning.files.saved import Saved, SavedPlan
 from planopt.planning.free_space import is_joined, obstacles_met
@@ -39,9 +39,8 @@ from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.goal_paths import GoalGrid
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.verify import judge
+from planopt.planning.results import Run, Solution
 from planopt.planning.roads import build_roads
-from planopt.planning.run import Run
-from planopt.planning.solution import Solution
 from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
 from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.worth.left_to_learn import workspace_region
@@ -91,28 +90,20 @@ def start_of(saved: Saved) -> Start:
     return Start(given, drawn, initial_belief(problem, given, saved.beliefs[0]), remarks)
 
 
-def replay_solution(saved: Saved, start: Start) -> Solution:
-    """Return the plans of a saved solution, verified again."""
-    problem, seed = saved.problem, saved.record.seed
-    watch = watch_target(problem, team_seeds(problem, seed).target)
-    robots = Stepper(problem, start.belief, _planning(saved), watch)
-    plans = tuple(robots.plan())
-    aims = tuple(aim for (aim,) in robots.aims)
-    told = saved.explanation(plans)
-    return Solution(problem, seed, start.belief, plans, aims, told)
-
-
-def replay_run(saved: Saved, start: Start) -> Run:
-    """Return a saved run, driven again."""
-    problem, seeds = saved.problem, team_seeds(saved.problem, saved.record.seed)
-    truths = start.given.truths
+def replayed(saved: Saved, start: Start) -> Solution | Run:
+    """Return a saved solution or run with every plan verified again."""
+    problem, seed, planning = saved.problem, saved.record.seed, _planning(saved)
+    generator = team_seeds(problem, seed).target
+    target = watch_target(problem, generator)
+    if isinstance(saved.record, PlanRecord):
+        robots = Stepper(problem, start.belief, planning, target)
+        plans = tuple(robots.plan())
+        aims = tuple(aim for (aim,) in robots.aims)
+        return Solution(problem, seed, start.belief, plans, aims, saved.explanation(plans))
     world: World = SavedWorld(saved)
-    if truths:
-        world = TrueWorld(problem, truths, partial(_road_maps, problem))
-    target = watch_target(problem, seeds.target)
-    return drive(
-        problem, saved.record.seed, start.belief, world, _planning(saved), target, seeds.target
-    )
+    if start.given.truths:
+        world = TrueWorld(problem, start.given.truths, partial(_road_maps, problem))
+    return drive(problem, seed, start.belief, world, planning, target, generator)
 
 
 def _road_maps(problem: Problem) -> list[RoadMap]:

@@ -21,9 +21,9 @@ from planopt.planning.explain.violated import explain_violated
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.prepare import prepare
 from planopt.planning.proof.predictions import broad_prediction
+from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.planning.solution import Solution
 from planopt.planning.solve import solve, solve_on
 from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.problems.problem import Problem, problem_of_robot

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,7 @@ from planopt.errors import InputError
 from planopt.files.npz import read_npz
 from planopt.files.tables import LARGEST, REMEDY
 from planopt.files.whole import write_whole
-
-if TYPE_CHECKING:
-    from planopt.planning.run import Run
+from planopt.planning.results import Run
 
 BELIEF_FILE = "belief.npz"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import fields
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +36,11 @@ from planopt.planning.loop.clairvoyant import COSTS
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
+from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.planning.team.reservations import worst_of_robots
 from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
-
-if TYPE_CHECKING:
-    from planopt.planning.run import Run
-    from planopt.planning.solution import Solution
 
 
 class PivotRecord(Record):

@@ -6,24 +6,22 @@ the target and the known channel over a run. Row 0 is the start.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.files.tables import REMEDY, Column, Data, table_of
-from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
+from planopt.files.tables import REMEDY, Column, Data, dataframe, table_of
+from planopt.planning.loop.log import StepLog, TargetLog
 from planopt.planning.plan import Plan
+from planopt.planning.results import Run, Solution
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.robots.dynamics import Dynamics
-
-if TYPE_CHECKING:
-    from planopt.planning.run import Run
 
 STEPS_FILE, TARGET_FILE, KNOWLEDGE_FILE = "steps.csv", "target.csv", "knowledge.csv"
 
@@ -162,14 +160,11 @@ def drive_of(
     return Drive(dynamics, states, np.column_stack([column[1:] for column in columns[split:]]))
 
 
-def steps_of_plans(problem: Problem, plans: Iterable[Plan]) -> Data:
-    """Return ``steps.csv`` of plans; true powers are unknown."""
-    return _steps(problem, [(plan.robot, _log_of_plan(plan), plan.drive) for plan in plans])
-
-
-def steps_of_runs(problem: Problem, runs: Iterable[RobotRun]) -> Data:
-    """Return ``steps.csv`` of a run."""
-    return _steps(problem, [(run.robot, run.log, run.drive) for run in runs])
+def _robots(result: Solution | Run) -> list[tuple[str, StepLog, Drive | None]]:
+    """Return name, log and drive of each robot; true powers of plans are unknown."""
+    if isinstance(result, Run):
+        return [(run.robot, run.log, run.drive) for run in result.runs]
+    return [(plan.robot, _log_of_plan(plan), plan.drive) for plan in result.plans]
 
 
 def _log_of_plan(plan: Plan) -> StepLog:
@@ -191,30 +186,34 @@ def _log_of_plan(plan: Plan) -> StepLog:
     )
 
 
-def _steps(problem: Problem, robots: Sequence[tuple[str, StepLog, Drive | None]]) -> Data:
+def _steps(result: Solution | Run) -> tuple[Sequence[Column], Data]:
     """Return one table of all robots; columns of other dynamics are empty."""
-    columns = step_columns(problem)
-    parts: list[Data] = []
-    for name, log, drive in robots:
+    columns, parts = step_columns(result.problem), list[Data]()
+    for name, log, drive in _robots(result):
         rows = len(log.t_s)
         other = {column.name: np.full(rows, np.nan) for column in columns[len(STEP_COLUMNS) :]}
         own = {"robot": np.full(rows, name), "step": np.arange(rows), **drive_table(drive)}
         parts.append(table_of(columns, log, **{**other, **own}))
-    return {
-        column.name: np.concatenate([part[column.name] for part in parts]) for column in columns
-    }
+    names = [column.name for column in columns]
+    return columns, {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
-def run_tables(run: Run) -> dict[str, tuple[Sequence[Column], Data]]:
-    """Return columns and data of every table of a run, by the name of its file."""
-    problem = run.problem
-    columns = columns_of_run(problem)
-    tables = {STEPS_FILE: (columns[STEPS_FILE], steps_of_runs(problem, run.runs))}
-    for name, log in ((KNOWLEDGE_FILE, run.channel), (TARGET_FILE, run.target)):
-        if log is not None:
-            t_s = problem.planner.step_s * np.arange(len(log), dtype=np.float64)
-            tables[name] = columns[name], table_of(columns[name], log, t_s=t_s)
+def tables_of(result: Solution | Run) -> dict[str, tuple[Sequence[Column], Data]]:
+    """Return columns and data of every table of a result, by the name of its file."""
+    problem = result.problem
+    tables = {STEPS_FILE: _steps(result)}
+    if isinstance(result, Run):
+        columns = columns_of_run(problem)
+        for name, log in ((KNOWLEDGE_FILE, result.channel), (TARGET_FILE, result.target)):
+            if log is not None:
+                t_s = problem.planner.step_s * np.arange(len(log), dtype=np.float64)
+                tables[name] = columns[name], table_of(columns[name], log, t_s=t_s)
     return tables
+
+
+def steps_dataframe(result: Solution | Run) -> Any:
+    """Return ``steps.csv`` of a result as a pandas DataFrame."""
+    return dataframe(*_steps(result))
 
 
 def columns_of_run(problem: Problem) -> dict[str, Sequence[Column]]:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,12 @@ from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
 from planopt.files.regular import read_text
 from planopt.files.result_folder import replaced_results
-from planopt.files.tables import REMEDY, Data, read_table, write_tables
+from planopt.files.tables import REMEDY, Column, Data, read_table, write_tables
 from planopt.files.whole import strict_text, write_text
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
+    Arrays,
     SavedBelief,
     belief_of_plan,
     beliefs_of_run,
@@ -46,21 +47,16 @@ from planopt.planning.files.run_tables import (
     TARGET_FILE,
     columns_of_run,
     drive_of,
-    run_tables,
-    step_columns,
-    steps_of_plans,
+    tables_of,
 )
 from planopt.planning.holes import BlockedWay
 from planopt.planning.plan import Pivot, Plan, Verdict
+from planopt.planning.results import Run, Solution
 from planopt.planning.worth.situation import Aim
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.robots.drive import Drive, braked_motion
 from planopt.world.timed_motion import TimedMotion
-
-if TYPE_CHECKING:
-    from planopt.planning.run import Run
-    from planopt.planning.solution import Solution
 
 PLAN_FILE, RUN_FILE = "plan.json", "run.json"
 
@@ -84,33 +80,35 @@ def belief_files(problem: Problem) -> tuple[str, ...]:
     return tuple(f"belief_{robot.name}.npz" for robot in problem.robots)
 
 
-def plan_data(solution: Solution) -> dict[str, Any]:
-    """Return the contents of ``plan.json`` but for digest and problem."""
-    return {"format": FORMAT, **solution_json(solution)}
+@dataclass(frozen=True)
+class Contents:
+    """The files of a result but for digest and problem."""
+
+    name: str  # Of the JSON file
+    data: dict[str, Any]
+    tables: dict[str, tuple[Sequence[Column], Data]]  # By file name
+    beliefs: dict[str, Arrays]
 
 
-def run_data(run: Run) -> dict[str, Any]:
-    """Return the contents of ``run.json`` but for digest and problem."""
-    return {"format": FORMAT, **run_json(run), "plans": released_plans_json(run)}
+def contents(result: Solution | Run) -> Contents:
+    """Return the files of a solution, or of a run with a belief for each robot."""
+    if isinstance(result, Run):
+        name, data = RUN_FILE, {**run_json(result), "plans": released_plans_json(result)}
+        beliefs = dict(zip(belief_files(result.problem), beliefs_of_run(result), strict=True))
+    else:
+        name, data = PLAN_FILE, solution_json(result)
+        beliefs = {BELIEF_FILE: belief_of_plan(result.belief)}
+    return Contents(name, {"format": FORMAT, **data}, tables_of(result), beliefs)
 
 
-def save_solution(solution: Solution, folder: Path) -> None:
-    """Save plans in place of the plan or run that the folder had, with its pictures."""
-    problem = solution.problem
-    steps = step_columns(problem), steps_of_plans(problem, solution.plans)
+def save_result(result: Solution | Run, folder: Path) -> None:
+    """Save a result in place of the plan or run that the folder had, with its pictures."""
+    files = contents(result)
     with replaced_results(folder, PLAN_OR_RUN) as new:
-        write_tables(new, {STEPS_FILE: steps})
-        write(new / BELIEF_FILE, belief_of_plan(solution.belief))
-        write_result(plan_data(solution), problem, new / PLAN_FILE)
-
-
-def save_run(run: Run, folder: Path) -> None:
-    """Save a run, as :func:`save_solution`; each robot has a belief of its own."""
-    with replaced_results(folder, PLAN_OR_RUN) as new:
-        for name, arrays in zip(belief_files(run.problem), beliefs_of_run(run), strict=True):
+        for name, arrays in files.beliefs.items():
             write(new / name, arrays)
-        write_tables(new, run_tables(run))
-        write_result(run_data(run), run.problem, new / RUN_FILE)
+        write_tables(new, files.tables)
+        write_result(files.data, result.problem, new / files.name)
 
 
 def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str) -> None:

@@ -24,7 +24,7 @@ from planopt.planning.loop.drive import TrueWorld, drive
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.prepare import Prepared, prepare
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.team.plan_step import planning
 from planopt.problems.overrides import with_overrides

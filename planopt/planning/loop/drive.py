@@ -25,7 +25,7 @@ from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_
 from planopt.planning.loop.robot_run import robot_run, true_serving_dbm
 from planopt.planning.loop.target_watch import TargetWatch
 from planopt.planning.plan import Plan
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.planning.stepping import Planning, Stepper
 from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.problems.problem import Problem

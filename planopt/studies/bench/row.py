@@ -19,7 +19,6 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import NoPlanError
 from planopt.files.typed_json import encoded
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_solution
 from planopt.planning.given import team_seeds, with_drawn_starts
 from planopt.planning.loop.drive import TrueWorld, first_steps
 from planopt.planning.loop.target_watch import watch_target
@@ -150,7 +149,7 @@ def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
     cpu_s = process_time() - begun
     plans = solution.plans
     with tempfile.TemporaryDirectory() as folder:
-        save_solution(solution, Path(folder))
+        solution.save(Path(folder))
         accepted, reasons = _judged(Path(folder))
     residuals = [c.kkt_residual for c in _certificates(plans) if c.kkt_residual is not None]
     return replace(

@@ -17,7 +17,7 @@ from planopt.planning.files.result_json import no_plan_json
 from planopt.planning.files.saved import FORMAT, write_result
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.verify import STANDING
-from planopt.planning.run import Run
+from planopt.planning.results import Run
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems.channel_setup import ArrayTruth
 

@@ -15,10 +15,9 @@ from planopt.files.tables import documented
 from planopt.planning.files import saved as saved_module
 from planopt.planning.files.belief_file import known_before_steps
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
-from planopt.planning.files.saved import read_saved, save_run, save_solution
+from planopt.planning.files.saved import read_saved
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.run import Run
-from planopt.planning.solution import Solution
+from planopt.planning.results import Run, Solution
 from planopt.planning.solve import solve
 
 HEADER = (
@@ -44,14 +43,14 @@ def simulation() -> Run:
 @pytest.fixture
 def plan_folder(tmp_path: Path, solution: Solution) -> Path:
     """The plan, saved."""
-    save_solution(solution, tmp_path / "plan")
+    solution.save(tmp_path / "plan")
     return tmp_path / "plan"
 
 
 @pytest.fixture
 def run_folder(tmp_path: Path, simulation: Run) -> Path:
     """The run, saved."""
-    save_run(simulation, tmp_path / "run")
+    simulation.save(tmp_path / "run")
     return tmp_path / "run"
 
 
@@ -103,7 +102,7 @@ def test_each_step_knows_what_was_measured_before_it(simulation: Run) -> None:
 
 def test_an_earlier_result_is_withdrawn(run_folder: Path, solution: Solution) -> None:
     """A plan saved over a run leaves no run.json beside files that are no longer its own."""
-    save_solution(solution, run_folder)
+    solution.save(run_folder)
     assert not (run_folder / "run.json").exists()
     assert read_saved(run_folder).file.name == "plan.json"
 
@@ -119,7 +118,7 @@ def test_an_earlier_result_stays_until_the_new_one_is_whole(
 
     monkeypatch.setattr(saved_module, "write", fail)
     with pytest.raises(OutputError):
-        save_solution(solution, run_folder)
+        solution.save(run_folder)
     assert {file.name: file.read_bytes() for file in run_folder.iterdir()} == before
 
 
@@ -127,7 +126,7 @@ def test_saving_into_no_folder(tmp_path: Path, solution: Solution) -> None:
     """A file where the folder should be is an error of output."""
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
-        save_solution(solution, tmp_path / "file")
+        solution.save(tmp_path / "file")
 
 
 def edit_json(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:

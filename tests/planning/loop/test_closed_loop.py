@@ -23,8 +23,7 @@ from planopt.planning.files.result_json import run_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome, StepLog
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.run import Run
-from planopt.planning.run_summary import exit_code
+from planopt.planning.results import Run
 from planopt.problems.channel_setup import LoggedMeasurements
 
 SEEDS = (0, 1, 2)
@@ -43,7 +42,7 @@ def test_goal_is_reached(driven, seed):
     done = driven[seed]
     problem, log = done.problem, done.run.log
     assert done.run.outcome is Outcome.REACHED
-    assert exit_code(done) == 0
+    assert done.exit_code == 0
     goal = np.asarray(problem.robots[0].goal_m)
     away = np.linalg.norm(log.positions_m - goal, axis=1)
     assert away[-1] <= problem.constraints.goal_radius_m < away[:-1].min()
@@ -158,7 +157,7 @@ def test_step_limit():
     assert "3 steps" in done.run.reason
     assert len(done.plans[0]) == 3
     assert np.isnan(done.run.metrics.goal_time_s)
-    assert exit_code(done) == 4
+    assert done.exit_code == 4
 
 
 def test_start_within_the_goal_radius():
@@ -168,7 +167,7 @@ def test_start_within_the_goal_radius():
     assert done.plans[0] == ()
     assert done.run.log.positions_m.shape == (1, 2)
     assert done.run.metrics.goal_time_s == 0.0
-    assert exit_code(done) == 0
+    assert done.exit_code == 0
     # Nothing was verified and nobody connected: that is no success of 100 %.
     told = run_json(done)
     null = ("true_connected_share", "longest_outage_m", "predicted_min_connectivity", "polish_gain")
@@ -207,13 +206,13 @@ def test_bound_that_is_met_nowhere():
     """It is never verified, and the exit code says at least so."""
     done = small_run(small_problem(max_steps=6), bad_everywhere)
     assert done.run.verified_rate == 0.0
-    assert exit_code(done) in (3, 4)
+    assert done.exit_code in (3, 4)
 
 
 def test_way_round_a_hole():
     """The bound is kept by prediction throughout, for a way some metres longer."""
     done = small_run(small_problem(horizon=8), bad_disc(20.0, 15.0, 6.0))
-    assert exit_code(done) == 0
+    assert done.exit_code == 0
     assert done.run.metrics.path_m > 31.0
     # A metre at the edge, just below the bound, costs little more than one within it.
     assert done.run.metrics.predicted_min_connectivity >= 0.85
@@ -230,7 +229,7 @@ def test_gap_that_must_be_crossed(horizon):
         max_steps=200,
     )
     done = small_run(problem, bad_band(6.0, 10.0))
-    assert exit_code(done) == 0
+    assert done.exit_code == 0
     relaxed = [plan for plan in done.plans[0] if plan.certificate.relaxed_steps]
     assert relaxed
     assert all(plan.verdict is Verdict.VERIFIED for plan in relaxed)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from planopt import load
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 
@@ -21,5 +20,5 @@ def test_a_run_of_no_step_is_saved_and_judged(tmp_path: Path) -> None:
     simulation = simulate(problem)
     assert simulation.run.outcome is Outcome.REACHED
     assert simulation.plans == ((),)
-    save_run(simulation, tmp_path)
+    simulation.save(tmp_path)
     assert check(tmp_path).reasons == ()

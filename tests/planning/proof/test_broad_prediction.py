@@ -14,7 +14,6 @@ from planopt import load
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.prediction import Prediction, bound_margin_db
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.predictions import (
@@ -88,7 +87,7 @@ def test_plan_keeps_the_bound_of_the_mixture(tmp_path: Path):
     chance = marginal.connectivity(plan.positions_m[1:], threshold)
     assert chance.min() >= 0.92 - 1e-7
     assert chance.min() < 0.925
-    save_run(simulate(problem, seed=SEED), tmp_path)
+    simulate(problem, seed=SEED).save(tmp_path)
     assert check(tmp_path).reasons == ()
 
 
@@ -100,7 +99,7 @@ def test_way_to_a_goal_with_all_parameters_uncertain(tmp_path: Path):
     )
     driven = simulate(problem, seed=1)
     assert {plan.verdict for plan in driven.plans[0]} == {Verdict.VERIFIED}
-    save_run(driven, tmp_path)
+    driven.save(tmp_path)
     assert check(tmp_path).reasons == ()
 
 

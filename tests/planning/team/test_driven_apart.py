@@ -14,7 +14,6 @@ from apart_scene import CART
 from terms_scene import LEARNING, TABLES, TRACKING
 
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
@@ -163,8 +162,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     for name in ("plan", "run"):
         (folder / name).mkdir()
-    save_solution(solve(problem, seed=1), folder / "plan")
-    save_run(simulate(problem, seed=1), folder / "run")
+    solve(problem, seed=1).save(folder / "plan")
+    simulate(problem, seed=1).save(folder / "run")
     return folder
 
 

@@ -12,7 +12,6 @@ from motion_scene import DOUBLE, WHEELS, with_dynamics
 from terms_scene import LEARNING, TABLES, TRACKING, terms_problem
 
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.solve import solve
@@ -93,8 +92,8 @@ def pair() -> Problem:
 def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Plans and a run of the pair, saved."""
     folders = {name: tmp_path_factory.mktemp(name) for name in ("plan", "run")}
-    save_solution(solve(pair(), seed=2), folders["plan"])
-    save_run(simulate(pair(), seed=2), folders["run"])
+    solve(pair(), seed=2).save(folders["plan"])
+    simulate(pair(), seed=2).save(folders["run"])
     return folders
 
 
@@ -144,7 +143,7 @@ def test_an_edited_plan_of_a_run_is_rejected(saved, tmp_path: Path, key: str) ->
 
 def test_files_of_single_integrators_are_as_they_were(tmp_path: Path) -> None:
     """No column and no key more."""
-    save_solution(solve(terms_problem(TRACKING, horizon=2)), tmp_path)
+    solve(terms_problem(TRACKING, horizon=2)).save(tmp_path)
     assert (tmp_path / "steps.csv").read_text().splitlines()[0].endswith(",rung,verdict")
     assert "drive" not in (tmp_path / "plan.json").read_text()
 

@@ -12,7 +12,6 @@ from terms_scene import TRACKING, terms_problem
 from planopt.objectives.information import Information
 from planopt.objectives.moments import posterior_moments
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
@@ -101,8 +100,8 @@ def _worth_together(solution):
 def test_joint_runs_are_judged_from_their_files(terms, tmp_path: Path):
     """What each robot was told is saved, or found again, and the objectives with it."""
     problem = team(*terms, count=2)
-    save_solution(solve(problem, seed=2), tmp_path / "plan")
-    save_run(simulate(problem, seed=2), tmp_path / "run")
+    solve(problem, seed=2).save(tmp_path / "plan")
+    simulate(problem, seed=2).save(tmp_path / "run")
     assert check(tmp_path / "plan").reasons == ()
     assert check(tmp_path / "run").reasons == ()
 
@@ -121,9 +120,9 @@ def test_told_plans_must_be_those_of_other_robots(name, tmp_path: Path):
     """Places that nobody planned would let a robot claim any value: they are rejected."""
     problem = team(MAPPING, count=2)
     if name == "plan":
-        save_solution(solve(problem, seed=2), tmp_path)
+        solve(problem, seed=2).save(tmp_path)
     else:
-        save_run(simulate(problem, seed=2), tmp_path)
+        simulate(problem, seed=2).save(tmp_path)
     file = tmp_path / f"{name}.json"
     data = json.loads(file.read_text())
     robots = data["robots"] if name == "plan" else data["plans"][1]["released"]
@@ -135,7 +134,7 @@ def test_told_plans_must_be_those_of_other_robots(name, tmp_path: Path):
 
 def test_robots_cannot_have_been_told_less(tmp_path: Path):
     """The second robot of two was told the first one's plan: a file without it is rejected."""
-    save_solution(solve(team(MAPPING, count=2), seed=2), tmp_path)
+    solve(team(MAPPING, count=2), seed=2).save(tmp_path)
     file = tmp_path / "plan.json"
     data = json.loads(file.read_text())
     del data["robots"][1]["aim"]["pending_m"]

@@ -14,7 +14,6 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 
 from planopt.channel.joint import sample_power
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
@@ -123,7 +122,7 @@ def test_check_agrees_from_disk_and_finds_edits(form, tmp_path: Path):
     """Plans and runs of each rule, judged again; another achieved value is rejected."""
     problem = ruled_problem(form)
     problem = replace(problem, planner=replace(problem.planner, horizon=3, max_steps=4))
-    save_run(simulate(problem, seed=SEED), tmp_path)
+    simulate(problem, seed=SEED).save(tmp_path)
     assert check(tmp_path).reasons == ()
     metric = {
         "each_step": "stated_times_connected",
@@ -139,7 +138,7 @@ def test_check_agrees_from_disk_and_finds_edits(form, tmp_path: Path):
         assert any(metric in reason for reason in check(tmp_path).reasons)
     folder = tmp_path / "plan"
     folder.mkdir()
-    save_solution(solve(problem, seed=SEED), folder)
+    solve(problem, seed=SEED).save(folder)
     assert check(folder).reasons == ()
     data = json.loads((folder / "plan.json").read_text())
     data["robots"][0]["certificate"]["rule"]["achieved"] -= 0.01

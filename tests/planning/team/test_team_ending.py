@@ -21,7 +21,6 @@ from terms_scene import (
 import planopt.planning.baselines.one_step as one_step_module
 from planopt.channel.measurements import Measurements
 from planopt.planning.check.check import check
-from planopt.planning.files.saved import save_run
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.ending import STALL_STEPS, Progress, terms_ending
 from planopt.planning.loop.log import Outcome
@@ -243,7 +242,7 @@ def test_a_run_ends_once_connected(tmp_path, threshold_dbm) -> None:
     assert (run.runs[0].outcome is Outcome.COMPLETED) == connected.any()
     if connected.any():
         assert len(connected) == int(np.argmax(connected)) + 1
-    save_run(run, tmp_path)
+    run.save(tmp_path)
     verdict = check(tmp_path)
     assert verdict.verdict in (Verdict.VERIFIED, Verdict.VIOLATED)
     assert not [reason for reason in verdict.reasons if "the run ends" in reason]
@@ -258,7 +257,7 @@ def test_a_run_that_goes_on_is_rejected(tmp_path, monkeypatch) -> None:
     with monkeypatch.context() as longer:
         longer.setattr("planopt.planning.loop.drive.run_ending", late)
         run = simulate(with_threshold(-45.0, max_steps=4), seed=1)
-    save_run(run, tmp_path)
+    run.save(tmp_path)
     reasons = check(tmp_path).reasons
     assert any("goes on after step 1, connected after step 1" in reason for reason in reasons)
 
@@ -273,5 +272,5 @@ def test_a_stalled_run_is_judged_from_disk(tmp_path, monkeypatch) -> None:
     assert first.outcome is Outcome.STALLED
     assert len(first.log.t_s) - 1 < 20
     assert run.metrics["measured_steps"] == first.metrics.measured_steps
-    save_run(run, tmp_path)
+    run.save(tmp_path)
     assert check(tmp_path).reasons == ()

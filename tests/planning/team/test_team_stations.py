@@ -13,7 +13,6 @@ from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.planning.check.check import check
 from planopt.planning.files.belief_file import BELIEF_FILE
-from planopt.planning.files.saved import save_run, save_solution
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.solve import solve
 
@@ -49,7 +48,7 @@ def test_a_run_is_verified_and_judged_again(case: str, tmp_path: Path) -> None:
     assert np.array_equal(log.true_dbm, serving_power_dbm(np.stack(powers), thresholds))
     any_of_them = (np.stack(powers) >= np.array(thresholds)[:, None]).any(axis=0)
     assert np.array_equal(log.connected, any_of_them)
-    save_run(run, tmp_path)
+    run.save(tmp_path)
     assert check(tmp_path).reasons == ()
     with np.load(tmp_path / BELIEF_FILE) as archive:
         arrays = {name: archive[name] for name in archive}
@@ -61,5 +60,5 @@ def test_a_run_is_verified_and_judged_again(case: str, tmp_path: Path) -> None:
 def test_plans_are_judged_again(tmp_path: Path) -> None:
     """From one belief of both stations."""
     problem = terms_problem(TRACKING, stations=2, horizon=3, p_min=0.8)
-    save_solution(solve(problem, seed=2), tmp_path)
+    solve(problem, seed=2).save(tmp_path)
     assert check(tmp_path).reasons == ()

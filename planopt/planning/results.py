@@ -1,0 +1,296 @@
+"""Results of planning: the solution of a problem, and the run of a closed loop."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import numpy as np
+
+from planopt.channel.belief import Belief
+from planopt.channel.fields.truth import Truth
+from planopt.errors import A_FOLDER, InputError, path_of
+from planopt.planning.explain.explanation import Crossing, Relaxation
+from planopt.planning.holes import BlockedWay
+from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
+from planopt.planning.loop.metrics import run_metrics
+from planopt.planning.plan import Plan, Verdict
+from planopt.planning.worth.situation import Aim
+from planopt.problems.problem import Problem
+from planopt.short_repr import LINES, wrapped
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_Entry = TypeVar("_Entry")
+
+ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
+"""Outcomes of runs that did their task."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result(ABC):
+    """The problem as solved (overrides applied), the seed, and what both results can do."""
+
+    problem: Problem
+    seed: int
+
+    _drawn_by: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def exit_code(self) -> int:
+        """Return the exit code of the command line."""
+
+    def plot(self) -> Figure:
+        """Draw the result on the map, with the predictions of a plan; no window is opened.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Notebooks show it; ``figure.savefig("result.png")`` writes it.
+        """
+        # Named, not imported: the packages of figures and files are above this one.
+        return getattr(import_module("planopt.report.motion_figures"), self._drawn_by)(self)
+
+    def save(self, folder: Path | str) -> None:
+        """Save the result as a folder that ``planopt check`` and :func:`planopt.load_result` read.
+
+        Parameters
+        ----------
+        folder
+            Made if it is missing; a plan or run that it had is replaced.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written; what it had is still there.
+        InputError
+            The problem has parts from Python, which no file can hold.
+        """
+        saved = import_module("planopt.planning.files.saved")
+        saved.save_result(self, path_of("folder", folder, A_FOLDER))
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas DataFrame with a row for each place of each robot, the start first.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns as in ``steps.csv``; those of the ground truth are empty for a plan.
+
+        Raises
+        ------
+        InputError
+            pandas is not installed.
+        """
+        return import_module("planopt.planning.files.run_tables").steps_dataframe(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Result):
+    """One solved problem of one or several robots.
+
+    Attributes
+    ----------
+    problem
+        As solved (overrides applied).
+    seed
+        Of the ground truth's fading, the measured places and the first estimate of a target.
+    belief
+        The channel estimate that all plans were made from.
+    plans, aims
+        By robot: its plan, and the external inputs of its objective.
+    explanation
+        Changes that would give each robot a verified plan, and why verified plans cross coverage
+        holes, if :func:`planopt.explain` was called.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> solution = planopt.solve(planopt.load("open_field"), horizon=2)
+    >>> solution.verdict.value, len(solution.plans), len(solution.plan.t_s)
+    ('verified', 1, 3)
+    """
+
+    _drawn_by: ClassVar[str] = "draw_solution"
+
+    belief: Belief
+    plans: tuple[Plan, ...]
+    aims: tuple[Aim, ...]
+    explanation: tuple[Relaxation | Crossing, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the problem, and the verdict of each plan, in at most five lines."""
+        lines: list[str] = []
+        for plan in self.plans:
+            clearance = plan.certificate.min_clearance_m
+            lines.append(
+                f"{plan.robot}: {plan.verdict.value} ({plan.rung.value}, "
+                f"{plan.termination.value}), objective {plan.objective:.4g}, "
+                + (f"clearance {clearance:.4g} m, " if math.isfinite(clearance) else "")
+                + f"least P(connected) {np.min(plan.connectivity[1:], initial=1.0):.4f}"
+            )
+        horizon = len(self.plans[0].t_s) - 1
+        head = f"solution of {self.problem.name}, horizon {horizon}, seed {self.seed}"
+        return _listed(head, lines, most=LINES - 1)
+
+    @property
+    def plan(self) -> Plan:
+        """The plan of the only robot; use `plans` if there are several.
+
+        Raises
+        ------
+        InputError
+            There are several robots.
+        """
+        return _only(self.plans, "plans")
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst of the plans' verdicts."""
+        return max((plan.verdict for plan in self.plans), key=list(Verdict).index)
+
+    @property
+    def exit_code(self) -> int:
+        """Return 0 if every plan is verified, 4 if there is no plan, else 3."""
+        return {Verdict.VERIFIED: 0, Verdict.NONE: 4}.get(self.verdict, 3)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Result):
+    """One closed loop of all robots of a problem.
+
+    Attributes
+    ----------
+    problem
+        As run (overrides applied).
+    seed
+        Of everything that happens.
+    truths
+        By station: the simulated ground truth; empty if that of a saved run is not available.
+    runs, plans, aims, beliefs
+        By robot: its log, its released plans, one a step, the external inputs of their objectives,
+        and its channel estimate at the end.
+    first_measurements
+        Number of a belief's measurements from before the run.
+    target
+        None if nothing is tracked.
+    channel
+        Errors of the channel estimate; None on the way to a goal.
+    costs
+        On the way to a goal: cost of the run at the outage price, by metric.
+    blocked
+        The cheapest paths to goals, if a hard chance constraint forbids them and ended the run.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> run = planopt.simulate(planopt.load("open_field"), horizon=2)
+    >>> run.outcome.value, run.verified_rate, len(run.plans[0]) == len(run.run.log.t_s) - 1
+    ('reached', 1.0, True)
+    """
+
+    _drawn_by: ClassVar[str] = "draw_run"
+
+    truths: tuple[Truth, ...]
+    runs: tuple[RobotRun, ...]
+    plans: tuple[tuple[Plan, ...], ...]
+    aims: tuple[tuple[Aim, ...], ...]
+    beliefs: tuple[Belief, ...]
+    first_measurements: int
+    target: TargetLog | None = None
+    channel: ChannelLog | None = None
+    costs: dict[str, float] = field(default_factory=dict[str, float])
+    blocked: tuple[BlockedWay, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return the problem, how each robot ended, and the metrics."""
+        lines = [
+            f"{run.robot}: {run.outcome.value} after {len(run.log.t_s) - 1} steps ({run.reason}), "
+            + (
+                f"{run.verified_rate:.1%} of the steps verified"
+                if run.rungs
+                else "no step was driven"
+            )
+            for run in self.runs
+        ]
+        horizon, shown = self.problem.planner.horizon, self.metrics.items()
+        head = f"run of {self.problem.name}, horizon {horizon}, seed {self.seed}"
+        metrics = ", ".join(f"{name} {value:.4g}" for name, value in shown)
+        return "\n".join([_listed(head, lines, most=LINES - 3), wrapped(f"  {metrics}", 2)])
+
+    @property
+    def run(self) -> RobotRun:
+        """The log of the only robot; use `runs` if there are several.
+
+        Raises
+        ------
+        InputError
+            There are several robots.
+        """
+        return _only(self.runs, "runs")
+
+    @property
+    def belief(self) -> Belief:
+        """The channel estimate of the only robot at the end; use `beliefs` if there are several.
+
+        Raises
+        ------
+        InputError
+            There are several robots.
+        """
+        return _only(self.beliefs, "beliefs")
+
+    @property
+    def outcome(self) -> Outcome:
+        """Return how the run ended."""
+        return self.runs[0].outcome
+
+    @property
+    def reason(self) -> str:
+        """Return why it ended, in words."""
+        return self.runs[0].reason
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """Metrics of all robots together, by name."""
+        return run_metrics(self.problem, self.runs, self.target, self.channel, self.costs)
+
+    @property
+    def verified_rate(self) -> float:
+        """Share of all released steps whose plan was verified (NaN if none was released)."""
+        return float(np.mean([run.verified_rate for run in self.runs]))
+
+    @property
+    def rungs(self) -> dict[str, int]:
+        """Return how often each fallback released a step, over all robots."""
+        return dict(sum((Counter(run.rungs) for run in self.runs), Counter[str]()))
+
+    @property
+    def exit_code(self) -> int:
+        """Return 0 if the task was done with every step verified, 3 if some was not, 4 if not."""
+        if self.outcome not in ARRIVED:
+            return 4
+        # The rate is NaN without steps, and then nothing is unverified.
+        return 3 if self.verified_rate < 1.0 else 0
+
+
+def _only(several: Sequence[_Entry], name: str) -> _Entry:
+    """Return the only entry of `several`."""
+    if len(several) != 1:
+        raise InputError(f"there are {len(several)} robots", remedy=f"use {name}, one of each")
+    return several[0]
+
+
+def _listed(head: str, lines: Sequence[str], most: int) -> str:
+    """Return `head` and the first `most` of the lines below it."""
+    if len(lines) > most:
+        lines = [*lines[: most - 1], f"and {len(lines) - most + 1} more robots"]
+    return "\n".join([head, *(f"  {line}" for line in lines)])

@@ -16,8 +16,7 @@ import shapely
 from closed_loop_wide import with_more
 
 from planopt.errors import InputError
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 
 Tables = dict[str, Any]
 Ring = list[list[float]]

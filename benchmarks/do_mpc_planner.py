@@ -16,12 +16,12 @@ from do_mpc_step import DoMpcStep
 
 from planopt.cli import main
 from planopt.errors import InputError
+from planopt.objectives import TrackingTerm
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.programme.ipopt import termination_of
 from planopt.planning.scene import Ground
 from planopt.planning.worth.situation import Situation
-from planopt.problems.objective import TrackingTerm
 from planopt.problems.planner_kinds import PlannerKind, register_planner
 from planopt.problems.problem import Problem
 

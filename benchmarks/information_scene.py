@@ -9,11 +9,12 @@ import numpy as np
 from tracking_scene import FIELD_C, Scene, scene, situation_in
 
 from planopt.channel.posterior import condition
+from planopt.objectives import LearningTerm, MappingTerm, TermsObjective
+from planopt.objectives.terms.term import Term
 from planopt.planning.judge import Judge
 from planopt.planning.scene import build_ground
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
-from planopt.problems.objective import LearningTerm, MappingTerm, Term, TermsObjective
 
 Worth = Literal["information", "average", "path", "D", "A"]
 

@@ -24,10 +24,10 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from planopt import Problem, load, simulate
+from planopt.objectives import TermsObjective
 from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
 from planopt.objectives.tracking import Criterion
 from planopt.planning.loop.metrics import LOST_RATIO
-from planopt.problems.problem import TermsObjective
 from planopt.problems.target import Packets
 from planopt.studies.comparison_rows import mean_interval
 

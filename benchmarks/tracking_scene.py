@@ -31,8 +31,7 @@ from planopt.planning.scene import Ground, build_ground
 from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 
 SIDE_M = 100.0
 STEP_M = 2.0

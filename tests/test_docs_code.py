@@ -21,7 +21,7 @@ import pytest
 from planopt.cli import main
 from planopt.errors import InputError
 from planopt.problems.library import library_folder, list_problems
-from planopt.problems.load import problem_from_tables
+from planopt.problems.problem import problem_from_tables
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))

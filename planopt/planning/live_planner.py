@@ -28,10 +28,10 @@ from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scenes
 from planopt.planning.stepping import Stepper
 from planopt.planning.team.plan_step import planning
-from planopt.problems.check_tables import check_obstacle
 from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem
+from planopt.problems.world_tables import check_obstacle
 from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
 from planopt.world.workspace import Obstacle

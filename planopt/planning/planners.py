@@ -22,7 +22,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.scene import Ground
 from planopt.planning.worth.situation import Situation
-from planopt.problems.planner_kinds import names_with, planner_kind
+from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 
 KEY = "planner.name"
@@ -38,21 +38,13 @@ class Planner(Protocol):
 
 def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
     """The planner that `problem.planner.name` names."""
-    robot, kind = problem.robots[0], planner_kind(problem.planner.name)
+    kind = planner_kind(problem.planner.name)
     if kind.foresees:
         raise InputError(
             f"is {kind.name}, a bound that knows the ground truth of a whole run",
             file=problem.file,
             key="planner.name",
             remedy="simulate or compare with it, or name another planner",
-        )
-    if robot.dynamics is not None and not kind.has_dynamics:
-        raise InputError(
-            f"is {kind.name}, which plans for single integrators only; "
-            f"{robot.name} is a {robot.dynamics.kind}",
-            file=problem.file,
-            key="planner.name",
-            remedy=f"use {names_with('has_dynamics')}",
         )
     make = kind.maker()
     with calling(make, "", key=KEY, remedy="take a problem, its geometry and a random generator"):

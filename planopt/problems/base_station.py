@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from planopt.channel.parameters import Station
-from planopt.plain_values import make_plain
 from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
+from planopt.problems.tables import Decibels, FilePath, Metres, Name, Pair, Part
 
 
 def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
@@ -35,7 +37,7 @@ def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BaseStation:
+class BaseStation(Part):
     """A fixed station: a base station, access point or gateway.
 
     Attributes
@@ -66,20 +68,71 @@ class BaseStation:
     ('station', 0.0)
     """
 
-    position_m: tuple[float, float]
-    height_m: float = 0.0
-    transmit_power_dbm: float
-    threshold_dbm: float
-    receive_threshold_dbm: float | None = None
-    name: str = "station"
-    gain_file: Path | None = None
-    gain_variable: str | None = None
-    log_file: Path | None = None
-    power_column: str | None = None
-    censored_column: str | None = None
+    at = "stations[]"
 
-    def __post_init__(self) -> None:
-        make_plain(self, "gain_file", "log_file")
+    position_m: Annotated[
+        Pair, Field(description="Place [x, y] in metres; it may be outside the bounds.")
+    ]
+    height_m: Annotated[
+        Metres,
+        Field(description="Height of its antenna above the robots' antennas, in metres."),
+    ] = 0.0
+    transmit_power_dbm: Annotated[
+        Decibels,
+        Field(description="Transmit power in dBm; received power is this plus the path gain."),
+    ]
+    threshold_dbm: Annotated[
+        Decibels,
+        Field(
+            description="Received power in dBm from which on a robot is connected, as plans and "
+            "proofs take it."
+        ),
+    ]
+    receive_threshold_dbm: Annotated[
+        Decibels | None,
+        Field(
+            description="Received power in dBm from which on a robot truly is connected in a "
+            "simulation, where that is not threshold_dbm."
+        ),
+    ] = None
+    name: Annotated[Name, Field(description="What outputs call it.")] = "station"
+    gain_file: Annotated[
+        FilePath | None,
+        Field(
+            description="Map of its path gains, where channel.truth is a raster: in place of "
+            "channel.truth.file. Each station needs a map of its own."
+        ),
+    ] = None
+    gain_variable: Annotated[
+        str | None,
+        Field(
+            min_length=1,
+            description="Name of its path gain in dB, in place of channel.truth.variable.",
+        ),
+    ] = None
+    log_file: Annotated[
+        FilePath | None,
+        Field(
+            description="CSV log of its first measurements, in place of channel.measurements.file. "
+            "Each station needs a log or a power_column of its own."
+        ),
+    ] = None
+    power_column: Annotated[
+        str | None,
+        Field(
+            min_length=1,
+            description="Column of its power in dBm in the log, in place of "
+            "channel.measurements.columns.power.",
+        ),
+    ] = None
+    censored_column: Annotated[
+        str | None,
+        Field(
+            min_length=1,
+            description="Column that marks its censored rows; of a log of its own, by default "
+            "that of channel.measurements.",
+        ),
+    ] = None
 
     @property
     def true_threshold_dbm(self) -> float:

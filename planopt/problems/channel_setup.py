@@ -5,23 +5,134 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import Field, GetCoreSchemaHandler, ValidatorFunctionWrapHandler, model_validator
+from pydantic_core import CoreSchema, core_schema
 
 from planopt.channel.estimation.channel_fit import FitMethod
-from planopt.channel.fields.multipath import Multipath
+from planopt.channel.fields.multipath import (
+    Lognormal,
+    Multipath,
+    MultipathKind,
+    Nakagami,
+    Rician,
+    multipath_of,
+)
 from planopt.errors import InputError
 from planopt.parts import part_of
 from planopt.plain_values import make_plain
-from planopt.problems.tables import Decibels
+from planopt.problems.tables import Decibels, FilePath, Part, ReadAs, Table, fault_of
 from planopt.short_repr import short_repr
+
+MIN_DEVIATION_DB = 0.001
+"""Weaker fading is none; m and K grow with the inverse square of its deviation."""
+
+
+class MultipathTable(Table):
+    """``multipath``: a kind, and exactly one of m, k and std_db (none for rayleigh)."""
+
+    kind: MultipathKind = Field(description="nakagami, rician, rayleigh or lognormal.")
+    m: float | None = Field(
+        default=None, ge=0.5, le=1e8, description="Nakagami's m (a number, at least 1 for rician)."
+    )
+    k: float | None = Field(default=None, ge=0, le=1e8, description="Rician K (linear ratio).")
+    std_db: float | None = Field(
+        default=None, ge=0, le=100, description="omega, deviation of multipath in dB."
+    )
+
+    @property
+    def law(self) -> Multipath:
+        """The multipath in its own number."""
+        return multipath_of(self.kind, m=self.m, k=self.k, std_db=self.std_db)
+
+    @model_validator(mode="after")
+    def _exists(self) -> MultipathTable:
+        try:
+            deviation = self.law.std_db
+        except InputError as error:
+            words = error.message if error.remedy is None else f"{error.message}: {error.remedy}"
+            raise fault_of(words) from error
+        # Whatever number it was given by, its own one can then be saved.
+        if deviation < MIN_DEVIATION_DB and self.kind != "lognormal":
+            raise fault_of(
+                f"is fading of less than {MIN_DEVIATION_DB} dB: leave multipath out, or give more"
+            )
+        return self
+
+
+def _law_keys(law: Any) -> Any:
+    """Return the table of a law; anything else as it is, for the table to refuse."""
+    match law:
+        case Rician():
+            return {"kind": "rician", "k": law.k_factor}
+        case Nakagami():
+            return {"kind": "nakagami", "m": law.m}
+        case Lognormal():
+            return {"kind": "lognormal", "std_db": law.std_db}
+        case _:
+            return law
+
+
+def _law_of(table: MultipathTable) -> Multipath:
+    return table.law
+
+
+COUNT_WORDS = (
+    "Number of first measurements, taken from the truth at seeded free places; 0 where fit.given "
+    "has path loss too, or in saved results, of first measurements that were given in Python."
+)
+Shadowing = Annotated[float, Field(ge=0, le=100, description="xi, deviation of shadowing in dB.")]
+Decorrelation = Annotated[
+    float, Field(gt=0, le=1e6, description="beta, decorrelation distance of shadowing in metres.")
+]
+Fading = Annotated[Multipath, ReadAs(MultipathTable, _law_of)]
+Cell = Annotated[float, Field(gt=0, le=1e6, description="Cell side of the drawn map in metres.")]
+Floor = Annotated[
+    Decibels | None,
+    Field(description="The receiver's floor as a path gain in dB; left out: no floor."),
+]
+
+
+class RicianKeys(Table):
+    """The fading of a map by its Rician factor."""
+
+    rician_k: float | None = Field(
+        default=None,
+        gt=0,
+        le=1e8,
+        description="Rician K factor (linear ratio) of small-scale fading; left out: no fading.",
+    )
+
+
+class LawKeys(Table):
+    """The multipath of a drawn channel: its deviation, or a law."""
+
+    multipath_std_db: float | None = Field(
+        default=None,
+        ge=0,
+        le=100,
+        description="omega, deviation in dB of multipath that is Gaussian in dB.",
+    )
+    multipath: Fading | None = Field(
+        default=None, description="Multipath of another kind, in place of multipath_std_db."
+    )
+
+    @model_validator(mode="after")
+    def _one_multipath(self) -> LawKeys:
+        if (self.multipath_std_db is None) == (self.multipath is None):
+            given = "none" if self.multipath is None else "both"
+            raise fault_of(
+                f"needs exactly one of multipath_std_db and multipath, has {given}: write "
+                "multipath_std_db = 3.0, for instance"
+            )
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)
-class RasterTruth:
+class RasterTruth(Part):
     """The true channel as a raster of path gains, with seeded small-scale fading on top.
 
     Attributes
@@ -38,18 +149,57 @@ class RasterTruth:
         The law of the fading, or None for none.
     """
 
-    file: Path
-    variable: str = "path_gain_db"
-    quantity: Literal["gain", "power"] = "gain"
-    floor_db: float
-    multipath: Multipath | None = None
+    at = "channel.truth"
+    kind = "raster"
+    Keys = RicianKeys
 
-    def __post_init__(self) -> None:
-        make_plain(self, "file")
+    file: Annotated[
+        FilePath,
+        Field(
+            description="npz (x, y and the variable on [iy, ix], or a radio map of Sionna RT), "
+            "CSV, NetCDF or GeoTIFF, by ending; relative to the problem file."
+        ),
+    ]
+    variable: Annotated[str, Field(min_length=1, description="Name of the path gain in dB.")] = (
+        "path_gain_db"
+    )
+    quantity: Annotated[
+        Literal["gain", "power"],
+        Field(
+            description="gain (path gain in dB, to which transmit_power_dbm is added) or power "
+            "(received power in dBm, such as mean_db of planopt map)."
+        ),
+    ] = "gain"
+    floor_db: Annotated[
+        Decibels,
+        Field(
+            description="The receiver's floor as a path gain in dB: what is below is clipped and "
+            "censored."
+        ),
+    ]
+    multipath: Annotated[
+        Fading | None, Field(description="Small-scale fading of another kind than rician_k gives.")
+    ] = None
+
+    def to_keys(self) -> dict[str, Any]:
+        """Return the keys of its table; Rician fading by its factor."""
+        keys, law = super().to_keys(), self.multipath
+        if isinstance(law, Rician) and law.k_factor > 0.0:
+            return {**keys, "multipath": None, "rician_k": law.k_factor}
+        return {**keys, "multipath": _law_keys(law)}
+
+    @classmethod
+    def of_keys(cls, table: Any) -> dict[str, Any]:
+        """Return the fields; the fading is given in one of two ways."""
+        if table.rician_k is None:
+            return super().of_keys(table)
+        if table.multipath is not None:
+            raise fault_of("has rician_k and multipath, one is enough: leave rician_k out")
+        return {**super().of_keys(table), "multipath": Rician(table.rician_k)}
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelTruth:
+class ModelTruth(Part):
     """The true channel drawn from the channel model itself, for synthetic problems.
 
     Attributes
@@ -65,18 +215,37 @@ class ModelTruth:
         Its law, of deviation ``multipath_std_db``; None for Gaussian in dB.
     """
 
-    k_pl_db: float
-    n_pl: float
-    shadow_std_db: float
-    decorrelation_m: float
+    at = "channel.truth"
+    kind = "model"
+    Keys = LawKeys
+    not_keys = frozenset({"multipath_std_db", "multipath"})
+
+    k_pl_db: Annotated[Decibels, Field(description="K_PL as a path gain at one metre, in dB.")]
+    n_pl: Annotated[float, Field(gt=0, le=20, description="n_PL, path loss exponent (a number).")]
+    shadow_std_db: Shadowing
+    decorrelation_m: Decorrelation
     multipath_std_db: float
-    cell_m: float
-    floor_db: float | None = None
+    cell_m: Cell
+    floor_db: Floor = None
     multipath: Multipath | None = None
+
+    def to_keys(self) -> dict[str, Any]:
+        """Return the keys of its table: a law, or the deviation."""
+        keys = super().to_keys()
+        if self.multipath is None:
+            return {**keys, "multipath_std_db": self.multipath_std_db}
+        return {**keys, "multipath": _law_keys(self.multipath)}
+
+    @classmethod
+    def of_keys(cls, table: Any) -> dict[str, Any]:
+        """Return the fields; a law has a deviation."""
+        law = table.multipath
+        deviation = table.multipath_std_db if law is None else law.std_db
+        return {**super().of_keys(table), "multipath": law, "multipath_std_db": deviation}
 
 
 @dataclass(frozen=True, kw_only=True)
-class FittedTruth:
+class FittedTruth(Part):
     """The true channel drawn from its posterior, given the log of the first measurements.
 
     Parameters are estimated from the log by ``channel.fit``; path loss, shadowing and multipath are
@@ -90,8 +259,11 @@ class FittedTruth:
         As in :class:`RasterTruth`, or None for no floor.
     """
 
-    cell_m: float
-    floor_db: float | None = None
+    at = "channel.truth"
+    kind = "fitted"
+
+    cell_m: Cell
+    floor_db: Floor = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -166,24 +338,16 @@ ChannelTruth = RasterTruth | ModelTruth | FittedTruth | ArrayTruth | FunctionTru
 
 
 @dataclass(frozen=True)
-class SampledMeasurements:
+class SampledMeasurements(Part):
     """First measurements taken from the truth at `count` seeded random free places.
 
     With a `count` of 0 none are taken: they are given to :func:`planopt.solve`,
     :func:`planopt.simulate` or :class:`planopt.Planner`.
     """
 
-    count: int = 0
+    at = "channel.measurements"
 
-    def __post_init__(self) -> None:
-        make_plain(self)
-        count = cast("object", self.count)
-        if not isinstance(count, int) or isinstance(count, bool) or count < 0:
-            raise InputError(
-                f"is {count!r}, should be a whole number, at least 0",
-                key="channel.measurements.count",
-                remedy="give how many places are measured at first, such as 100",
-            )
+    count: Annotated[int, Field(ge=0, le=100_000, description=COUNT_WORDS)] = 0
 
 
 @dataclass(frozen=True)
@@ -212,7 +376,7 @@ class LoggedMeasurements:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenParameters:
+class GivenParameters(Part):
     """Parameters of the channel that are known, so that they are not estimated.
 
     Attributes
@@ -224,13 +388,10 @@ class GivenParameters:
         path loss is estimated from the measurements, with its uncertainty.
     """
 
-    shadow_std_db: Annotated[
-        float, Field(ge=0, le=100, description="xi, deviation of shadowing in dB.")
-    ]
-    decorrelation_m: Annotated[
-        float,
-        Field(gt=0, le=1e6, description="beta, decorrelation distance of shadowing in metres."),
-    ]
+    at = "channel.fit.given"
+
+    shadow_std_db: Shadowing
+    decorrelation_m: Decorrelation
     multipath_std_db: Annotated[
         float, Field(ge=0, le=100, description="omega, deviation of multipath in dB.")
     ]
@@ -245,17 +406,122 @@ class GivenParameters:
         float | None, Field(gt=0, le=20, description="n_PL, path loss exponent (a number).")
     ] = None
 
-    def __post_init__(self) -> None:
-        if (self.k_pl_db is None) != (self.n_pl is None):
-            raise InputError(
-                "has one of k_pl_db and n_pl",
-                key="channel.fit.given",
-                remedy="give both, or none to have path loss estimated",
+    def fault(self) -> str | None:
+        """Return whether one of two keys is missing."""
+        if (self.k_pl_db is None) == (self.n_pl is None):
+            return None
+        return "has one of k_pl_db and n_pl: give both, or none to have path loss estimated"
+
+
+class ColumnsTable(Table):
+    """``columns`` of a log: what its columns are called."""
+
+    x: str = Field(default="x_m", min_length=1, description="Column of x in metres.")
+    y: str = Field(default="y_m", min_length=1, description="Column of y in metres.")
+    power: str = Field(
+        default="power_dbm",
+        min_length=1,
+        description="Column of received power in dBm.",
+    )
+
+
+class MeasurementsTable(Table):
+    """``[channel.measurements]``: exactly one of ``count`` and ``file``."""
+
+    count: int | None = Field(
+        default=None,
+        ge=0,
+        le=100_000,
+        description=COUNT_WORDS,
+    )
+    file: FilePath | None = Field(
+        default=None, description="CSV log of first measurements, relative to the problem file."
+    )
+    columns: ColumnsTable | None = Field(
+        default=None, description="Column names of the log, if not x_m, y_m and power_dbm."
+    )
+    censored_column: str | None = Field(
+        default=None, min_length=1, description="Column of the log that marks censored rows."
+    )
+    floor_dbm: Decibels | None = Field(
+        default=None, description="Powers in the log at or below this many dBm are censored."
+    )
+    spacing_m: float = Field(
+        default=2.0,
+        ge=0,
+        le=1e6,
+        description="On the way a robot measures only at this distance in metres from every "
+        "earlier measurement.",
+    )
+    shared: bool = Field(
+        default=False,
+        description="Whether every robot has the measurements of all robots after each step (true "
+        "or false).",
+    )
+
+    @model_validator(mode="after")
+    def _one_source(self) -> MeasurementsTable:
+        if (self.count is None) == (self.file is None):
+            given = "none" if self.count is None else "count and file"
+            raise fault_of(
+                f"needs exactly one of count and file, has {given}: write count = 100, or "
+                'file = "log.csv"'
             )
+        for key in ("columns", "censored_column", "floor_dbm"):
+            if self.file is None and getattr(self, key) is not None:
+                raise fault_of(f"has {key}, which goes only with file: leave it out")
+        return self
+
+    @property
+    def source(self) -> SampledMeasurements | LoggedMeasurements:
+        """Return what the table describes."""
+        if self.file is None:
+            return SampledMeasurements(self.count or 0)
+        columns = self.columns or ColumnsTable()
+        names = (columns.x, columns.y, columns.power)
+        return LoggedMeasurements(self.file, names, self.censored_column, self.floor_dbm)
+
+
+class FitTable(Table):
+    """``[channel.fit]``: how parameters are estimated."""
+
+    method: FitMethod = Field(
+        default="reml", description="lemma1, capped, convex, nls or reml: docs/channel.md, Fit."
+    )
+    given: GivenParameters | None = Field(
+        default=None,
+        description="Parameters that are known and not estimated: shadow_std_db, decorrelation_m "
+        "and multipath_std_db, and k_pl_db and n_pl or neither.",
+    )
+
+
+class TruthOf:
+    """Marks the key of the true channel: one from Python, or whatever a file may describe."""
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Accept arrays and functions as they are."""
+        return core_schema.no_info_wrap_validator_function(_read_truth, handler(source))
+
+
+def _read_truth(value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+    return value if isinstance(value, ArrayTruth | FunctionTruth) else handler(value)
+
+
+class ChannelKeys(Table):
+    """``[channel]``: how power varies and what is known of it."""
+
+    truth: (
+        Annotated[RasterTruth | ModelTruth | FittedTruth, Field(discriminator="kind"), TruthOf()]
+        | None
+    ) = Field(default=None, description="The true channel, for simulation; may be left out.")
+    measurements: MeasurementsTable
+    fit: FitTable = FitTable()
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChannelSetup:
+class ChannelSetup(Part):
     """Sources of ground truth and first measurements, and the fit of the channel.
 
     Attributes
@@ -275,6 +541,15 @@ class ChannelSetup:
         Whether every robot has the measurements of all after each step.
     """
 
+    at = "channel"
+    Keys = ChannelKeys
+    not_keys = frozenset(
+        {
+            *("truth", "measurements", "fit_method", "given"),
+            *("measure_spacing_m", "share_measurements"),
+        }
+    )
+
     truth: ChannelTruth | None = None
     measurements: SampledMeasurements | LoggedMeasurements = field(
         default_factory=SampledMeasurements
@@ -285,7 +560,6 @@ class ChannelSetup:
     share_measurements: bool = False
 
     def __post_init__(self) -> None:
-        make_plain(self)
         if self.truth is not None:
             remedy = (
                 "give one ArrayTruth, FunctionTruth, RasterTruth, ModelTruth or FittedTruth; one "
@@ -298,3 +572,31 @@ class ChannelSetup:
             cast("type[object]", SampledMeasurements | LoggedMeasurements),
             "give SampledMeasurements or LoggedMeasurements; tables go to solve(measurements=)",
         )
+        super().__post_init__()
+
+    def to_keys(self) -> dict[str, Any]:
+        """Return the table and those in it."""
+        source = self.measurements
+        measurements: dict[str, Any] = {
+            "spacing_m": self.measure_spacing_m,
+            "shared": self.share_measurements,
+        }
+        if isinstance(source, LoggedMeasurements):
+            measurements |= vars(source)
+            measurements["columns"] = dict(zip(("x", "y", "power"), source.columns, strict=True))
+        else:
+            measurements["count"] = source.count
+        fit = {"method": self.fit_method, "given": self.given}
+        return {"truth": self.truth, "measurements": measurements, "fit": fit}
+
+    @classmethod
+    def of_keys(cls, table: Any) -> dict[str, Any]:
+        """Return the fields, from the table and those in it."""
+        return {
+            "truth": table.truth,
+            "measurements": table.measurements.source,
+            "fit_method": table.fit.method,
+            "given": table.fit.given,
+            "measure_spacing_m": table.measurements.spacing_m,
+            "share_measurements": table.measurements.shared,
+        }

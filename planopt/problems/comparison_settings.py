@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator, Field, Strict
@@ -12,8 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from planopt.errors import InputError
 from planopt.parts import parts_of
-from planopt.plain_values import make_plain
-from planopt.problems.tables import TableOf
+from planopt.problems.tables import Part
 
 DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000
 """Where neither the command nor the problem says anything else, and at most."""
@@ -49,8 +48,10 @@ def require_swept(key: str, at: str | None = None) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SettingGroup:
+class SettingGroup(Part):
     """Settings of a comparison: the product of all lists."""
+
+    at = "compare.settings[]"
 
     # In place of the problem's own, which are kept where there is none
     horizons: Annotated[
@@ -77,13 +78,12 @@ class SettingGroup:
         ),
     ] = field(default=None, hash=False)
 
-    def __post_init__(self) -> None:
-        make_plain(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ComparisonSettings:
+class ComparisonSettings(Part):
     """The settings of ``planopt compare`` where it is given none."""
+
+    at = "compare"
 
     # How many random seeds, or a range such as 100:120, its end left out
     seeds: Annotated[
@@ -95,7 +95,7 @@ class ComparisonSettings:
     # Groups of settings, which stand one after the other; the first setting of the first group is
     # what others are paired with
     settings: Annotated[
-        tuple[Annotated[SettingGroup, TableOf(SettingGroup, "SettingGroupTable")], ...],
+        tuple[SettingGroup, ...],
         Strict(False),
         Field(
             min_length=1,
@@ -106,37 +106,17 @@ class ComparisonSettings:
     ]
 
     def __post_init__(self) -> None:
-        make_plain(self)
         remedy = "give groups, [SettingGroup(horizons=[1, 10])]"
         groups = parts_of("compare.settings", cast("object", self.settings), SettingGroup, remedy)
-        for number, group in enumerate(groups):
-            at = f"compare.settings[{number}].sweep"
-            if group.sweep is not None and not isinstance(cast("object", group.sweep), Mapping):
-                raise InputError(
-                    f"is {group.sweep!r}", key=at, remedy='write {"constraints.p_min": [0.5, 0.8]}'
-                )
+        object.__setattr__(self, "settings", groups)
+        super().__post_init__()
+
+    def fault(self) -> str | None:
+        """Refuse a key that cannot be swept."""
+        for number, group in enumerate(self.settings):
             for key in group.sweep or {}:
-                if not isinstance(cast("object", key), str):
-                    raise InputError(
-                        f"has the key {key!r}",
-                        key=at,
-                        remedy='write a key of the problem file, such as "constraints.p_min"',
-                    )
-                require_swept(key, at)
-
-    def table(self) -> dict[str, Any]:
-        """Return the table of a problem file."""
-        return {"seeds": self.seeds, "settings": [_table(group) for group in self.settings]}
-
-
-def _table(group: SettingGroup) -> dict[str, Any]:
-    """The keys of a group that have a value."""
-    found = {part.name: getattr(group, part.name) for part in fields(group)}
-    return {
-        key: list(cast("tuple[Any, ...]", value)) if isinstance(value, tuple) else value
-        for key, value in found.items()
-        if value
-    }
+                require_swept(key, f"compare.settings[{number}].sweep")
+        return None
 
 
 def seeds_of(text: str | int, key: str = "seeds") -> range:

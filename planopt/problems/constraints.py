@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Literal, cast
+from typing import Annotated, Any, Literal, cast
+
+from pydantic import AfterValidator, BeforeValidator, Field, Strict
+from pydantic_core import PydanticCustomError
 
 from planopt.errors import InputError, listed
 from planopt.parts import calling, part_of, require_name
-from planopt.plain_values import make_plain
+from planopt.problems.tables import Part, ValidatedAs, table_of
 
 _RULES = "planopt.planning.proof.rules"
 
@@ -54,19 +57,36 @@ def rule_kind(name: str) -> type[Any]:
     )
 
 
-def known_rule(name: str) -> str:
-    """Return the name of a rule, for the fields of tables."""
-    try:
-        return rule_kind(name).kind
-    except InputError as error:
-        raise ValueError(f"{error.message}: {error.remedy}") from None
-
-
 ParameterUncertainty = Literal["path_loss", "all"]
+Positive = Annotated[float, Field(gt=0, le=1e9)]
+
+
+def _known_rule(name: Any) -> str:
+    """Return the name of a rule; stated_times is the former name of each_step with times."""
+    try:
+        return rule_kind("each_step" if name == "stated_times" else name).kind
+    except InputError as error:
+        raise PydanticCustomError(
+            "rule_name", "should be {remedy}", {"remedy": str(error.remedy).removeprefix("use ")}
+        ) from None
+
+
+def _named(settings: Any) -> dict[str, Any]:
+    """Return settings by name, from a table or from pairs of names and values."""
+    try:
+        return dict(settings)
+    except (TypeError, ValueError):
+        raise PydanticCustomError(
+            "settings", 'should have values by name, such as {"steps": 3}'
+        ) from None
+
+
+def _sorted(settings: dict[str, float]) -> tuple[tuple[str, float], ...]:
+    return tuple(sorted(settings.items()))
 
 
 @dataclass(frozen=True)
-class ConnectivityRule:
+class ConnectivityRule(Part):
     """The rule of connectivity along a path; a step counts by the place that it ends at.
 
     Attributes
@@ -101,36 +121,104 @@ class ConnectivityRule:
         There is no such rule, or `settings` are not its own.
     """
 
-    connectivity: str = "each_step"
-    connected_times_s: tuple[float, ...] = ()
-    outage_max_m: float | None = None
-    outage_max_s: float | None = None
-    data_mbit: float | None = None
-    deadline_s: float | None = None
-    rate_mbit_s: float | None = None
-    slack_max_db: float | None = None
-    slack_price: float = 0.0
-    parameter_uncertainty: ParameterUncertainty = "path_loss"
-    settings: Mapping[str, float] | tuple[tuple[str, float], ...] = ()
+    at = "constraints"
 
-    def __post_init__(self) -> None:
-        try:
-            settings = sorted(dict(self.settings).items())
-        except (TypeError, ValueError):
-            raise InputError(
-                f"is {self.settings!r}",
-                key="constraints.settings",
-                remedy='give values by name, such as {"steps": 3}',
-            ) from None
-        object.__setattr__(self, "settings", tuple(settings))
-        make_plain(self)
-        rule = self.kind
+    connectivity: Annotated[
+        str,
+        BeforeValidator(_known_rule),
+        Field(
+            examples=list(OWN),
+            description="What p_min is asked of: each_step, average, joint (all "
+            "steps of a plan), outage (steps below it in a row), data (delivery; 0: in "
+            "expectation); or a rule that is registered.",
+        ),
+    ] = "each_step"
+    connected_times_s: Annotated[
+        tuple[Positive, ...],
+        Strict(False),
+        Field(
+            max_length=100_000,
+            description="For each_step, the only times that count: seconds from the start of the "
+            "run, multiples of planner.step_s.",
+        ),
+    ] = ()
+    outage_max_m: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1e9,
+            description="For outage: longest way in metres driven in steps below p_min in a row.",
+        ),
+    ] = None
+    outage_max_s: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=1e9,
+            description="For outage: longest time in seconds of steps below p_min in a row.",
+        ),
+    ] = None
+    data_mbit: Annotated[
+        Positive | None, Field(description="For data: what must be delivered, in Mbit.")
+    ] = None
+    deadline_s: Annotated[
+        Positive | None,
+        Field(description="For data: until when, in seconds from the start of the run."),
+    ] = None
+    rate_mbit_s: Annotated[
+        Positive | None,
+        Field(description="For data: rate of the link while connected, in Mbit/s."),
+    ] = None
+    slack_max_db: Annotated[
+        float | None,
+        Field(
+            ge=0,
+            le=500,
+            description="What is asked of the connection may be missed by so many dB; 0 makes it "
+            "hard. Left out, each_step may be missed where nothing within reach keeps it.",
+        ),
+    ] = None
+    slack_price: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1e9,
+            description="What a dB of slack costs, in the objective's unit; needs slack_max_db.",
+        ),
+    ] = 0.0
+    parameter_uncertainty: Annotated[
+        ParameterUncertainty,
+        Field(
+            description="What p_min counts as estimated: path_loss, or all, xi, beta and omega "
+            "besides. all goes with each_step."
+        ),
+    ] = "path_loss"
+    settings: Annotated[
+        Mapping[str, float] | tuple[tuple[str, float], ...],
+        ValidatedAs(dict[str, float]),
+        Field(
+            max_length=100,
+            description="Values of the fields of a rule that is registered, by name.",
+        ),
+        BeforeValidator(_named),
+        AfterValidator(_sorted),
+    ] = ()
+
+    def fault(self) -> str | None:
+        """Refuse settings that do not fit a rule of one's own."""
+        settings = dict(self.settings)
         if settings or self.connectivity not in OWN:
-            with calling(rule, "__post_init__", key="constraints.settings"):
+            with calling(self.kind, "__post_init__", key="constraints.settings"):
                 try:
                     if self.connectivity in OWN:
-                        raise TypeError(f"it has no {settings[0][0]}")
-                    rule(**dict(settings))
+                        raise TypeError(f"it has no {min(settings)}")
+                    self.kind(**settings)
+                except InputError as error:
+                    raise InputError(
+                        f"cannot be used: {error.message}",
+                        key="constraints.settings",
+                        remedy=error.remedy or "give values that the rule accepts",
+                    ) from error
                 except TypeError as error:
                     raise InputError(
                         f"do not fit {self.connectivity}: {error}",
@@ -138,6 +226,7 @@ class ConnectivityRule:
                         remedy="give a number for each field of the rule, a frozen dataclass, and "
                         "no others",
                     ) from error
+        return None
 
     @property
     def kind(self) -> type[Any]:
@@ -161,7 +250,7 @@ class ConnectivityRule:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Constraints:
+class Constraints(Part):
     """The constraints on every plan.
 
     Attributes
@@ -178,16 +267,113 @@ class Constraints:
         Where, when or over what the connection is asked for; at each step unless it says else.
     """
 
-    p_min: float = 0.0
-    clearance_m: float = 1.0
-    goal_radius_m: float = 1.0
-    separation_m: float = 0.0
+    at = "constraints"
+    Keys = table_of(ConnectivityRule)
+    not_keys = frozenset({"rule"})
+
+    p_min: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="Least probability of connection at every step where that is possible, or "
+            "of what connectivity says; 0 asks for none. The task reach needs it above 0.",
+        ),
+    ] = 0.0
+    clearance_m: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1e4,
+            description="Least distance in metres of the swept path from every obstacle, moving "
+            "ones included.",
+        ),
+    ] = 1.0
+    goal_radius_m: Annotated[
+        float, Field(gt=0, le=1e4, description="Distance in metres at which the goal is reached.")
+    ] = 1.0
+    separation_m: Annotated[
+        float,
+        Field(
+            ge=0,
+            le=1e4,
+            description="Least distance in metres of any two robots at equal times, all the way; 0 "
+            "asks for none.",
+        ),
+    ] = 0.0
     rule: ConnectivityRule = field(default_factory=ConnectivityRule)
 
     def __post_init__(self) -> None:
-        make_plain(self)
         remedy = 'give ConnectivityRule("joint"), or of another name'
         part_of("constraints.rule", self.rule, ConnectivityRule, remedy)
+        super().__post_init__()
+
+    def to_keys(self) -> dict[str, Any]:
+        """Return the keys of its table: the rule's stand among them, without its defaults."""
+        default = ConnectivityRule().to_keys()
+        rule = {key: value for key, value in self.rule.to_keys().items() if value != default[key]}
+        if self.rule.settings:
+            rule["settings"] = dict(self.rule.settings)
+        return {**super().to_keys(), **rule}
+
+    @classmethod
+    def of_keys(cls, table: Any) -> dict[str, Any]:
+        """Return the fields, the rule among them."""
+        return {**super().of_keys(table), "rule": ConnectivityRule.of_table(table)}
+
+    def fault(self) -> str | None:
+        """Return which value does not fit the rule of connectivity."""
+        rule, form = self.rule, self.rule.connectivity
+        given = [key for key, value in rule.to_keys().items() if value not in (None, ())]
+        for other in map(rule_kind, OWN):
+            for key in other.keys:
+                if other.kind != form and key in given:
+                    return (
+                        f'has {key}, which goes only with connectivity = "{other.kind}": leave it '
+                        "out, or write that connectivity"
+                    )
+        if not self.asks_connection and (form != "each_step" or rule.connected_times_s):
+            return (
+                f'needs p_min above 0 for connectivity = "{form}": write p_min = 0.9, for instance'
+            )
+        if form == "outage" and (rule.outage_max_m is None) == (rule.outage_max_s is None):
+            return (
+                'needs one of outage_max_m and outage_max_s for connectivity = "outage": write '
+                "outage_max_s = 10.0, for instance"
+            )
+        if form == "data":
+            for key in rule.kind.keys:
+                if key not in given:
+                    return (
+                        f'needs {key} for connectivity = "{form}": write {key} = 100.0, for '
+                        "instance"
+                    )
+        return self._fault_of_slack() or self._fault_of_uncertainty()
+
+    def _fault_of_slack(self) -> str | None:
+        if self.rule.slack_max_db is not None and not self.asks_connection:
+            return (
+                "has slack_max_db, but nothing is asked of the connection, since p_min is 0: write "
+                "a p_min above 0, or leave slack_max_db out"
+            )
+        if self.rule.slack_price > 0.0 and not self.rule.slack_max_db:
+            return "has slack_price, which needs slack_max_db above 0: write slack_max_db = 3.0"
+        return None
+
+    def _fault_of_uncertainty(self) -> str | None:
+        if self.rule.parameter_uncertainty != "all":
+            return None
+        if not self.rule.by_step:
+            return (
+                'has parameter_uncertainty = "all", not for connectivity = '
+                f'"{self.rule.connectivity}": leave it out, or write each_step'
+            )
+        if self.p_min == 0.0:
+            return (
+                'has parameter_uncertainty = "all", but p_min is 0: write a p_min above 0, or '
+                "leave parameter_uncertainty out"
+            )
+        return None
 
     @property
     def asks_connection(self) -> bool:

@@ -5,29 +5,20 @@ The files that a problem needs for simulation are there.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Generator
 from pathlib import Path
 from typing import cast
 
-from pydantic import ValidationError
-
 from planopt.errors import InputError, require_text
 from planopt.problems.base_station import log_of, raster_truth_of
-from planopt.problems.build import build
 from planopt.problems.channel_setup import (
     GivenParameters,
     LoggedMeasurements,
     RasterTruth,
     SampledMeasurements,
 )
-from planopt.problems.checks import check
 from planopt.problems.library import find_problem
-from planopt.problems.messages import input_error
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.read_toml import read_toml
-from planopt.problems.schema import ProblemFile
-from planopt.problems.tables import Table
 from planopt.world.raster_files import raster_ending
 
 
@@ -126,25 +117,6 @@ def load(path_or_name: Path | str) -> Problem:
     problem = problem_from_tables(data, folder=path.absolute().parent, file=path)
     check_files(problem)
     return problem
-
-
-def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Problem:
-    """The problem in the tables of the schema, validated and checked."""
-    with located(ProblemFile, file):
-        problem = build(ProblemFile.model_validate(data), folder, file)
-        check(problem)
-    return problem
-
-
-@contextlib.contextmanager
-def located(model: type[Table], file: Path | None) -> Generator[None]:
-    """Turn what validating tables of `model` raises into errors that name the key and the file."""
-    try:
-        yield
-    except ValidationError as error:
-        raise input_error(error, model, file=file) from None
-    except InputError as error:
-        raise error if file is None else error.located(file) from None
 
 
 def task_of_system(data: object) -> str | None:

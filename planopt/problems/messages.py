@@ -7,11 +7,12 @@ if the key itself is wrong.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import re
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast, get_args, runtime_checkable
 
@@ -92,6 +93,17 @@ def input_error(
         remedy = _within(fault, field)
     prefix: KeyPath = () if table is None else (table,)
     return InputError(message, file=file, key=key_text(prefix + path), remedy=remedy)
+
+
+@contextlib.contextmanager
+def located(model: type[BaseModel], file: Path | None) -> Generator[None]:
+    """Turn what validating tables of `model` raises into errors that name the key and the file."""
+    try:
+        yield
+    except ValidationError as error:
+        raise input_error(error, model, file=file) from None
+    except InputError as error:
+        raise error if file is None else error.located(file) from None
 
 
 def key_text(path: KeyPath) -> str | None:
@@ -204,7 +216,8 @@ def _resolve(
                 fields = _fields(tables[0]) if tables else {}
                 field = fields.get(part) if tables else field
                 hints = () if field is None else (field.annotation, *field.metadata)
-                tables = [table for hint in hints for table in _tables(hint)]
+                found = [table for hint in hints for table in _tables(hint)]
+                tables = list(dict.fromkeys(found))
     return tuple(path), fields, field
 
 

@@ -4,28 +4,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from pydantic import BaseModel, ValidationError
-
 from planopt.errors import InputError
 from planopt.parts import part_of
-from planopt.problems.check_motion import check_dynamics
-from planopt.problems.check_tables import check_tables
-from planopt.problems.checks import check
-from planopt.problems.load import check_files, problem_from_tables
-from planopt.problems.messages import input_error
+from planopt.problems.load import check_files
+from planopt.problems.objective import ReachObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
-from planopt.problems.problem import Problem, ReachObjective
-from planopt.problems.save import problem_to_dict
-from planopt.problems.schema_objective import ObjectiveTable
-from planopt.problems.settings import PlannerSettings
+from planopt.problems.problem import Problem, check_problem, problem_from_tables, tables_of
+from planopt.problems.save import saved_table
 from planopt.problems.systems import SystemProblem, system_from_tables
-from planopt.problems.tables import made_of, table_of
 
-AnyTable = TypeVar("AnyTable", bound=BaseModel)
 AnyProblem = TypeVar("AnyProblem", bound=Problem | SystemProblem)
 
 _PART = re.compile(r"(\w+)((?:\[(?:\d+|\*)\])*)")
@@ -41,7 +32,7 @@ def with_overrides(
 ) -> Problem:
     """`problem` with the given settings in place of its own, checked; None keeps them.
 
-    A problem made in Python, which no schema has seen, is held to what one from a file is.
+    The whole problem is checked, since :func:`dataclasses.replace` does not check one.
     """
     require_motion(problem)
     given = {
@@ -54,17 +45,19 @@ def with_overrides(
         if value is not None
     }
     try:
-        return _overridden(problem, horizon, planner, cost_to_go)
+        changed = _overridden(problem, horizon, planner, cost_to_go)
+        check_problem(changed)
     except InputError as error:
         if not given:
             raise
-        _overridden(problem, None, None, None)
+        check_problem(problem)
         settings = ", ".join(f"{name} {value}" for name, value in given.items())
         raise InputError(
             f"{error.message}; {settings} was given in place of the problem's own",
             key=error.key,
             remedy=error.remedy,
         ) from None
+    return changed
 
 
 def require_motion(problem: Problem) -> None:
@@ -80,50 +73,28 @@ def require_motion(problem: Problem) -> None:
 def _overridden(
     problem: Problem, horizon: int | None, planner: str | None, cost_to_go: str | None
 ) -> Problem:
-    """Change and check, as :func:`with_overrides`."""
-    planner_table = _changed(
-        table_of(PlannerSettings, "PlannerTable"),
-        "planner",
-        asdict(problem.planner),
-        {"horizon": horizon, "name": planner},
-    )
-    changed = replace(problem, planner=made_of(PlannerSettings, planner_table))
-    check_dynamics(changed)
-    kind = planner_kind(changed.planner.name)
-    if isinstance(problem.objective, ReachObjective) and not kind.reaches_goals:
+    """Return `problem` with other settings, each validated by itself."""
+    changes = {"horizon": horizon, "name": planner}
+    changes = {name: value for name, value in changes.items() if value is not None}
+    # The changed part validates itself.
+    settings = replace(problem.planner, **changes) if changes else problem.planner
+    is_reach = isinstance(problem.objective, ReachObjective)
+    if is_reach and not planner_kind(settings.name).reaches_goals:
         raise InputError(
-            f"is {changed.planner.name}, which has no way to a goal",
-            file=problem.file,
+            f"is {settings.name}, which has no way to a goal",
             key="planner.name",
             remedy=f"use {names_with('reaches_goals')} for the task reach",
         )
-    check_tables(problem)
-    check(changed)
-    if not isinstance(problem.objective, ReachObjective):
-        if cost_to_go is not None:
-            raise InputError(
-                f"is for problems that are to reach a goal, {problem.name} is to {problem.task}",
-                key="objective.cost_to_go",
-                remedy="leave it out",
-            )
+    changed = replace(problem, planner=settings) if changes else problem
+    if cost_to_go is None:
         return changed
-    objective_table = _changed(
-        ObjectiveTable, "objective", asdict(problem.objective), {"cost_to_go": cost_to_go}
-    )
-    return replace(
-        changed, objective=ReachObjective(**objective_table.model_dump(exclude={"terms"}))
-    )
-
-
-def _changed(
-    model: type[AnyTable], key: str, now: dict[str, Any], changes: dict[str, Any]
-) -> AnyTable:
-    """The table `key` after `changes`, validated."""
-    given = {name: value for name, value in changes.items() if value is not None}
-    try:
-        return model.model_validate({**now, **given})
-    except ValidationError as error:
-        raise input_error(error, model, table=key) from None
+    if not is_reach:
+        raise InputError(
+            f"is for problems that are to reach a goal, {problem.name} is to {problem.task}",
+            key="objective.cost_to_go",
+            remedy="leave it out",
+        )
+    return replace(changed, objective=replace(problem.objective, cost_to_go=cost_to_go))
 
 
 def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProblem:
@@ -132,7 +103,11 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
         return problem
     given = ", ".join(f"{key} = {value}" for key, value in changes.items())
     is_motion = isinstance(problem, Problem)
-    tables = problem_to_dict(problem) if is_motion else problem.tables()
+    tables = tables_of(problem) if is_motion else problem.tables()
+    if is_motion:
+        # Only the tables that change are validated again.
+        for branch in {re.split(r"[.\[]", key)[0] for key in changes} & tables.keys():
+            tables[branch] = saved_table(tables[branch])
     for key, value in changes.items():
         for table, name in _places(tables, key):
             table[name] = value
@@ -140,9 +115,6 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
         if not is_motion:
             return cast("AnyProblem", system_from_tables(tables, folder=Path.cwd(), file=None))
         changed = problem_from_tables(tables, folder=Path.cwd(), file=None)
-        if not any(key.split(".")[0] == "channel" for key in changes):
-            # No table has a channel from Python.
-            changed = replace(changed, channel=problem.channel)
         check_files(changed)
         return cast("AnyProblem", replace(changed, file=problem.file))
     except InputError as error:

@@ -16,50 +16,17 @@ from planopt.objectives.terms.term import Term, TermSetting, require_kind
 from planopt.parts import part_of, parts_of
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
+from planopt.problems.checks import check
 from planopt.problems.comparison_settings import ComparisonSettings
 from planopt.problems.constraints import Constraints
+from planopt.problems.messages import located
+from planopt.problems.objective import CostToGo, ReachObjective, TermsObjective
 from planopt.problems.robot import Robot
+from planopt.problems.schema import SCHEMA_VERSION, ProblemFile, Task
 from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.target import Target
 from planopt.short_repr import wrapped
 from planopt.world.workspace import Workspace
-
-CostToGo = Literal["geodesic", "connected"]
-OutageCharge = Literal["below_p_min", "everywhere"]
-
-
-@dataclass(frozen=True)
-class ReachObjective:
-    """Reach the goal in least time and effort, out of contact as little as that is worth.
-
-    The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
-    driven where the probability of connection is P counts ``1 + outage_price (1 - P)`` metres.
-    """
-
-    # Seconds of travel that one second at 1 m/s is worth, in s^2/m^2
-    effort_weight_s2_m2: float = 0.1
-    # What the way beyond the horizon costs: geodesic (shortest way round the obstacles) or
-    # connected (cheapest path at the outage price)
-    cost_to_go: CostToGo = "connected"
-    # What a metre that is certainly out of contact costs besides, in metres (a number)
-    outage_price: float = 10.0
-    # Where that is charged: everywhere, which is the expected cost, or below_p_min only
-    outage_charge: OutageCharge = "everywhere"
-
-    @property
-    def charges_everywhere(self) -> bool:
-        """Return whether places that keep p_min are charged, too."""
-        return self.outage_charge == "everywhere"
-
-
-@dataclass(frozen=True)
-class TermsObjective:
-    """A weighted sum of named terms over the horizon, to be maximised."""
-
-    terms: tuple[Term, ...]  # At least one; the first is the task's
-
-
-Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
 
 
 @dataclass(frozen=True, init=False)
@@ -174,9 +141,6 @@ class Problem:
         for key, value in parts.items():
             object.__setattr__(self, key, value)
         if not checked:
-            # The checks read problems, so that they cannot be imported before there are any.
-            from planopt.problems.check_tables import check_problem
-
             check_problem(self)
 
     def __repr__(self) -> str:
@@ -275,6 +239,54 @@ def _objective(
     for number, term in enumerate(found):
         require_kind(term, f"objective.terms[{number}]")
     return TermsObjective(found)
+
+
+def tables_of(problem: Problem) -> dict[str, Any]:
+    """Return the tables of a problem, as the parts that it is made of."""
+    tables = {
+        "problem": {
+            "schema": SCHEMA_VERSION,
+            "name": problem.name,
+            "task": problem.task,
+            "description": problem.description,
+        },
+        "world": problem.workspace,
+        "compare": problem.compare,
+    }
+    same = ("channel", "robots", "stations", "targets", "objective", "constraints", "planner")
+    tables |= {key: getattr(problem, key) for key in (*same, "report")}
+    return {key: value for key, value in tables.items() if value is not None}
+
+
+def check_problem(problem: Problem) -> None:
+    """Raise the first fault of a problem: of its tables, or of several of them together."""
+    with located(ProblemFile, problem.file):
+        ProblemFile.model_validate(tables_of(problem))
+    check(problem)
+
+
+def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Problem:
+    """Return the problem in the tables of a file, or in parts, validated and checked."""
+    with located(ProblemFile, file):
+        tables = ProblemFile.model_validate(data, context={"folder": folder})
+        problem = Problem(
+            name=tables.problem.name,
+            description=tables.problem.description,
+            workspace=tables.world,
+            channel=tables.channel,
+            robots=tables.robots,
+            stations=tables.stations,
+            objective=tables.objective,
+            targets=tables.targets,
+            constraints=tables.constraints,
+            planner=tables.planner,
+            report=tables.report,
+            compare=tables.compare,
+            file=file,
+            checked=True,
+        )
+        check(problem)
+    return problem
 
 
 def problem_at(problem: Problem, steps: int) -> Problem:

@@ -9,32 +9,29 @@ obstacle) is in :mod:`planopt.problems.checks`.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.objectives.terms.term import registered_terms
+from planopt.objectives.terms.term import Term, registered_terms
 from planopt.problems.base_station import BaseStation
+from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.comparison_settings import ComparisonSettings
-from planopt.problems.constraints import rule_kind
+from planopt.problems.constraints import Constraints
+from planopt.problems.objective import OBJECTIVE, ReachObjective, TermsObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
-from planopt.problems.problem import Task
-from planopt.problems.schema_channel import ChannelTable
-from planopt.problems.schema_constraints import ConstraintsTable
-from planopt.problems.schema_objective import ObjectiveTable
-from planopt.problems.schema_robot import RobotTable
-from planopt.problems.schema_world import WorldTable
+from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings, ReportSettings
-from planopt.problems.tables import Decibels, FileName, Metres, Name, Pair, Table, TableOf
+from planopt.problems.tables import Name, Table
 from planopt.problems.target import Target
+from planopt.problems.world_tables import WORLD
+from planopt.robots.unicycle import Unicycle
+from planopt.world.moving_obstacle import MovingObstacle
+from planopt.world.workspace import Workspace
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from planopt.objectives.terms.term import Term
-    from planopt.problems.schema_robot import RobotTable
-    from planopt.problems.schema_world import MovingTable
+Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
 
 MOST_TURN_RAD = 2.0 * math.pi
 """What a robot may turn in a step: more than a circle of the same input is nothing to plan."""
@@ -54,20 +51,19 @@ def _reach_fault(tables: ProblemFile) -> str | None:
                 f"task reach needs robots[{number}].goal_m: write goal_m = [x, y] in metres, or "
                 "say another problem.task, such as learn"
             )
-        if robot.weights is not None:
+        if robot.weights:
             return (
                 f"task reach has no terms, and no robots[{number}].weights of any: leave weights "
                 "out, or say another problem.task and a term of kind goal"
             )
-    if tables.objective.terms:
+    if isinstance(tables.objective, TermsObjective):
         return (
             "task reach has no objective.terms: leave them out, or say the problem.task of the "
             "first of them, and add a term of kind goal"
         )
     if tables.targets:
         return "task reach has no targets: leave them out, or say problem.task track"
-    rule = rule_kind(tables.constraints.connectivity)
-    if tables.constraints.p_min == 0.0 and rule.asks_p_min:
+    if not tables.constraints.asks_connection:
         return "task reach needs constraints.p_min above 0: write p_min = 0.9, for instance"
     if not planner_kind(tables.planner.name).reaches_goals:
         return (
@@ -79,7 +75,8 @@ def _reach_fault(tables: ProblemFile) -> str | None:
 
 def _terms_fault(tables: ProblemFile) -> str | None:
     """Return why tables are no problem whose objective is a sum of terms."""
-    task, terms = tables.problem.task, tables.objective.terms
+    task, objective = tables.problem.task, tables.objective
+    terms = objective.terms if isinstance(objective, TermsObjective) else ()
     if not terms or terms[0].task != task:
         kinds = [each.kind for each in registered_terms() if each.task == task]
         given = (
@@ -101,13 +98,7 @@ def _terms_fault(tables: ProblemFile) -> str | None:
                 f"task {task} has no robots.goal_m without a term of kind goal: leave "
                 f"robots[{number}].goal_m out, or add an objective.terms of kind goal"
             )
-    for key in ("effort_weight_s2_m2", "cost_to_go", "outage_price", "outage_charge"):
-        if key in tables.objective.model_fields_set:
-            return (
-                f"objective.{key} is for task reach, not for {task}: leave it out, or change "
-                "problem.task"
-            )
-    if not leads and "goal_radius_m" in tables.constraints.model_fields_set:
+    if not leads and tables.constraints.goal_radius_m != Constraints.goal_radius_m:
         return (
             f"constraints.goal_radius_m is for task reach and terms of kind goal, not for {task}: "
             "leave it out, or add an objective.terms of kind goal"
@@ -119,10 +110,10 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     return _same_name("robots", tables.robots) or _dynamics_fault(tables)
 
 
-def _fault_of_robot(terms: Sequence[Term], robot: RobotTable, number: int) -> str | None:
+def _fault_of_robot(terms: Sequence[Term], robot: Robot, number: int) -> str | None:
     """Return why the terms of one robot cannot be planned for."""
     key, weights = f"robots[{number}]", robot.weights
-    if weights is not None and len(weights) != len(terms):
+    if weights and len(weights) != len(terms):
         return (
             f"{key}.weights has {len(weights)} numbers for {len(terms)} objective.terms: give one "
             "for each, 0 for a term that is none of this robot's"
@@ -149,14 +140,16 @@ def _fault_of_robot(terms: Sequence[Term], robot: RobotTable, number: int) -> st
 def _dynamics_fault(tables: ProblemFile) -> str | None:
     """Return why robots with dynamics cannot be planned for."""
     for number, robot in enumerate(tables.robots):
-        if robot.dynamics == "single_integrator":
+        dynamics = robot.dynamics
+        if dynamics is None:
             continue
         if not planner_kind(tables.planner.name).has_dynamics:
             return (
                 f"planner.name {tables.planner.name} is for robots of dynamics single_integrator, "
-                f"robots[{number}] has {robot.dynamics}: use {names_with('has_dynamics')}"
+                f"robots[{number}] has {dynamics.kind}: use {names_with('has_dynamics')}"
             )
-        turn_rad = (robot.turn_rate_max_rad_s or 0.0) * tables.planner.step_s
+        turn_rad_s = dynamics.turn_rate_max_rad_s if isinstance(dynamics, Unicycle) else 0.0
+        turn_rad = turn_rad_s * tables.planner.step_s
         if turn_rad > MOST_TURN_RAD:
             return (
                 f"robots[{number}].turn_rate_max_rad_s lets it turn by {turn_rad:.3g} rad in a "
@@ -165,7 +158,7 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
     return None
 
 
-def _same_name(table: str, entries: Sequence[RobotTable] | Sequence[MovingTable]) -> str | None:
+def _same_name(table: str, entries: Sequence[Robot] | Sequence[MovingObstacle]) -> str | None:
     """Return why the entries of a table cannot be told apart."""
     names = [entry.name for entry in entries]
     for number, name in enumerate(names):
@@ -198,80 +191,34 @@ class ProblemTable(Table):
     description: str = Field(default="", description="One sentence for people.")
 
 
-class StationTable(Table):
-    """``[[stations]]``: a fixed station and its radio."""
-
-    name: Name = Field(default=BaseStation.name, description="What outputs call it.")
-    position_m: Pair = Field(description="Place [x, y] in metres; it may be outside the bounds.")
-    height_m: Metres = Field(
-        default=BaseStation.height_m,
-        description="Height of its antenna above the robots' antennas, in metres.",
-    )
-    transmit_power_dbm: Decibels = Field(
-        description="Transmit power in dBm; received power is this plus the path gain."
-    )
-    threshold_dbm: Decibels = Field(
-        description="Received power in dBm from which on a robot is connected, as plans and proofs "
-        "take it."
-    )
-    receive_threshold_dbm: Decibels | None = Field(
-        default=BaseStation.receive_threshold_dbm,
-        description="Received power in dBm from which on a robot truly is connected in a "
-        "simulation, where that is not threshold_dbm.",
-    )
-    gain_file: FileName | None = Field(
-        default=None,
-        description="Map of its path gains, where channel.truth is a raster: in place of "
-        "channel.truth.file. Each station needs a map of its own.",
-    )
-    gain_variable: str | None = Field(
-        default=None,
-        min_length=1,
-        description="Name of its path gain in dB, in place of channel.truth.variable.",
-    )
-    log_file: FileName | None = Field(
-        default=None,
-        description="CSV log of its first measurements, in place of channel.measurements.file. "
-        "Each station needs a log or a power_column of its own.",
-    )
-    power_column: str | None = Field(
-        default=None,
-        min_length=1,
-        description="Column of its power in dBm in the log, in place of "
-        "channel.measurements.columns.power.",
-    )
-    censored_column: str | None = Field(
-        default=None,
-        min_length=1,
-        description="Column that marks its censored rows; of a log of its own, by default that of "
-        "channel.measurements.",
-    )
-
-
 class ProblemFile(Table):
     """A planopt problem file (TOML)."""
 
     problem: ProblemTable
-    world: WorldTable
-    channel: ChannelTable
-    robots: list[RobotTable] = Field(
-        min_length=1, max_length=20, description="The robots; each has a goal for the task reach."
+    world: Annotated[Workspace, WORLD]
+    channel: ChannelSetup
+    robots: tuple[Robot, ...] = Field(
+        strict=False,
+        min_length=1,
+        max_length=20,
+        description="The robots; each has a goal for the task reach.",
     )
-    stations: list[StationTable] = Field(
+    stations: tuple[BaseStation, ...] = Field(
+        strict=False,
         min_length=1,
         max_length=MAX_STATIONS,
         description="The fixed stations; connected is who reaches the threshold of any of them.",
     )
-    targets: list[Annotated[Target, TableOf(Target, "TargetTable")]] = Field(
-        default=[], max_length=1, description="The target, for the task track."
+    targets: tuple[Target, ...] = Field(
+        default=(), strict=False, max_length=1, description="The target, for the task track."
     )
-    objective: ObjectiveTable = Field(default_factory=ObjectiveTable)
-    constraints: ConstraintsTable = Field(default_factory=ConstraintsTable)
-    planner: Annotated[PlannerSettings, TableOf(PlannerSettings, "PlannerTable")]
-    report: Annotated[ReportSettings, TableOf(ReportSettings, "ReportTable")] = ReportSettings()
-    compare: Annotated[ComparisonSettings, TableOf(ComparisonSettings, "CompareTable")] | None = (
-        None
+    objective: Annotated[ReachObjective | TermsObjective, OBJECTIVE] = Field(
+        default_factory=ReachObjective
     )
+    constraints: Constraints = Field(default_factory=Constraints)
+    planner: PlannerSettings
+    report: ReportSettings = ReportSettings()
+    compare: ComparisonSettings | None = None
 
     @model_validator(mode="after")
     def _fits_the_task(self) -> ProblemFile:

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
-from planopt.plain_values import make_plain
 from planopt.problems.planner_kinds import OWN, planner_names
+from planopt.problems.tables import Part
 
 MIN_HORIZON, MAX_HORIZON = 1, 500
 
@@ -28,7 +28,7 @@ def known_planner(name: str) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlannerSettings:
+class PlannerSettings(Part):
     """The settings of the planner.
 
     Attributes
@@ -57,6 +57,8 @@ class PlannerSettings:
         Seconds that a plan should take: the last polish begins, and ends, early enough for its
         proof; None for no limit.
     """
+
+    at = "planner"
 
     step_s: Annotated[float, Field(gt=0, le=1e4, description="Duration of a step in seconds.")]
     name: Annotated[
@@ -117,12 +119,9 @@ class PlannerSettings:
         ),
     ] = 1
 
-    def __post_init__(self) -> None:
-        make_plain(self)
-
 
 @dataclass(frozen=True)
-class ReportSettings:
+class ReportSettings(Part):
     """The settings of the report.
 
     Attributes
@@ -130,5 +129,7 @@ class ReportSettings:
     figures
         Whether pictures are drawn beside the results.
     """
+
+    at = "report"
 
     figures: Annotated[bool, Field(description="Draw the pictures (true or false).")] = True

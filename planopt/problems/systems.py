@@ -14,8 +14,9 @@ from typing import Any, TypeVar, cast
 
 from planopt.errors import InputError, NoPlanError
 from planopt.problems.library import find_problem
-from planopt.problems.load import SYSTEMS, located, task_of_system
+from planopt.problems.load import SYSTEMS, task_of_system
 from planopt.problems.load import load as load_motion
+from planopt.problems.messages import located
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON

@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from planopt.plain_values import make_plain
-from planopt.problems.tables import Name, Pair
+from planopt.problems.tables import Name, Pair, Part
 
 Packets = Literal["measurements", "estimates"]
 """What a packet to the station has of the target."""
@@ -18,7 +17,7 @@ LEAST_STD = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Target:
+class Target(Part):
     """A moving target and what is known of it at the start (equation 4.7).
 
     Attributes
@@ -45,6 +44,8 @@ class Target:
     packet_delay_steps
         The station has a packet so many steps after it was sent.
     """
+
+    at = "targets[]"
 
     name: Annotated[Name, Field(description="What outputs call it.")] = "target"
     start_m: Annotated[Pair, Field(description="Where it truly starts, [x, y] in metres.")]
@@ -107,6 +108,3 @@ class Target:
             ge=0, le=1000, description="The station has a packet so many steps after it is sent."
         ),
     ] = 0
-
-    def __post_init__(self) -> None:
-        make_plain(self)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, Union
 
 from pydantic import (
     BaseModel,
@@ -72,12 +72,7 @@ def _tables_of(terms: tuple[type[Term], ...]) -> tuple[type[BaseModel], ...]:
 
 def _table_of(term: type[Term]) -> type[BaseModel]:
     try:
-        return table_of(
-            term,
-            f"{term.__name__.removesuffix('Term')}Table",
-            Literal[term.kind],  # pyright: ignore
-            term.summary,
-        )
+        return table_of(term)
     except (PydanticUserError, NameError, TypeError) as error:
         if not is_own(term):
             raise

@@ -13,13 +13,13 @@ from terms_scene import LEARNING, situation_of, terms_problem
 
 from planopt.errors import InputError
 from planopt.extend import OwnTerm, casadi_term
+from planopt.objectives import TermsObjective
 from planopt.objectives.terms import term as registry
 from planopt.objectives.terms.term import registered_terms
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.solve import solve
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.path_worth import PathWorth
-from planopt.problems.objective import TermsObjective
 
 
 @pytest.fixture

@@ -11,8 +11,7 @@ from scenes import small_problem
 from terms_scene import TABLES, TRACKING
 
 from planopt.problems.constraints import ConnectivityRule, Constraints
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 
 RULES: dict[str, dict[str, Any]] = {
     "each_step": {"p_min": 0.95, "connected_times_s": [2.0, 5.0]},

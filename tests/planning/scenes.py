@@ -20,6 +20,7 @@ from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
+from planopt.objectives import ReachObjective
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.prepare import Prepared
 from planopt.planning.proof.circumstances import circumstances_of
@@ -30,7 +31,6 @@ from planopt.planning.worth.situation import Situation
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements
 from planopt.problems.constraints import Constraints
-from planopt.problems.objective import ReachObjective
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings

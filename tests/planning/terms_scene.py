@@ -21,8 +21,7 @@ from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering_way import SteeringWay
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 from planopt.world.clearance import index_obstacles
 
 TRACKING = {

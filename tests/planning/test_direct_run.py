@@ -12,8 +12,7 @@ from planopt.planning.plan import Rung
 from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import rolled_out
 from planopt.robots.unicycle import Unicycle

@@ -14,7 +14,6 @@ from planopt.errors import InputError
 from planopt.planning.baselines.baseline import held, released
 from planopt.planning.baselines.lawnmower import LawnmowerPlanner
 from planopt.problems import planner_kinds
-from planopt.problems.load import problem_from_tables
 from planopt.problems.planner_kinds import (
     OWN,
     PlannerKind,
@@ -23,6 +22,7 @@ from planopt.problems.planner_kinds import (
     register_planner,
     unregister_planner,
 )
+from planopt.problems.problem import problem_from_tables
 from planopt.problems.save import problem_to_dict
 
 
@@ -66,7 +66,7 @@ def test_it_plans_what_it_says_it_plans(eastward) -> None:
     """Without the traits there are no goals and no dynamics."""
     with pytest.raises(InputError, match="has no way to a goal"):
         solve(load("open_field"), planner="eastward")
-    with pytest.raises(InputError, match="for single integrators only"):
+    with pytest.raises(InputError, match="for robots of dynamics single_integrator"):
         solve(load("harbour_track"), planner="eastward")
     assert "eastward" in planner_names()
 

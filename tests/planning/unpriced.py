@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from planopt.problems.objective import LearningTerm, TermsObjective
+from planopt.objectives import LearningTerm, TermsObjective
 from planopt.problems.problem import Problem
 
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 
 
 @pytest.fixture

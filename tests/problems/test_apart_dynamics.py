@@ -4,7 +4,7 @@ import pytest
 from terms_scene import TABLES, TRACKING
 
 from planopt.errors import InputError
-from planopt.problems.load import problem_from_tables
+from planopt.problems.problem import problem_from_tables
 
 TRAM = {"name": "tram", "start_m": [30.0, 30.0], "velocity_m_s": [0.1, 0.0], "radius_m": 1.0}
 

@@ -8,9 +8,9 @@ import pytest
 import shapely
 
 from planopt.errors import InputError
+from planopt.objectives import TermsObjective
 from planopt.problems.library import list_problems
 from planopt.problems.load import SYSTEMS, load
-from planopt.problems.objective import TermsObjective
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 from planopt.world.workspace import Obstacle
@@ -72,7 +72,6 @@ def test_what_no_task_asks() -> None:
         robot(track, goal_m=(1.0, 1.0)),
         replace(track, targets=()),
         replace(track, robots=track.robots * 2),
-        replace(track, objective=TermsObjective(())),
         replace(track, objective=TermsObjective((replace(track.terms[0], weight=NAN),))),
         replace(track, objective=TermsObjective((replace(track.terms[0], form="sum"),))),
     ):

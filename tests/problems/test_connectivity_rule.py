@@ -52,6 +52,7 @@ def test_plain_problems_say_nothing_of_rules(learning, built):
     assert set(problem_to_dict(problem)["constraints"]) == {
         "p_min",
         "clearance_m",
+        "goal_radius_m",
         "separation_m",
     }
 

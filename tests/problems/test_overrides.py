@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
+from planopt import ConnectivityRule, Constraints, Robot
 from planopt.errors import InputError
-from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
 from planopt.robots.unicycle import Unicycle
+
+DRIVEN = partial(
+    Robot,
+    start_m=(1.0, 1.0),
+    speed_max_m_s=1.0,
+    dynamics=Unicycle(speed_max_m_s=1.0, turn_rate_max_rad_s=0.6),
+)
 
 
 def test_only_the_named_settings_change() -> None:
@@ -50,39 +58,33 @@ def test_unknown_names_say_what_there_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "key"),
+    ("make", "key"),
     [
-        (ConnectivityRule("outage"), "constraints"),
-        (ConnectivityRule("data"), "constraints"),
-        (ConnectivityRule("joint", parameter_uncertainty="all"), "constraints"),
-        (ConnectivityRule("each_step", (0.3,)), "constraints.connected_times_s[0]"),
+        (lambda: Constraints(p_min=0.5, rule=ConnectivityRule("outage")), "constraints"),
+        (lambda: Constraints(p_min=0.5, rule=ConnectivityRule("data")), "constraints"),
+        (
+            lambda: Constraints(
+                p_min=0.5, rule=ConnectivityRule("joint", parameter_uncertainty="all")
+            ),
+            "constraints",
+        ),
+        (
+            lambda: with_overrides(
+                replace(
+                    load("outdoor_track"),
+                    constraints=Constraints(p_min=0.5, rule=ConnectivityRule("each_step", (0.3,))),
+                )
+            ),
+            "constraints.connected_times_s[0]",
+        ),
+        (lambda: DRIVEN(start_rest=(float("nan"),)), "robots[]"),
+        (lambda: DRIVEN(start_rest=(0.0, 0.0)), "robots[]"),
     ],
 )
-def test_a_rule_made_in_python_is_held_to_what_one_from_a_file_is(rule, key: str) -> None:
-    """Incomplete rules, and keys that do not go together."""
-    problem = load("outdoor_track")
-    constraints = replace(problem.constraints, p_min=0.5, rule=rule)
+def test_parts_made_in_python_are_held_to_what_a_file_is(make, key: str) -> None:
+    """Incomplete rules, keys that do not go together, and a start that is no state."""
     with pytest.raises(InputError) as caught:
-        with_overrides(replace(problem, constraints=constraints))
-    assert caught.value.key == key
-
-
-@pytest.mark.parametrize(
-    ("name", "rest", "key"),
-    [
-        ("outdoor_track", (float("nan"),), "robots[0]"),
-        ("outdoor_track", (0.0, 0.0), "robots[0]"),
-    ],
-)
-def test_dynamics_given_in_python_are_held_to_the_same(name: str, rest, key: str) -> None:
-    """Nothing moves beside robots that drive curves; a start is a whole state."""
-    problem = load(name)
-    robots = tuple(
-        replace(robot, dynamics=Unicycle(robot.speed_max_m_s, 0.6), start_rest=rest)
-        for robot in problem.robots
-    )
-    with pytest.raises(InputError) as caught:
-        with_overrides(replace(problem, robots=robots))
+        make()
     assert caught.value.key == key
 
 
@@ -104,7 +106,7 @@ def test_an_error_of_an_override_says_so() -> None:
 def test_an_error_of_the_problem_itself_is_not_blamed_on_an_override() -> None:
     """A problem that would fail without the override fails with its own message."""
     problem = load("open_field")
-    broken = replace(problem, robots=(replace(problem.robots[0], speed_max_m_s=-1.0),))
+    broken = replace(problem, robots=(replace(problem.robots[0], goal_m=None),))
     with pytest.raises(InputError) as caught:
         with_overrides(broken, horizon=7)
     assert "given in place" not in str(caught.value)

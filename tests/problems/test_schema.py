@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 
 from planopt.errors import InputError
-from planopt.problems.channel_setup import ModelTruth, SampledMeasurements
-from planopt.problems.objective import (
+from planopt.objectives import (
     CasadiTerm,
     LearningTerm,
     MotionEnergyTerm,
     TrackingTerm,
     UntilConnectedTerm,
 )
+from planopt.problems.channel_setup import ModelTruth, SampledMeasurements
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.problems.schema import json_schema
@@ -431,7 +431,7 @@ def twice(tables: Tables) -> None:
         (drop_target, "a term of kind tracking and an entry of targets go together"),
         (give_goal, "task track has no robots.goal_m"),
         (mapping_first, "begin with one of kind tracking"),
-        (way_beyond, "objective.cost_to_go is for task reach, not for track"),
+        (way_beyond, "objective: has cost_to_go, which is for task reach"),
         (twice, r"robots\[1\].name is .*, as that of robots\[0\]"),
     ],
 )

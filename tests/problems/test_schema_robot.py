@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import numpy as np
 import pytest
 
 from planopt.errors import InputError
-from planopt.planning.planners import planner_for
-from planopt.planning.scene import build_ground
 from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
 from planopt.problems.save import problem_from_dict, problem_to_dict
@@ -114,10 +111,8 @@ def test_baselines_refuse(learn, built, planner: str) -> None:
     """In the file, and as an override."""
     learn["robots"][0] |= WHEELS
     problem = built(learn)
-    changed = with_overrides(problem, planner=planner)
-    start = problem.robots[0].start_state[:2]
-    with pytest.raises(InputError, match="single integrators only"):
-        planner_for(changed, build_ground(changed, start), np.random.default_rng(0))
+    with pytest.raises(InputError, match="is for robots of dynamics single_integrator"):
+        with_overrides(problem, planner=planner)
     learn["planner"]["name"] = planner
     with pytest.raises(InputError, match="use auto, nlp, scp or lattice"):
         built(learn)

@@ -15,6 +15,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import connection_probability
+from planopt.objectives import ReachObjective
 from planopt.planning.certificate import Certificate
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
@@ -24,7 +25,6 @@ from planopt.planning.worth.situation import Aim
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints
-from planopt.problems.objective import ReachObjective
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings

@@ -13,8 +13,7 @@ import pytest
 from planopt import load
 from planopt.files.whole import write_whole
 from planopt.planning.run_summary import RunSummary
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.save import problem_to_dict
 from planopt.studies import compare as compare_module
 from planopt.studies import study

@@ -26,7 +26,9 @@ from planopt.channel.nearest.place_index import PlaceTree
 from planopt.channel.prediction import connection_probability
 from planopt.channel.tile_map import TileMap
 from planopt.objectives.measuring import OPEN_SPACINGS
+from planopt.objectives.terms.mapping import MappingTerm
 from planopt.objectives.terms.term import Term
+from planopt.objectives.terms.until_connected import UntilConnectedTerm
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.global_search import FORBIDDEN
@@ -36,7 +38,6 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.worth.left_to_learn import workspace_region
 from planopt.planning.worth.situation import Situation
 from planopt.planning.worth.steering_way import SteeringWay, steering_way
-from planopt.problems.objective import MappingTerm, UntilConnectedTerm
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.road_map import shortest_ways, way_from

@@ -30,7 +30,7 @@ from planopt.coverage.region import checked_polygon, convex_region
 from planopt.coverage.simulation import Scene
 from planopt.coverage.station_map import StationMap
 from planopt.errors import InputError
-from planopt.problems.build import obstacles_of
+from planopt.problems.world_tables import obstacles_of
 from planopt.systems.coverage.demands import DemandContext
 from planopt.systems.coverage.tables import (
     CoverageFile,

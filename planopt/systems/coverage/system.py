@@ -12,7 +12,6 @@ import numpy as np
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.simulation import simulate_network
 from planopt.files.tables import write_tables
-from planopt.problems.save import obstacle_table
 from planopt.problems.systems import (
     Answer,
     Request,
@@ -20,6 +19,7 @@ from planopt.problems.systems import (
     SystemProblem,
     asked_planners,
 )
+from planopt.problems.world_tables import obstacle_table
 from planopt.systems.coverage.build import CoverageProblem, build, density_table
 from planopt.systems.coverage.check import check, deployment_json, faults
 from planopt.systems.coverage.results import (

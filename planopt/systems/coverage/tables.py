@@ -17,9 +17,9 @@ from planopt.coverage.events import Sensing
 from planopt.coverage.ground import Ground
 from planopt.coverage.raster_density import RasterDensity
 from planopt.errors import InputError
-from planopt.problems.schema_world import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
 from planopt.problems.tables import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
+from planopt.problems.world_tables import ObstacleTable
 from planopt.systems.coverage.demands import DemandTable
 from planopt.systems.coverage.radio import RadioTable
 from planopt.world.raster import checked_raster

@@ -10,8 +10,8 @@ import numpy as np
 
 from planopt.errors import NoPlanError
 from planopt.files.tables import write_tables
-from planopt.problems.save import obstacle_table
 from planopt.problems.systems import Answer, Request, System, SystemProblem
+from planopt.problems.world_tables import obstacle_table
 from planopt.systems.pursuit.check import check
 from planopt.systems.pursuit.driving import Driven, drive, planners, unguaranteed
 from planopt.systems.pursuit.results import (

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.errors import InputError
-from planopt.problems.build import obstacles_of
-from planopt.problems.schema_world import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
 from planopt.problems.tables import SMALLEST, Metres, Name, Pair, Quad, Table
+from planopt.problems.world_tables import ObstacleTable, obstacles_of
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag

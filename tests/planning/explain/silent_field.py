@@ -19,8 +19,7 @@ from planopt.channel.estimation.fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 
 K_PL_DB, N_PL, DEVIATION_DB = -30.0, 3.0, 5.0
 

@@ -12,8 +12,7 @@ from planopt.channel.fields.truth import power_truth
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 
 STEP_M = 6.0
 

@@ -11,10 +11,10 @@ import pytest
 from planopt import check, load, simulate
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
+from planopt.objectives import TermsObjective
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.loop.target_watch import aim_of, counted, watch_target
 from planopt.planning.run_summary import summary_of
-from planopt.problems.problem import TermsObjective
 from planopt.targets.information_filter import predict, predicted_information
 
 STEPS = 6

@@ -18,8 +18,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 from planopt.robots.drive import rolled_out
 from planopt.world.moving_obstacle import centres_at
 

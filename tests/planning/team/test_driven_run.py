@@ -15,8 +15,7 @@ from planopt.planning.check.check import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.solve import solve
-from planopt.problems.load import problem_from_tables
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_from_tables
 
 
 def random_scene(seed: int) -> Problem:

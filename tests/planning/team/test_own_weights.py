@@ -12,7 +12,7 @@ from planopt.planning.check.check import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.solve import solve
-from planopt.problems.check_tables import check_problem
+from planopt.problems.problem import check_problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 
 MAPPING = {"kind": "mapping", "form": "information"}
@@ -122,8 +122,8 @@ def test_weights_are_read_and_saved():
     [
         ((1.0,), r"weights has 1 numbers for 2 objective\.terms"),
         ((0.0, 0.0), r"weights are all 0"),
-        ((-1.0, 1.0), r"robots\[0\]\.weights"),
-        ((float("nan"), 1.0), r"robots\[0\]\.weights"),
+        ((-1.0, 1.0), r"robots\[\]\.weights\[0\]: is -1\.0"),
+        ((float("nan"), 1.0), r"robots\[\]\.weights\[0\]: is nan"),
     ],
 )
 def test_weights_that_say_nothing_are_named(weights, words):

@@ -16,7 +16,7 @@ from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.steering import GoalSteering
 from planopt.planning.worth.steering_way import SteeringWay
-from planopt.problems.load import problem_from_tables
+from planopt.problems.problem import problem_from_tables
 from planopt.problems.save import problem_to_dict
 from planopt.world.clearance import index_obstacles
 

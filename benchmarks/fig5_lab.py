@@ -27,7 +27,7 @@ from planopt.channel.parameters import Station
 from planopt.errors import InputError, PlanoptError
 from planopt.problems import ArrayTruth, GivenParameters, SampledMeasurements
 from planopt.problems.comparison_settings import seeds_of
-from planopt.report.comparison_table import comparison_text
+from planopt.report import comparison_text
 from planopt.world.raster import cell_centres_m
 
 CELL_M, MARGIN_M, FIRST = 0.1, 0.2, 20

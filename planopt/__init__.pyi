@@ -2,6 +2,7 @@ from planopt import channel as channel
 from planopt import extend as extend
 from planopt import objectives as objectives
 from planopt import problems as problems
+from planopt import report as report
 from planopt.channel.measurements import Measurements as Measurements
 from planopt.errors import InputError as InputError
 from planopt.errors import NoPlanError as NoPlanError

@@ -20,7 +20,15 @@ def test_every_public_name_is_there() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", [planopt, planopt.channel, planopt.extend, planopt.objectives, planopt.problems]
+    "package",
+    [
+        planopt,
+        planopt.channel,
+        planopt.extend,
+        planopt.objectives,
+        planopt.problems,
+        planopt.report,
+    ],
 )
 def test_no_public_name_is_a_module(package: ModuleType) -> None:
     """Else importing the module would put it in the place of the function or class."""

@@ -25,9 +25,7 @@ from planopt.channel.held_out import channel_predictor, learn_path_loss
 from planopt.channel.parameters import Station
 from planopt.channel.posterior import condition
 from planopt.channel.power_log import LogFormat, parse_groups, read_columns, read_groups, read_log
-from planopt.report.calibration_figure import draw_calibration
-from planopt.report.fit_figure import draw_fit
-from planopt.report.map_figure import draw_posterior_map
+from planopt.report import draw_calibration, draw_fit, draw_posterior_map
 
 CAMPUS = Path(os.environ.get("PLANOPT_DATA", "data")) / "campus"
 LOG = LogFormat(censored_column="near_floor")

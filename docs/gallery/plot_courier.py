@@ -9,8 +9,7 @@ start, and look at the proof.
 # %%
 # The problem: central Munich, a mast, a courier, and 300 measurements of a ray-traced channel.
 from planopt import load, solve
-from planopt.report.map_figure import draw_belief
-from planopt.report.motion_figures import draw_solution
+from planopt.report import draw_belief, draw_solution
 
 problem = load("munich_courier")
 print(problem.description)

@@ -20,8 +20,7 @@ import numpy as np
 from planopt import load, simulate
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.sensitivity import sensitivity_curves
-from planopt.report.motion_animation import save_animation
-from planopt.report.sensitivity_figure import draw_sensitivity
+from planopt.report import draw_sensitivity, save_animation
 from planopt.world.raster import cell_centres_m
 
 GRID = 320

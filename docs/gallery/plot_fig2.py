@@ -18,8 +18,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 from planopt import load, simulate
-from planopt.report.motion_animation import save_animation
-from planopt.report.motion_figures import draw_run
+from planopt.report import draw_run, save_animation
 
 problem = load("fig2")
 (term,) = problem.terms

@@ -20,7 +20,7 @@ import numpy as np
 
 from planopt.channel.estimation.station_fit import fit_channel_and_station
 from planopt.channel.measurements import Measurements
-from planopt.report.station_figure import draw_stations
+from planopt.report import draw_stations
 
 LAB = Path(os.environ.get("PLANOPT_DATA", "data")) / "lab"
 RESOLUTION_DB = 1.0

@@ -17,7 +17,7 @@ import numpy as np
 
 from planopt import load
 from planopt.planning.loop.closed_loop import simulate
-from planopt.report.motion_figures import draw_run
+from planopt.report import draw_run
 
 
 def shortened(name, steps):

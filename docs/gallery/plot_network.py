@@ -23,7 +23,7 @@ from planopt.coverage.control.receding import MoveLimits, plan_moves
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.region import convex_region
 from planopt.problems import load_system
-from planopt.report.coverage_figure import (
+from planopt.report import (
     NetworkPicture,
     animate_network,
     draw_costs,

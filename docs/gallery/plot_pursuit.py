@@ -18,8 +18,7 @@ import numpy as np
 from planopt.problems import load_system
 from planopt.pursuit.knowledge import Track, snapshot
 from planopt.pursuit.service import SnapshotService
-from planopt.report.pursuit_design_figure import draw_design
-from planopt.report.pursuit_figure import animate_pursuit, draw_knowledge, draw_pursuit, draw_view
+from planopt.report import animate_pursuit, draw_design, draw_knowledge, draw_pursuit, draw_view
 
 service = SnapshotService(levels=7, mote_spacing_m=1.0, frame_s=0.1, bits_per_axis=3)
 ways_m = [[[20, 48], [80, 48]], [[125, 60], [65, 100]], [[60, 5], [60, 15]], [[20, 90], [20, 110]]]

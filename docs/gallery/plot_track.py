@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from planopt import load
 from planopt.planning.loop.closed_loop import simulate
-from planopt.report.motion_figures import draw_run
+from planopt.report import draw_run
 
 problem = load("outdoor_track")
 problem = replace(problem, planner=replace(problem.planner, max_steps=50))

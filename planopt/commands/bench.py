@@ -108,7 +108,7 @@ def report(
 ) -> int:
     """Print and draw how planners did. Exit code 0."""
     from planopt.files.whole import strict_text, write_text
-    from planopt.report.bench_report import bench_text
+    from planopt.report import bench_text
     from planopt.studies.bench.folder import read_manifest, read_rows
     from planopt.studies.bench.references import best_known, read_references, references_file
 
@@ -126,8 +126,7 @@ def report(
     show(json, data, "" if json else bench_text(data))
     with drawing(folder, REPORT, wanted=figures) as new:
         if new is not None:
-            from planopt.report.bench_report import draw_bench
-            from planopt.report.saving import save_figure
+            from planopt.report import draw_bench, save_figure
 
             save_figure(draw_bench(rows, best, manifest), new / PICTURE_FILE)
     return 0

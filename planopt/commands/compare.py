@@ -86,7 +86,7 @@ def compare(
     """
     from planopt.problems.comparison_settings import DEFAULT_SEEDS
     from planopt.problems.systems import load_any
-    from planopt.report.comparison_table import comparison_text
+    from planopt.report import comparison_text
     from planopt.studies.compare import compare as compared
     from planopt.studies.compare import exit_code
     from planopt.studies.comparison import (

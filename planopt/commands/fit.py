@@ -153,7 +153,7 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
 
 def held_out_reliability_words(report: HeldOutReport) -> list[str]:
     """Lines for people: predicted against true connection, as the channel predicts it."""
-    from planopt.report.tables import reliability_lines
+    from planopt.report import reliability_lines
 
     return [
         f"P(power at least {report.threshold_dbm:g} dBm), predicted by the channel:",

@@ -12,18 +12,20 @@ from planopt.planning.holes import BlockedError
 from planopt.planning.prepare import prepare
 from planopt.planning.results import Run, Solution
 from planopt.problems.problem import Problem
-from planopt.report.calibration_figure import draw_calibration
-from planopt.report.comparison_figure import draw_comparison, draw_traces
-from planopt.report.fit_figure import draw_fit
-from planopt.report.map_figure import draw_belief, draw_posterior_map
-from planopt.report.motion_figures import (
+from planopt.report import (
+    draw_belief,
+    draw_calibration,
+    draw_comparison,
+    draw_fit,
     draw_no_plan,
+    draw_posterior_map,
+    draw_reliability,
     draw_run,
     draw_run_series,
     draw_solution,
+    draw_traces,
+    save_figure,
 )
-from planopt.report.reliability_figure import draw_reliability
-from planopt.report.saving import save_figure
 from planopt.studies.comparison import Comparison
 
 
@@ -51,7 +53,7 @@ def picture_run(run: Run, folder: Path) -> None:
 
 def animate(run: Run, folder: Path) -> None:
     """The run step by step."""
-    from planopt.report.motion_animation import save_animation
+    from planopt.report import save_animation
 
     save_animation(run, folder / "run.gif")
 

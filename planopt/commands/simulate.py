@@ -82,7 +82,7 @@ def _say_ahead(asked: Asked, plans: Sequence[Plan]) -> None:
 def _in_words(run: Run) -> str:
     from planopt.planning.holes import holes_in_words
     from planopt.planning.loop.metrics import run_holes, run_reliability
-    from planopt.report.tables import reliability_lines
+    from planopt.report import reliability_lines
 
     problem = run.problem
     planner = problem.planner

@@ -57,7 +57,7 @@ class Result(ABC):
             Notebooks show it; ``figure.savefig("result.png")`` writes it.
         """
         # Named, not imported: the packages of figures and files are above this one.
-        return getattr(import_module("planopt.report.motion_figures"), self._drawn_by)(self)
+        return getattr(import_module("planopt.report"), self._drawn_by)(self)
 
     def save(self, folder: Path | str) -> None:
         """Save the result as a folder that ``planopt check`` and :func:`planopt.load_result` read.

@@ -7,9 +7,22 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planopt.report.panel import Panel, add_panel, new_figure
-from planopt.report.style import MARKERS, SERIES, dress, head, legend_below, plain_log_ticks
+from planopt.report.panel import Panel, new_figure
+from planopt.report.style import (
+    FRAME,
+    MARKERS,
+    NOTE_PT,
+    SERIES,
+    WHITE,
+    dashed_look,
+    dress,
+    head,
+    legend_below,
+    legend_inside,
+    plain_log_ticks,
+)
 from planopt.report.tables import MISSING, WIDTH, aligned
 from planopt.studies.bench.cases import Question
 from planopt.studies.bench.folder import Manifest
@@ -18,14 +31,10 @@ from planopt.studies.bench.row import Row
 from planopt.studies.bench.scores import Score, excess, scores, time_profile
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
 LEAST_EXCESS = 1e-6
 """Objectives nearer than this share to the best known are drawn as if they were this far."""
-
-LINES = ("-", "--", "-.", ":")
-"""Planners are told apart by these as well as by colour."""
 
 SHOWN = 20
 """Regressions and rejections that the text lists; the JSON file has all."""
@@ -54,10 +63,6 @@ def bench_text(data: Mapping[str, Any]) -> str:
         ]
         for score in data["planners"]
     ]
-    table = [
-        # Headings of several words stand below each other.
-        *_stacked(header, lines),
-    ]
     program = ", ".join(f"{name} {version[:12]}" for name, version in data["program"].items())
     tolerances = ", ".join(f"{name} {value:g}" for name, value in data["tolerances"].items())
     notes = (
@@ -80,147 +85,91 @@ def bench_text(data: Mapping[str, Any]) -> str:
         for words in data[key][:SHOWN]
     ]
     wrapped = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
-    return "\n".join([*table, "", *wrapped, *([""] if found else []), *found])
+    return "\n".join([*_stacked(header, lines), "", *wrapped, *([""] if found else []), *found])
 
 
 def draw_bench(rows: Sequence[Row], best: Mapping[Question, float], manifest: Manifest) -> Figure:
-    """Draw how planners did.
+    """Draw the results of planners.
 
     Four panels: the performance profile of times, the share of cases by how much worse their
     objective is than the best known, the rates, and the fallbacks that released plans.
     """
-    from matplotlib.gridspec import GridSpec
-
-    figure = new_figure(12.0, 9.0)
-    cells = GridSpec(2, 2, figure=figure)
-    panels = [add_panel(figure, cells[number // 2, number % 2]) for number in range(4)]
+    figure, panels = new_figure(12.0, 9.0, ["AB", "CD"])
     each = scores(rows, best)
-    entries = _draw_profile(panels[0], rows, best)
-    _draw_excess(panels[1], rows, best, [score.planner for score in each])
+    planners = [score.planner for score in each]
+    profile = time_profile(rows, best)
+    for number, (planner, shares) in enumerate(zip(profile.planners, profile.shares, strict=True)):
+        ratios = np.append(profile.ratios, 1.2 * profile.ratios[-1])
+        _draw_steps(panels[0], ratios, np.append(shares, shares[-1]), planner, number)
+    words = "time / fastest planner's time [1]", "cases solved [%]"
+    dress(panels[0], "solved within a time", *words)
+    panels[0].set_xlim(0.95, max(1.2 * float(profile.ratios[-1]), 2.0))
+    for number, planner in enumerate(planners):
+        mine = [excess(row, best) for row in rows if row.planner == planner]
+        worse = np.sort([max(share, LEAST_EXCESS) for share in mine if share is not None])
+        shares = np.arange(1, worse.size + 1) / max(len(mine), 1)
+        _draw_steps(panels[1], 100.0 * worse, shares, planner, number)
+    words = "worse than the best known by at most [%]", "cases [%]"
+    dress(panels[1], "objective against the best known", *words)
+    shares = [excess(row, best) or 0.0 for row in rows]
+    panels[1].set_xlim(70.0 * LEAST_EXCESS, 150.0 * max([*shares, OBJECTIVE_SHARE]))
+    panels[1].axvline(100.0 * OBJECTIVE_SHARE, color=FRAME, linewidth=1.0, linestyle=":")
+    for panel in panels[:2]:
+        panel.set_xscale("log")
+        panel.set_ylim(0.0, 103.0)
+    plain_log_ticks(panels[0].xaxis)
     _draw_rates(panels[2], each)
-    _draw_fallbacks(panels[3], rows, [score.planner for score in each])
-    legend_below(figure, entries, 7)
+    _draw_fallbacks(panels[3], rows, planners)
+    legend_below(figure, panels[0].get_legend_handles_labels()[0], 7)
     head(figure, f"{len(rows)} cases; {manifest.made_by}; {manifest.cpu}")
     return figure
 
 
-def _draw_profile(
-    panel: Panel, rows: Sequence[Row], best: Mapping[Question, float]
-) -> list[Artist]:
-    """Draw which share of its cases each planner solves within a ratio of the fastest time."""
-    profile = time_profile(rows, best)
-    entries: list[Artist] = []
-    for number, (planner, shares) in enumerate(zip(profile.planners, profile.shares, strict=True)):
-        entries += panel.plot(
-            np.append(profile.ratios, 1.2 * profile.ratios[-1]),
-            100.0 * np.append(shares, shares[-1]),
-            drawstyle="steps-post",
-            label=planner,
-            **_line(number),
-        )
-    dress(panel, "solved within a time", "time / fastest planner's", "cases solved [%]")
-    panel.set_xlim(0.95, max(1.2 * float(profile.ratios[-1]), 2.0))
-    panel.set_xscale("log")
-    plain_log_ticks(panel.xaxis)
-    panel.set_ylim(0.0, 103.0)
-    return entries
-
-
-def _draw_excess(
-    panel: Panel,
-    rows: Sequence[Row],
-    best: Mapping[Question, float],
-    planners: Sequence[str],
+def _draw_steps(
+    panel: Panel, x: NDArray[np.float64], shares: NDArray[np.float64], planner: str, number: int
 ) -> None:
-    """Draw the share of cases whose objective is at most so much worse than the best known."""
-    for number, planner in enumerate(planners):
-        mine = [excess(row, best) for row in rows if row.planner == planner]
-        worse = np.sort([max(share, LEAST_EXCESS) for share in mine if share is not None])
-        if worse.size:
-            share = 100.0 * np.arange(1, worse.size + 1) / len(mine)
-            panel.plot(100.0 * worse, share, drawstyle="steps-post", **_line(number))
-    dress(
-        panel,
-        "objective against the best known",
-        "worse than the best known by at most [%]",
-        "cases [%]",
-    )
-    shares = [excess(row, best) or 0.0 for row in rows]
-    panel.set_xlim(70.0 * LEAST_EXCESS, 150.0 * max([*shares, OBJECTIVE_SHARE]))
-    panel.set_xscale("log")
-    panel.plot(
-        [100.0 * OBJECTIVE_SHARE] * 2, [0.0, 103.0], color="#404040", linewidth=1.0, linestyle=":"
-    )
-    panel.set_ylim(0.0, 103.0)
+    """Draw a planner's share of cases (n,) that increases at each x (n,)."""
+    look = {"drawstyle": "steps-post", "label": planner, **dashed_look(number)}
+    panel.plot(x, 100.0 * shares, **look)
 
 
 def _draw_rates(panel: Panel, each: Sequence[Score]) -> None:
     """Draw the shares solved, verified, and of claims that hold, by planner."""
-    places = np.arange(len(each), dtype=float)
-    for number, (label, values) in enumerate(
-        (
-            ("solved", [score.success_rate for score in each]),
-            ("verified", [score.verified_rate for score in each]),
-            ("claims that hold", [score.correct_rate for score in each]),
-        )
-    ):
-        both = zip(places, values, strict=True)
-        known = [(x, 100.0 * value) for x, value in both if value is not None]
-        panel.plot(
-            [x + 0.2 * (number - 1) for x, _ in known],
-            [value for _, value in known],
-            linestyle="none",
-            marker=MARKERS[number],
-            markersize=8.0,
-            color=SERIES[-1 - number],
-            markeredgecolor="#404040",
-            label=label,
-            clip_on=False,
-        )
+    places = np.arange(len(each), dtype=np.float64)
+    rates = np.array(
+        [(one.success_rate, one.verified_rate, one.correct_rate) for one in each], dtype=np.float64
+    )
+    labels = "solved", "verified", "claims that hold"
+    for number, (label, values) in enumerate(zip(labels, rates.T, strict=True)):
+        look = {"linestyle": "none", "marker": MARKERS[number], "color": SERIES[-1 - number]}
+        edge = {"markersize": 8.0, "markeredgecolor": FRAME, "clip_on": False}
+        panel.plot(places + 0.2 * (number - 1), 100.0 * values, label=label, **look, **edge)
     dress(panel, "rates", "planner", "share [%]")
     panel.set_xticks(places, labels=[score.planner for score in each])
     panel.set_xlim(-0.5, len(each) - 0.5)
     panel.set_ylim(0.0, 103.0)
-    panel.legend(fontsize=9.0, loc="lower left", framealpha=0.9, edgecolor="none")
+    legend_inside(panel, "lower left")
 
 
 def _draw_fallbacks(panel: Panel, rows: Sequence[Row], planners: Sequence[str]) -> None:
     """Draw which fallbacks released the plans of each planner, as stacked shares."""
-    counts = [
-        {
-            name: sum(row.rungs.get(name, 0) for row in rows if row.planner == planner)
-            for name in dict.fromkeys(name for row in rows for name in row.rungs)
-        }
-        for planner in planners
-    ]
-    places = np.arange(len(planners), dtype=float)
-    below = np.zeros(len(planners))
-    for number, name in enumerate(counts[0]):
-        share = np.array([100.0 * one[name] / max(sum(one.values()), 1) for one in counts])
-        panel.bar(
-            places,
-            share,
-            bottom=below,
-            width=0.7,
-            color=SERIES[number % len(SERIES)],
-            edgecolor="white",
-            hatch="" if number < len(SERIES) else "//",
-            label=name,
-        )
-        below += share
+    names = list(dict.fromkeys(name for row in rows for name in row.rungs))
+    counts = np.zeros((len(names), len(planners)))
+    for row in rows:
+        for name, count in row.rungs.items():
+            counts[names.index(name), planners.index(row.planner)] += count
+    shares = 100.0 * counts / np.maximum(counts.sum(axis=0), 1.0)
+    places = np.arange(len(planners), dtype=np.float64)
+    for number, (name, share) in enumerate(zip(names, shares, strict=True)):
+        hatch = "" if number < len(SERIES) else "//"
+        look = {"color": SERIES[number % len(SERIES)], "edgecolor": WHITE, "hatch": hatch}
+        below = shares[:number].sum(axis=0)
+        panel.bar(places, share, bottom=below, width=0.7, label=name, **look)
     dress(panel, "fallbacks", "planner", "released plans [%]")
     panel.set_xticks(places, labels=list(planners))
     panel.set_ylim(0.0, 130.0)
     panel.set_yticks([0.0, 25.0, 50.0, 75.0, 100.0])
-    panel.legend(fontsize=9.0, loc="upper left", ncols=4, frameon=False)
-
-
-def _line(number: int) -> dict[str, object]:
-    return {
-        "color": SERIES[number % len(SERIES)],
-        "linestyle": LINES[number % len(LINES)],
-        "linewidth": 1.8,
-    }
+    panel.legend(fontsize=NOTE_PT, loc="upper left", ncols=4, frameon=False)
 
 
 def _percent(share: float | None, digits: int = 1) -> str:

@@ -1,21 +1,26 @@
-"""A comparison of horizons, costs to go and planners, a panel a metric."""
+"""Figures of comparisons: a panel for each metric by horizon or swept key, and traces over time."""
 
 from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planopt.report.panel import Panel, add_panel, new_figure
+from planopt.report.panel import Panel, new_figure
 from planopt.report.style import (
     BAND,
     LABEL_PT,
     MARKERS,
     SERIES,
     TICK_PT,
+    dashed_look,
+    draw_band,
+    draw_intervals,
     dress,
     head,
     legend_below,
@@ -24,199 +29,31 @@ from planopt.report.style import (
 from planopt.report.tables import BAND_ENDS, BANDS, interval_words, metric_name
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import (
-    Row,
+    Setting,
     has_horizon,
     mean_interval,
-    runs_by_setting,
-    setting_of,
     setting_words,
     short_keys,
     sweep_words,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping, Sequence
-
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-
-    from planopt.planning.run_summary import RunSummary
-
-SPREAD = 0.6
-"""Width that the settings of one horizon share, in distances between horizons."""
-
-Setting = tuple[str, str | None, str]
-"""Problem with what was changed of it, cost to go, None where there is no goal, and planner."""
-
-
-@dataclass(frozen=True)
-class Look:
-    """The style of one setting: shift and width are in distances between horizons."""
-
-    label: str
-    colour: str
-    marker: str
-    shift: float
-    width: float
-
-
-WHOLE_RUN = "whole run"
-"""Horizon of bounds, which foresee the run whatever it is."""
-
-
-@dataclass(frozen=True)
-class Axis:
-    """The axis of the panels: the horizon, a swept key, or numbers of settings."""
-
-    key: str | None  # The swept key; None for the horizon or numbers
-    label: str  # With its unit
-    several_problems: bool  # Whether series are told apart by problem
-    names: Mapping[str, str]  # Short names of the swept keys
-    # Of the settings, where these have different keys and stand side by side; else None
-    numbers: Mapping[Hashable, int] | None = None
-
-    def place(self, one: RunSummary | Row) -> Any:
-        """Return where a run or row belongs."""
-        if self.numbers is not None:
-            return self.numbers[setting_of(one)]
-        if self.key is not None:
-            return one.sweep[self.key]
-        return one.horizon if has_horizon(one) else WHOLE_RUN
-
-    def ordered(self, rows: Sequence[Row]) -> list[str]:
-        """Return all places in their order along the panels."""
-        found = {str(self.place(row)): self.place(row) for row in rows}
-        if self.key is not None:
-            return list(found)
-        return sorted(found, key=lambda words: (isinstance(found[words], str), found[words]))
-
-    def setting(self, one: RunSummary | Row) -> Setting:
-        """Return the series that a run or row belongs to."""
-        if self.numbers is not None:
-            return "", None, one.planner
-        problem = [one.problem] if self.several_problems else []
-        swept = sweep_words(one, self.key, self.names)
-        return ", ".join([*problem, *([swept] if swept else [])]), one.cost_to_go, one.planner
-
-
-def axis_of(comparison: Comparison) -> Axis:
-    """Return what stands along the panels of a comparison."""
-    rows = comparison.rows
-    several, names = bool(comparison.others), short_keys(rows)
-    if len({frozenset(row.sweep) for row in rows}) > 1:
-        settings = dict.fromkeys(setting_of(row) for row in rows)
-        numbers: dict[Hashable, int] = {each: n for n, each in enumerate(settings, start=1)}
-        return Axis(None, "setting", several, names, numbers)
-    if len({row.horizon for row in rows if has_horizon(row)}) < 2:
-        for key in names:
-            if len({str(row.sweep[key]) for row in rows}) > 1:
-                return Axis(key, key, several, names)
-    return Axis(None, "horizon [steps]", several, names)
-
-
-def looks_of(comparison: Comparison) -> dict[Setting, Look]:
-    """Looks of the settings, in the order of the rows.
-
-    Colour by problem, what was changed and cost to go, if any of these differ; marker by planner,
-    and colour as well else.
-    """
-    axis = axis_of(comparison)
-    settings = list(dict.fromkeys(axis.setting(row) for row in comparison.rows))
-    kinds = list(dict.fromkeys(setting[:2] for setting in settings))
-    planners = list(dict.fromkeys(planner for *_, planner in settings))
-    # Numbered settings have places of their own, and need none beside each other.
-    count = 1 if axis.numbers is not None else len(settings)
-    shifts = SPREAD * ((np.arange(count) + 0.5) / count - 0.5)
-    return {
-        (changed, cost, planner): Look(
-            label=", ".join(
-                part
-                for part in (
-                    changed,
-                    "" if cost is None else f"{cost} cost to go",
-                    f"planner {planner}",
-                )
-                if part
-            ),
-            colour=SERIES[
-                (kinds.index((changed, cost)) if len(kinds) > 1 else planners.index(planner))
-                % len(SERIES)
-            ],
-            marker=MARKERS[planners.index(planner) % len(MARKERS)],
-            shift=float(shift),
-            width=SPREAD / count,
-        )
-        for (changed, cost, planner), shift in zip(
-            settings, np.resize(shifts, len(settings)), strict=True
-        )
-    }
-
 
 COLUMNS = 4
 
+SPREAD = 0.6
+"""Width that the settings of one tick share, in distances between ticks."""
+
 RUN_SHIFT = 0.35
-"""Single runs stand this share of a setting's width beside the mean."""
+"""Offset of single runs from the mean, as a share of a setting's width."""
 
 ROOM = 0.35
 """Room above and below the single runs, as a share of their range."""
 
-
-def draw_comparison(comparison: Comparison) -> Figure:
-    """Draw mean and interval of every metric by horizon or swept key, single runs as faint dots.
-
-    Two more panels have the runs that did not reach the goal and the step times (median, and up
-    to the 95 % quantile).
-    """
-    from matplotlib.gridspec import GridSpec
-
-    rows = comparison.rows
-    metrics = [m for m in dict.fromkeys(_shown(rows)) if m not in BAND_ENDS]
-    looks, axis = looks_of(comparison), axis_of(comparison)
-    places = {value: x for x, value in enumerate(axis.ordered(rows))}
-    lines = math.ceil((len(metrics) + 2) / COLUMNS)
-    figure = new_figure(4.0 * COLUMNS, 3.7 * lines + 0.8)
-    cells = GridSpec(lines, COLUMNS, figure=figure)
-    panels = [
-        add_panel(figure, cells[number // COLUMNS, number % COLUMNS])
-        for number in range(len(metrics) + 2)
-    ]
-    for panel, metric in zip(panels, metrics, strict=False):
-        _draw_metric(panel, comparison, metric, places, axis, looks)
-    once = list({setting_of(row): row for row in rows}.values())
-    _draw_stalled(panels[-2], once, places, axis, looks)
-    entries = _draw_step_times(panels[-1], once, places, axis, looks)
-    for panel in panels:
-        panel.set_xticks(list(places.values()), labels=list(places))
-        panel.set_xlim(-0.5, len(places) - 0.5)
-    if axis.numbers is not None:
-        entries += _numbered(panels[-1], comparison)
-    legend_below(figure, entries, 4)
-    head(
-        figure,
-        f"{', '.join(one.name for one in (comparison.problem, *comparison.others))}: "
-        f"{len(comparison.runs)} runs; mean, "
-        f"{interval_words(comparison, 'cut at the frame')}, single runs faint",
-    )
-    return figure
-
-
-def _shown(rows: Sequence[Row]) -> list[str]:
-    """The metrics that a setting has."""
-    return [row.metric for row in rows if row.mean is not None]
-
-
-def _numbered(panel: Panel, comparison: Comparison) -> list[Artist]:
-    """Return what numbers of settings mean, as entries of the legend without marks."""
-    entries: list[Artist] = []
-    names = short_keys(comparison.rows)
-    for number, runs in enumerate(runs_by_setting(comparison.runs), start=1):
-        words = _setting_words(comparison, runs[0], names)
-        entries += panel.plot([], [], linestyle="none", label=f"{number}: {words}")
-    return entries
-
-
-DASHES = ("solid", "dashed", "dotted", "dashdot")
+WHOLE_RUN = "whole run"
+"""Horizon of bounds, which foresee the run whatever it is."""
 
 NORMALISED = {"trace_p": "normalised_trace_p"}
 """Traces that are others over their first value: a second axis of these."""
@@ -227,80 +64,248 @@ LEGEND_WIDTH = 75
 LOG_RATIO = 30.0
 """Traces whose means span this ratio or more have a logarithmic axis."""
 
+LEAST_CHANGE = 0.01
+"""Traces whose means change by a smaller share of the largest are not drawn."""
 
-def draw_traces(comparison: Comparison) -> Figure | None:
-    """Draw what was known over time: each setting's mean, and its 95 % interval as a band.
 
-    Means are over the runs of a setting, for as many steps as all of them drove. None where no run
-    has a trace.
+@dataclass(frozen=True)
+class Slot:
+    """A setting with its place along the panels and its style."""
+
+    setting: Setting
+    x: float  # In distances between ticks
+    width: float  # Of its share of a tick
+    label: str
+    look: Mapping[str, Any]  # Colour and marker
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The slots of a comparison, and the axis that they stand on."""
+
+    slots: tuple[Slot, ...]
+    ticks: tuple[str, ...]
+    label: str  # Of the axis
+    numbered: bool  # Whether ticks are numbers of settings, which have different swept keys
+
+
+def layout_of(comparison: Comparison) -> Layout:
+    """Place settings by horizon, by a swept key, or by number if they have different keys.
+
+    Colour by problem, changes and cost-to-go, if any of these differ; marker by planner, and
+    colour as well otherwise.
     """
-    from matplotlib.gridspec import GridSpec
+    settings = comparison.settings
+    names = short_keys(comparison.runs)
+    horizons = {each.one.horizon for each in settings if has_horizon(each.one)}
+    numbered = len({frozenset(each.one.sweep) for each in settings}) > 1
+    key = None
+    if not numbered and len(horizons) < 2:
+        values = {key: {str(each.one.sweep[key]) for each in settings} for key in names}
+        key = next((key for key, found in values.items() if len(found) > 1), None)
+    places: list[object] = []
+    series: list[tuple[str, str | None, str]] = []
+    for number, one in enumerate((each.one for each in settings), start=1):
+        horizon = one.horizon if has_horizon(one) else WHOLE_RUN
+        places.append(number if numbered else horizon if key is None else str(one.sweep[key]))
+        parts = [one.problem if comparison.others else "", sweep_words(one, key, names)]
+        changed = ", ".join(part for part in parts if part)
+        changed, cost = ("", None) if numbered else (changed, one.cost_to_go)
+        series.append((changed, cost, one.planner))
+    ticks = list(dict.fromkeys(places))
+    if key is None:
+        ticks.sort(key=lambda place: (isinstance(place, str), place))
+    kinds = list(dict.fromkeys(each[:2] for each in series))
+    planners = list(dict.fromkeys(planner for *_, planner in series))
+    # Numbered settings have their own ticks and need no shift.
+    distinct = list(dict.fromkeys(series))
+    count = 1 if numbered else len(distinct)
+    slots: list[Slot] = []
+    for setting, place, (changed, cost, planner) in zip(settings, places, series, strict=True):
+        rank = 0 if numbered else distinct.index((changed, cost, planner))
+        words = (changed, "" if cost is None else f"{cost} cost-to-go", f"planner {planner}")
+        colour = kinds.index((changed, cost)) if len(kinds) > 1 else planners.index(planner)
+        slots.append(
+            Slot(
+                setting=setting,
+                x=ticks.index(place) + SPREAD * ((rank + 0.5) / count - 0.5),
+                width=SPREAD / count,
+                label=", ".join(part for part in words if part),
+                look={
+                    "color": SERIES[colour % len(SERIES)],
+                    "marker": MARKERS[planners.index(planner) % len(MARKERS)],
+                },
+            )
+        )
+    label = "setting" if numbered else "horizon [steps]" if key is None else key
+    return Layout(tuple(slots), tuple(map(str, ticks)), label, numbered)
 
-    every = [trace for run in comparison.runs for trace in run.traces.items()]
-    names = [
-        name
-        for name in dict.fromkeys(name for name, values in every if (values > 0.0).any())
-        if name not in NORMALISED.values()
-    ]
-    if not names:
-        return None
-    figure = new_figure(11.0, 3.2 * len(names) + 1.0)
-    cells = GridSpec(len(names), 1, figure=figure)
-    entries: list[Artist] = []
-    for row, name in enumerate(names):
-        panel = add_panel(figure, cells[row, 0])
-        entries = _draw_trace(panel, comparison, name)
-    legend_below(figure, entries, 2)
-    problems = ", ".join(one.name for one in (comparison.problem, *comparison.others))
-    words = interval_words(comparison, "bands, cut at the frame")
-    head(figure, f"{problems}: {len(comparison.runs)} runs; mean, {words}")
+
+def draw_comparison(comparison: Comparison) -> Figure:
+    """Draw mean and interval of every metric by horizon or swept key, single runs as faint dots.
+
+    Metrics with the same value in every run are listed below. Two more panels have the runs that
+    did not reach the goal, if any, and the step times (median, and up to the 95 % quantile).
+    """
+    layout = layout_of(comparison)
+    shown = dict.fromkeys(row.metric for row in comparison.rows if row.mean is not None)
+    metrics = [metric for metric in shown if metric not in BAND_ENDS]
+    same: dict[str, float] = {}
+    for metric in metrics:
+        values = _finite(run.metrics.get(metric, math.nan) for run in comparison.runs)
+        if len(values) > 1 and min(values) == max(values):
+            same[metric] = values[0]
+    metrics = [metric for metric in metrics if metric not in same]
+    stalled = any(slot.setting.stalled for slot in layout.slots)
+    count = len(metrics) + stalled + 1
+    lines = math.ceil(count / COLUMNS)
+    cells = [*range(count), *["."] * (lines * COLUMNS - count)]
+    mosaic = [cells[COLUMNS * line : COLUMNS * (line + 1)] for line in range(lines)]
+    figure, panels = new_figure(4.0 * COLUMNS, 3.7 * lines + 0.8, mosaic)
+    for panel, metric in zip(panels, metrics, strict=False):
+        _draw_metric(panel, layout, metric)
+    if stalled:
+        _draw_stalled(panels[-2], layout)
+    entries = _draw_step_times(panels[-1], layout)
+    for panel in panels:
+        panel.set_xticks(np.arange(float(len(layout.ticks))), labels=list(layout.ticks))
+        panel.set_xlim(-0.5, len(layout.ticks) - 0.5)
+    words = [f"{n}: {w}" for n, w in enumerate(_setting_words(comparison), 1) if layout.numbered]
+    if same:
+        names = {name: metric_name(name) for name in same}
+        equal = [f"{n.words} {n.scale * same[key]:g} {n.unit}" for key, n in names.items()]
+        words.append("\n".join(textwrap.wrap(f"the same in every run: {', '.join(equal)}", 110)))
+    for line in words:
+        entries += panels[-1].plot([], [], linestyle="none", label=line)
+    legend_below(figure, entries, 4)
+    intervals = interval_words(comparison, "cut at the frame")
+    head(figure, f"{_title(comparison)}; mean, {intervals}, single runs faint")
     return figure
 
 
-def _draw_trace(panel: Panel, comparison: Comparison, name: str) -> list[Artist]:
-    """Draw one trace of all settings; the lines, for the legend."""
+def _draw_metric(panel: Panel, layout: Layout, metric: str) -> None:
+    """Draw a metric: single runs, mean and interval where there is one."""
+    name, known = metric_name(metric), list[float]()
+    for slot in layout.slots:
+        row, runs = slot.setting.rows.get(metric), slot.setting.runs
+        values = name.scale * np.array([run.metrics.get(metric, math.nan) for run in runs])
+        known += _finite(values.tolist())
+        faint = {"linestyle": "none", "markersize": 4.0, "alpha": 0.25, "markeredgewidth": 0.0}
+        x = np.full(len(runs), slot.x - RUN_SHIFT * slot.width)
+        panel.plot(x, values, **faint, **slot.look)
+        if metric in BANDS:
+            ends = [slot.setting.rows.get(end) for end in BANDS[metric][:2]]
+            low, high = (math.nan if end is None or end.mean is None else end.mean for end in ends)
+            look = {"bottom": low, "width": slot.width, "color": BAND, "zorder": 0.5}
+            panel.bar([slot.x], [high - low], **look)
+        if row is not None and row.mean is not None:
+            numbers = [row.mean, row.ci_low, row.ci_high]
+            mean, low, high = name.scale * np.array(numbers, dtype=np.float64)
+            _draw_mean(panel, slot, mean, low, high)
+    title = name.words + (f"\ngrey: {BANDS[metric][-1]}" if metric in BANDS else "")
+    dress(panel, title, layout.label, _label(metric))
+    if known and min(known) < max(known):
+        # Intervals over few runs are many times wider than the runs themselves.
+        room = ROOM * (max(known) - min(known))
+        panel.set_ylim(min(known) - room, max(known) + room)
+
+
+def _draw_mean(panel: Panel, slot: Slot, value: float, low: float, high: float) -> Artist:
+    """Draw the mark of a setting with a bar between two values; the mark, for a legend."""
+    edge = {"markersize": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.8}
+    look = {"linestyle": "none", "label": slot.label, **edge, **slot.look}
+    return draw_intervals(panel, [slot.x], [value], [low], [high], **look)
+
+
+def _draw_stalled(panel: Panel, layout: Layout) -> None:
+    """Draw how many runs of each setting did not reach the goal."""
+    most = max(len(slot.setting.runs) for slot in layout.slots)
+    for slot in layout.slots:
+        stalled = float(slot.setting.stalled)
+        panel.bar([slot.x], [stalled], width=0.9 * slot.width, color=slot.look["color"])
+        # A zero has no bar: the marker tells it from a setting that was not run.
+        edge = {"markersize": 5.0, "markeredgecolor": "white", "clip_on": False}
+        panel.plot([slot.x], [stalled], linestyle="none", **edge, **slot.look)
+    dress(panel, "stalled", layout.label, f"runs of {most} [count]")
+    panel.set_yticks(np.unique(np.linspace(0, most, min(most, 6) + 1).round()))
+    panel.set_ylim(0.0, 1.05 * most)
+
+
+def _draw_step_times(panel: Panel, layout: Layout) -> list[Artist]:
+    """Draw median and 95 % quantile of the step time; the marks, for the legend."""
     entries: list[Artist] = []
-    means: list[np.ndarray[Any, np.dtype[np.float64]]] = []
-    names = short_keys(comparison.rows)
-    for number, runs in enumerate(runs_by_setting(comparison.runs)):
-        traces = [run.traces[name] for run in runs if name in run.traces]
-        if not traces:
-            continue
-        steps = min(map(len, traces))
-        along = np.arange(steps, dtype=np.float64)
-        table = np.array([trace[:steps] for trace in traces])
-        means.append(table.mean(axis=0))
-        look = {"color": SERIES[number % len(SERIES)]}
-        dashes = DASHES[number // len(SERIES) % len(DASHES)]
-        label = _setting_words(comparison, runs[0], names)
-        entries += panel.plot(along, means[-1], linestyle=dashes, label=label, **look)
-        found = [mean_interval(column, (0.0, math.inf)) for column in table.T]
-        bounds = [(low, high) for low, high in found if low is not None and high is not None]
-        if len(bounds) == steps:
-            low, high = np.array(bounds).T
-            panel.fill_between(along, low, high, alpha=0.15, linewidth=0.0, **look)
-    shown = metric_name(name)
-    dress(panel, shown.words, "steps driven [1]", f"{shown.words} [{shown.unit}]")
+    for slot in layout.slots:
+        row = next(iter(slot.setting.rows.values()))
+        # Runs without a step have none, which draws nothing.
+        median, slow = 1e3 * np.array([row.p50_step_s, row.p95_step_s], dtype=np.float64)
+        entries.append(_draw_mean(panel, slot, median, median, slow))
+    dress(panel, "step time: median, up to 95 % quantile", layout.label, "step time [ms]")
+    panel.set_yscale("log")
+    plain_log_ticks(panel.yaxis)
+    return entries
+
+
+def draw_traces(comparison: Comparison) -> Figure | None:
+    """Draw quantities over time: each setting's mean, and its 95 % interval as a band.
+
+    Means are over the runs of a setting, for as many steps as all of them drove. None if no run
+    has a trace that changes.
+    """
+    tables = _trace_tables(comparison)
+    if not tables:
+        return None
+    figure, panels = new_figure(11.0, 3.2 * len(tables) + 1.0, [[name] for name in tables])
+    words = _setting_words(comparison)
+    entries: list[Artist] = []
+    for panel, (name, table) in zip(panels, tables.items(), strict=True):
+        for number, traces in table.items():
+            look = {**dashed_look(number // len(SERIES)), "color": SERIES[number % len(SERIES)]}
+            along = np.arange(traces.shape[1], dtype=np.float64)
+            entries += panel.plot(along, traces.mean(axis=0), label=words[number], **look)
+            ends = [mean_interval(column, (0.0, math.inf)) for column in traces.T]
+            low, high = np.array(ends, dtype=np.float64).T
+            if np.isfinite(low).all():
+                draw_band(panel, along, low, high, look["color"])
+        dress(panel, metric_name(name).words, "steps driven [1]", _label(name))
+        _scale_trace(panel, comparison, name, [traces.mean(axis=0) for traces in table.values()])
+    legend_below(figure, entries, 2)
+    head(figure, f"{_title(comparison)}; mean, {interval_words(comparison, 'bands')}")
+    return figure
+
+
+def _trace_tables(comparison: Comparison) -> dict[str, dict[int, NDArray[np.float64]]]:
+    """Return each trace that changes: (runs, steps) by the number of the setting."""
+    tables: dict[str, dict[int, NDArray[np.float64]]] = {}
+    names = dict.fromkeys(name for run in comparison.runs for name in run.traces)
+    for name in names:
+        table: dict[int, NDArray[np.float64]] = {}
+        for number, setting in enumerate(comparison.settings):
+            traces = [run.traces[name] for run in setting.runs if name in run.traces]
+            if traces:
+                steps = min(map(len, traces))
+                table[number] = np.array([trace[:steps] for trace in traces])
+        means = np.concatenate([traces.mean(axis=0) for traces in table.values()])
+        changes = np.ptp(means) > LEAST_CHANGE * np.abs(means).max()
+        if changes and name not in NORMALISED.values():
+            tables[name] = table
+    return tables
+
+
+def _scale_trace(
+    panel: Panel, comparison: Comparison, name: str, means: Sequence[NDArray[np.float64]]
+) -> None:
+    """Choose the scale of a trace, and add the axis over its first value if all runs share it."""
     low, high = min(map(np.min, means)), max(map(np.max, means))
     logarithmic = low > 0.0 and high >= LOG_RATIO * low
     if logarithmic:
         panel.set_yscale("log")
         plain_log_ticks(panel.yaxis)
         panel.set_ylim(0.7 * low, 2.0 * high)
-    right = _normalised_axis(panel, comparison, name)
-    if logarithmic and right is not None:
-        plain_log_ticks(right.yaxis)
-    return entries
-
-
-def _normalised_axis(panel: Panel, comparison: Comparison, name: str) -> Panel | None:
-    """Add the axis of a trace over its first value, where this is the same in all runs."""
     other = NORMALISED.get(name)
     firsts = {float(run.traces[name][0]) for run in comparison.runs if other in run.traces}
     if other is None or len(firsts) != 1:
-        return None
+        return
     (first,) = firsts
-    shown = metric_name(other)
 
     def over_first(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return values / first
@@ -309,171 +314,29 @@ def _normalised_axis(panel: Panel, comparison: Comparison, name: str) -> Panel |
         return values * first
 
     right = panel.secondary_yaxis("right", functions=(over_first, times_first))
-    right.set_ylabel(f"{shown.words} [{shown.unit}]", fontsize=LABEL_PT)
+    right.set_ylabel(_label(other), fontsize=LABEL_PT)
     right.tick_params(labelsize=TICK_PT)
-    return right
+    if logarithmic:
+        plain_log_ticks(right.yaxis)
 
 
-def _setting_words(comparison: Comparison, run: RunSummary, names: Mapping[str, str]) -> str:
-    """Say what a run is a setting of, in lines of a legend."""
-    words = setting_words(run, names, several_problems=bool(comparison.others))
-    return "\n".join(textwrap.wrap(words, LEGEND_WIDTH))
+def _finite(values: Any) -> list[float]:
+    return [value for value in values if math.isfinite(value)]
 
 
-def _draw_metric(
-    panel: Panel,
-    comparison: Comparison,
-    metric: str,
-    places: dict[str, int],
-    axis: Axis,
-    looks: dict[Setting, Look],
-) -> None:
-    """Draw a metric: single runs, mean and interval where there is one."""
+def _label(metric: str) -> str:
     name = metric_name(metric)
-    values = [name.scale * run.metrics.get(metric, math.nan) for run in comparison.runs]
-    for run, value in zip(comparison.runs, values, strict=True):
-        look = looks[axis.setting(run)]
-        panel.plot(
-            [places[str(axis.place(run))] + look.shift - RUN_SHIFT * look.width],
-            [value],
-            linestyle="none",
-            marker=look.marker,
-            markersize=4.0,
-            color=look.colour,
-            alpha=0.25,
-            markeredgewidth=0.0,
-        )
-    _draw_bands(panel, comparison, metric, places, axis, looks)
-    for row in comparison.rows:
-        if row.metric != metric or row.mean is None:
-            continue
-        look = looks[axis.setting(row)]
-        mean = name.scale * row.mean
-        low = mean if row.ci_low is None else name.scale * row.ci_low
-        high = mean if row.ci_high is None else name.scale * row.ci_high
-        panel.errorbar(
-            [places[str(axis.place(row))] + look.shift],
-            [mean],
-            yerr=[[mean - low], [high - mean]],
-            marker=look.marker,
-            markersize=7.0,
-            markerfacecolor=look.colour,
-            markeredgecolor="white",
-            markeredgewidth=0.8,
-            ecolor=look.colour,
-            elinewidth=1.6,
-            capsize=3.0,
-            linestyle="none",
-        )
-    title = name.words
-    if metric in BANDS:
-        title += f"\ngrey: {BANDS[metric][-1]}"
-    dress(panel, title, axis.label, f"{name.words} [{name.unit}]")
-    known = [value for value in values if math.isfinite(value)]
-    if known and min(known) < max(known):
-        # Intervals over few runs are many times wider than the runs themselves.
-        room = ROOM * (max(known) - min(known))
-        panel.set_ylim(min(known) - room, max(known) + room)
+    return f"{name.words} [{name.unit}]"
 
 
-def _draw_bands(
-    panel: Panel,
-    comparison: Comparison,
-    metric: str,
-    places: dict[str, int],
-    axis: Axis,
-    looks: dict[Setting, Look],
-) -> None:
-    """Draw the band that a metric should be in, behind each setting, where there is one."""
-    if metric not in BANDS:
-        return
-    low, high, _ = BANDS[metric]
-    rows = {(setting_of(row), row.metric): row.mean for row in comparison.rows}
-    for row in comparison.rows:
-        least, largest = (rows.get((setting_of(row), end)) for end in (low, high))
-        if row.metric == metric and least is not None and largest is not None:
-            look = looks[axis.setting(row)]
-            panel.bar(
-                [places[str(axis.place(row))] + look.shift],
-                [largest - least],
-                bottom=least,
-                width=look.width,
-                color=BAND,
-                zorder=0.5,
-            )
+def _title(comparison: Comparison) -> str:
+    problems = ", ".join(one.name for one in (comparison.problem, *comparison.others))
+    return f"{problems}: {len(comparison.runs)} runs"
 
 
-def _draw_stalled(
-    panel: Panel,
-    rows: list[Row],
-    places: dict[str, int],
-    axis: Axis,
-    looks: dict[Setting, Look],
-) -> None:
-    """Draw how many runs of each setting did not reach the goal."""
-    for setting, look in looks.items():
-        mine = [row for row in rows if axis.setting(row) == setting]
-        x = [places[str(axis.place(row))] + look.shift for row in mine]
-        panel.bar(
-            x,
-            [row.stalled for row in mine],
-            width=0.9 * look.width,
-            color=look.colour,
-            label=look.label,
-        )
-        # A zero has no bar: the marker tells it from a setting that was not run.
-        panel.plot(
-            x,
-            [row.stalled for row in mine],
-            linestyle="none",
-            marker=look.marker,
-            markersize=5.0,
-            color=look.colour,
-            markeredgecolor="white",
-            clip_on=False,
-        )
-    most = max(row.seeds for row in rows)
-    dress(panel, "stalled", axis.label, f"runs of {most} [count]")
-    panel.set_yticks(np.unique(np.linspace(0, most, min(most, 6) + 1).round()))
-    panel.set_ylim(0.0, 1.05 * most)
-
-
-def _draw_step_times(
-    panel: Panel,
-    rows: list[Row],
-    places: dict[str, int],
-    axis: Axis,
-    looks: dict[Setting, Look],
-) -> list[Artist]:
-    """Draw median and 95 % quantile of the step time; the artists, for the legend."""
-    entries: list[Artist] = []
-    for setting, look in looks.items():
-        mine = [row for row in rows if axis.setting(row) == setting]
-        x = np.array([places[str(axis.place(row))] + look.shift for row in mine])
-        # Of runs without a step there are none, which draws nothing.
-        median = 1e3 * np.array([row.p50_step_s for row in mine], dtype=float)
-        slow = 1e3 * np.array([row.p95_step_s for row in mine], dtype=float)
-        panel.errorbar(
-            x,
-            median,
-            yerr=[np.zeros(len(mine)), slow - median],
-            ecolor=look.colour,
-            elinewidth=1.6,
-            capsize=3.0,
-            linestyle="none",
-        )
-        entries += panel.plot(
-            x,
-            median,
-            linestyle="none",
-            marker=look.marker,
-            markersize=7.0,
-            color=look.colour,
-            markeredgecolor="white",
-            markeredgewidth=0.8,
-            label=look.label,
-        )
-    dress(panel, "step time: median, up to 95 % quantile", axis.label, "step time [ms]")
-    panel.set_yscale("log")
-    plain_log_ticks(panel.yaxis)
-    return entries
+def _setting_words(comparison: Comparison) -> list[str]:
+    """Return the words of every setting, in lines of a legend."""
+    names, several = short_keys(comparison.runs), bool(comparison.others)
+    ones = [setting.one for setting in comparison.settings]
+    words = [setting_words(one, names, several_problems=several) for one in ones]
+    return ["\n".join(textwrap.wrap(each, LEGEND_WIDTH)) for each in words]

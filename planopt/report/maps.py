@@ -1,15 +1,23 @@
-"""The parts that every map has: obstacles that stand or move, bounds, marks, a layer below."""
+"""Maps: predicted rasters, obstacles, layers, marks, and the shown part of the workspace."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.channel.belief import Belief
+from planopt.channel.connection.serving_power import (
+    above_thresholds_db,
+    any_probability,
+    serving_power_dbm,
+)
+from planopt.channel.measurements import Measurements
 from planopt.problems.problem import Problem
-from planopt.report.panel import Panel, add_colorbar
+from planopt.report.panel import Look, Panel, add_colorbar
 from planopt.report.style import (
     BLACK,
     FRAME,
@@ -19,11 +27,14 @@ from planopt.report.style import (
     OBSTACLE,
     OBSTACLE_EDGE,
     ORANGE,
+    PREDICTED,
     TICK_PT,
+    VERMILLION,
     WHITE,
     YELLOW,
     dress,
 )
+from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
 from planopt.world.moving_obstacle import centres_at, growth_m
 from planopt.world.raster import Raster
 from planopt.world.workspace import Workspace
@@ -33,64 +44,171 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.path import Path as Outline
 
+Bounds = tuple[float, float, float, float]
+
+NODES = 150
+"""Grid cells along the longer side of a map: about four pixels each."""
 
 LAYER_Z, CONTOUR_Z, OBSTACLE_Z, MARGIN_Z, PATH_Z, PLACE_Z = 1.0, 1.5, 2.0, 2.5, 3.0, 4.0
 """What is drawn above what."""
 
 X_LABEL, Y_LABEL = "x [m]", "y [m]"
 
+DISCS = 6
+"""Largest number of discs drawn of a moving obstacle, evenly over time; later ones are paler."""
+
+DARKEST, PALEST = 0.9, 0.3
+"""Opacity of the first and of the last disc."""
+
+MANY, DOT_AREA, SMALLEST_DOT_AREA = 300, 13.0, 1.5
+"""Dots of measurements become smaller where there are more than `MANY`."""
+
+WINDOW_MARGIN = 0.3
+"""Margin around the shown positions, as a share of their extent."""
+
+BORDER = 0.05
+"""Margin beyond positions and workspace bounds, as a share of the window's side."""
+
+EDGE_MARGIN = 0.02
+"""Margin around the whole workspace, as a share of its longer side."""
+
+MIN_WINDOW_STEPS = 10.0
+"""Least side of a window, in longest steps of a robot."""
+
+INSET = 0.3
+"""Side of the inset as a share of the map's."""
+
+INSET_BELOW = 0.6
+"""A window wider than this share of the workspace has no inset."""
+
+
+def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return centres along x and y of about square cells that fill `bounds_m`; see `NODES`."""
+    x_min, y_min, x_max, y_max = bounds_m
+    side = max(x_max - x_min, y_max - y_min) / NODES
+    axes: list[NDArray[np.float64]] = []
+    for low, high in ((x_min, x_max), (y_min, y_max)):
+        count = max(2, round((high - low) / side))
+        half = (high - low) / count / 2.0
+        axes.append(np.linspace(low + half, high - half, count))
+    return axes[0], axes[1]
+
+
+def drawn_cells(
+    workspace: Workspace, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return the cells that are free at their centre, and their neighbours; (ny, nx).
+
+    With the neighbours, a layer reaches under the outlines of the obstacles drawn over it.
+    """
+    centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
+    places = centres.reshape(-1, 2)
+    free = inside_bounds(workspace, places)
+    free &= clearance_m(index_obstacles(workspace), places) > 0.0
+    padded = np.pad(free.reshape(centres.shape[:2]), 1)
+    rows = padded[:-2] | padded[1:-1] | padded[2:]
+    return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
+
+
+def believed_rasters(
+    problem: Problem, belief: Belief, bounds_m: Bounds
+) -> tuple[Raster, Raster, Raster]:
+    """Return predicted power (dBm), its standard deviation (dB) and P(connected); NaN in obstacles.
+
+    Of several stations, power and standard deviation are those of the one whose predicted power is
+    furthest above its threshold; the probability is that of any.
+    """
+    x, y = cell_centres(bounds_m)
+    drawn = drawn_cells(problem.workspace, x, y)
+    places = np.stack(np.meshgrid(x, y), axis=-1)[drawn]
+    thresholds = [radio.threshold_dbm for radio in problem.stations]
+    powers = [posterior.predict(places) for posterior in belief.posteriors]
+    above, _ = above_thresholds_db(powers, thresholds)
+    deviations = np.stack([power.deviation_db for power in powers])
+
+    def raster(values: NDArray[np.float64]) -> Raster:
+        cells = np.full(drawn.shape, np.nan)
+        cells[drawn] = values
+        return Raster(x, y, cells)
+
+    return (
+        raster(serving_power_dbm(np.stack([power.mean_db for power in powers]), thresholds)),
+        raster(deviations[above.argmax(axis=0), np.arange(len(places))]),
+        raster(any_probability(powers, thresholds)),
+    )
+
 
 def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
     """Draw obstacles and bounds, with axes in metres of equal scale over the whole workspace.
 
-    Obstacles that come or go are hatched, and say when.
+    Obstacles that come or go are hatched and labelled with their times.
     """
-    from matplotlib.collections import PathCollection
-
-    obstacles = PathCollection(
-        [outline(obstacle.polygon) for obstacle in workspace.lasting],
-        facecolors=OBSTACLE,
-        edgecolors=OBSTACLE_EDGE,
-        linewidths=0.4,
-        zorder=OBSTACLE_Z,
-    )
-    panel.add_collection(obstacles, autolim=False)
-    timed = PathCollection(
-        [outline(obstacle.polygon) for obstacle in workspace.timed],
-        facecolors="none",
-        edgecolors=FRAME,
-        linewidths=0.9,
-        linestyles="dashed",
-        hatch="///",
-        zorder=OBSTACLE_Z,
-    )
-    panel.add_collection(timed, autolim=False)
+    draw_polygons(panel, [each.polygon for each in workspace.lasting])
+    timed: Look = {"facecolors": "none", "edgecolors": FRAME, "linewidths": 0.9, "hatch": "///"}
+    draw_polygons(panel, [each.polygon for each in workspace.timed], linestyles="dashed", **timed)
     for obstacle in workspace.timed:
         x, y = shapely.get_coordinates(obstacle.polygon.representative_point())[0]
         until = "" if np.isinf(obstacle.until_s) else f" until {obstacle.until_s:g} s"
-        panel.text(
-            x,
-            y,
-            f"from {obstacle.known_from_s:g} s{until}",
-            fontsize=NOTE_PT,
-            ha="center",
-            va="center",
-            clip_on=True,
-            zorder=PLACE_Z,
-            bbox={"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none"},
-        )
-    x_min, y_min, x_max, y_max = workspace.bounds_m
+        words = f"from {obstacle.known_from_s:g} s{until}"
+        box = {"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none"}
+        look = {"ha": "center", "va": "center", "clip_on": True, "zorder": PLACE_Z}
+        panel.text(x, y, words, fontsize=NOTE_PT, bbox=box, **look)
     panel.plot(*rectangle(workspace.bounds_m), color=FRAME, linewidth=1.2, zorder=MARGIN_Z)
     dress(panel, title, X_LABEL, Y_LABEL, grid=False)
     panel.set_aspect("equal")
+    show_bounds(panel, workspace.bounds_m)
+
+
+def draw_polygons(
+    panel: Panel, polygons: Sequence[shapely.Polygon], label: str = "", **look: Any
+) -> Artist:
+    """Draw obstacles, courtyards left open; a legend entry."""
+    from matplotlib.collections import PathCollection
+    from matplotlib.patches import Patch
+
+    style = {"facecolors": OBSTACLE, "edgecolors": OBSTACLE_EDGE, "linewidths": 0.4, **look}
+    shapes = PathCollection([outline(each) for each in polygons], zorder=OBSTACLE_Z, **style)
+    panel.add_collection(shapes, autolim=bool(label))
+    return Patch(facecolor=OBSTACLE, edgecolor=OBSTACLE_EDGE, label=label)
+
+
+def outline(polygon: shapely.Polygon) -> Outline:
+    """Return a polygon with its holes as one path; rings turn opposite ways to keep holes open."""
+    from matplotlib.path import Path as Outline
+
+    turned = shapely.geometry.polygon.orient(polygon)
+    rings = [ring_xy(ring) for ring in (turned.exterior, *turned.interiors)]
+    codes = [
+        np.array([Outline.MOVETO, *[Outline.LINETO] * (len(ring) - 2), Outline.CLOSEPOLY])
+        for ring in rings
+    ]
+    return Outline(np.concatenate(rings), np.concatenate(codes))
+
+
+def ring_xy(ring: shapely.LineString) -> NDArray[np.float64]:
+    """Return the corners of a closed ring, the first again at the end; (n, 2)."""
+    return np.asarray(shapely.get_coordinates(ring), dtype=np.float64)
+
+
+def rectangle(bounds_m: Bounds) -> tuple[list[float], list[float]]:
+    """Return x and y of the closed outline of a rectangle."""
+    x_min, y_min, x_max, y_max = bounds_m
+    return [x_min, x_max, x_max, x_min, x_min], [y_min, y_min, y_max, y_max, y_min]
+
+
+def show_bounds(panel: Panel, bounds_m: Bounds) -> None:
+    """Limit a panel to a rectangle."""
+    x_min, y_min, x_max, y_max = bounds_m
     panel.set_xlim(x_min, x_max)
     panel.set_ylim(y_min, y_max)
 
 
-def rectangle(bounds_m: tuple[float, float, float, float]) -> tuple[list[float], list[float]]:
-    """Return x and y of the closed outline of a rectangle."""
-    x_min, y_min, x_max, y_max = bounds_m
-    return [x_min, x_max, x_max, x_min, x_min], [y_min, y_min, y_max, y_max, y_min]
+def raster_bounds(raster: Raster) -> Bounds:
+    """Return the outer edges of the cells."""
+    half = np.array(raster.cell_m) / 2.0
+    low = np.array([raster.x_m[0], raster.y_m[0]]) - half
+    high = np.array([raster.x_m[-1], raster.y_m[-1]]) + half
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
 def draw_layer(
@@ -102,18 +220,13 @@ def draw_layer(
     limits: tuple[float, float] | None = None,
     mark: float | None = None,
 ) -> None:
-    """Draw a raster below the obstacles, with its colour bar."""
-    wide, high = raster.cell_m
+    """Draw a raster below the obstacles, with its colour bar and a marked value on it."""
+    x_min, y_min, x_max, y_max = raster_bounds(raster)
     low, top = (None, None) if limits is None else limits
     layer = panel.imshow(
         raster.values,
         origin="lower",
-        extent=(
-            raster.x_m[0] - wide / 2,
-            raster.x_m[-1] + wide / 2,
-            raster.y_m[0] - high / 2,
-            raster.y_m[-1] + high / 2,
-        ),
+        extent=(x_min, x_max, y_min, y_max),
         cmap=colours,
         vmin=low,
         vmax=top,
@@ -136,123 +249,175 @@ def draw_level(
 
     known = raster.values[np.isfinite(raster.values)]
     if known.size and known.min() < level < known.max():
-        panel.contour(
-            raster.x_m,
-            raster.y_m,
-            raster.values,
-            levels=[level],
-            colors=[colour],
-            linewidths=1.1,
-            zorder=CONTOUR_Z,
-        )
+        look = {"colors": [colour], "linewidths": 1.1, "zorder": CONTOUR_Z}
+        panel.contour(raster.x_m, raster.y_m, raster.values, levels=[level], **look)
     return [Line2D([], [], color=colour, linewidth=1.2, label=label)] if label else []
+
+
+def draw_sites(panel: Panel, positions_m: NDArray[np.float64], label: str = "station") -> Artist:
+    """Mark base stations (n, 2)."""
+    look = {"marker": "^", "s": 80.0, "color": ORANGE, "edgecolors": BLACK, "linewidths": 1.0}
+    return panel.scatter(*positions_m.T, zorder=PLACE_Z, label=label, **look)
 
 
 def draw_places(panel: Panel, problem: Problem) -> list[Artist]:
     """Mark start and goal of every robot and the stations; the artists, for a legend."""
+    starts = np.array([robot.start_m for robot in problem.robots], dtype=np.float64)
     goals = [robot.goal_m for robot in problem.robots if robot.goal_m is not None]
-    marks = (
-        ("start", "o", 70.0, GREEN, [robot.start_m for robot in problem.robots]),
-        ("goal", "*", 200.0, YELLOW, goals),
-        ("station", "^", 80.0, ORANGE, [radio.site.position_m for radio in problem.stations]),
-    )
-    artists: list[Artist] = []
-    for label, marker, size, colour, places in marks:
-        if not places:
-            continue
-        x, y = np.array(places, dtype=np.float64).T
-        artists.append(
-            panel.scatter(
-                x,
-                y,
-                marker=marker,
-                s=size,
-                color=colour,
-                edgecolors="black",
-                linewidths=1.0,
-                zorder=PLACE_Z,
-                label=label,
-            )
-        )
+    look = {"edgecolors": BLACK, "linewidths": 1.0, "zorder": PLACE_Z}
+    artists: list[Artist] = [
+        panel.scatter(*starts.T, marker="o", s=70.0, color=GREEN, label="start", **look)
+    ]
+    if goals:
+        x, y = np.array(goals, dtype=np.float64).T
+        artists.append(panel.scatter(x, y, marker="*", s=200.0, color=YELLOW, label="goal", **look))
+    if problem.stations:
+        sites = np.array([radio.site.position_m for radio in problem.stations], dtype=np.float64)
+        artists.append(draw_sites(panel, sites))
     return artists
 
 
-def outline(polygon: shapely.Polygon) -> Outline:
-    """A polygon with its holes as one path; rings turn opposite ways, so that holes stay open."""
-    from matplotlib.path import Path as Outline
-
-    turned = shapely.geometry.polygon.orient(polygon)
-    rings = [ring_xy(ring) for ring in (turned.exterior, *turned.interiors)]
-    codes = [
-        np.array([Outline.MOVETO, *[Outline.LINETO] * (len(ring) - 2), Outline.CLOSEPOLY])
-        for ring in rings
-    ]
-    return Outline(np.concatenate(rings), np.concatenate(codes))
-
-
-def ring_xy(ring: shapely.LineString) -> NDArray[np.float64]:
-    """Corners of a closed ring, the first again at the end; (n, 2)."""
-    return np.asarray(shapely.get_coordinates(ring), dtype=np.float64)
-
-
-DISCS = 6
-"""Drawn of each obstacle at most, evenly over the time; later ones are paler."""
-
-DARKEST, PALEST = 0.9, 0.3
-"""Opacity of the first and of the last disc."""
+def draw_measurements(panel: Panel, measurements: Measurements) -> list[Artist]:
+    """Mark measured positions, censored ones hollow; the artists, for a legend."""
+    area = max(SMALLEST_DOT_AREA, DOT_AREA * min(1.0, MANY / max(len(measurements), 1)))
+    artists: list[Artist] = []
+    for label, selection, fill, edge in (
+        ("measured", ~measurements.censored, BLACK, WHITE),
+        ("measured at the floor (censored)", measurements.censored, "none", VERMILLION),
+    ):
+        if selection.any():
+            look = {"facecolors": fill, "edgecolors": edge, "zorder": PATH_Z}
+            width = (0.5 if fill == BLACK else 1.1) * np.sqrt(area / DOT_AREA)
+            positions = measurements.positions_m[selection]
+            panel.scatter(*positions.T, s=area, linewidths=width, **look)
+            # The dot in the legend is visible however small the others are.
+            artists.append(panel.scatter([], [], s=DOT_AREA, linewidths=1.0, label=label, **look))
+    return artists
 
 
-def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) -> list[Artist]:
-    """Draw where every moving obstacle is when, over the first `steps` steps; for a legend."""
+def draw_path(
+    panel: Panel, path_m: NDArray[np.float64], *, casing: float = 0.0, **look: Any
+) -> Sequence[Artist]:
+    """Draw a path (n, 2), on a white casing of that width in points; the line."""
+    zorder = look.pop("zorder", PATH_Z)
+    if casing:
+        rounded = {"solid_capstyle": "round", "label": "_casing"}
+        panel.plot(*path_m.T, color=WHITE, linewidth=casing, zorder=zorder - 0.05, **rounded)
+    return panel.plot(*path_m.T, zorder=zorder, **look)
+
+
+def draw_lines(panel: Panel, lines: Sequence[NDArray[np.float64]], **look: Any) -> Artist:
+    """Draw lines, each (k, 2), as one artist."""
+    from matplotlib.collections import LineCollection
+
+    drawn = LineCollection(list(lines), **{"zorder": PATH_Z, **look})
+    panel.add_collection(drawn, autolim=False)
+    return drawn
+
+
+def draw_discs(
+    panel: Panel, centres_m: NDArray[np.float64], radii_m: NDArray[np.float64], **look: Any
+) -> Artist:
+    """Draw discs around centres (n, 2)."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
 
+    circles = [Circle(c, r) for c, r in zip(centres_m.tolist(), radii_m.tolist(), strict=True)]
+    style: Look = {"facecolors": OBSTACLE, "edgecolors": BLACK, "zorder": MARGIN_Z, **look}
+    discs = PatchCollection(circles, **style)
+    panel.add_collection(discs, autolim=False)
+    return discs
+
+
+def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) -> list[Artist]:
+    """Draw the positions of every moving obstacle over the first `steps` steps; for a legend."""
     artists: list[Artist] = []
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     end_s = problem.planner.step_s * steps
     every = max(-(-steps // (DISCS - 1)), 1)
     times = problem.planner.step_s * np.arange(0, steps + 1, every, dtype=np.float64)
     for obstacle in problem.workspace.moving:
-        centres = centres_at(obstacle, times).tolist()
-        grown = growth_m(obstacle, times) if predicted else np.zeros(len(times))
-        discs = PatchCollection(
-            [Circle(centre, obstacle.radius_m) for centre in centres],
-            facecolors=OBSTACLE,
-            edgecolors=BLACK,
-            linewidths=1.0,
-            alpha=np.linspace(DARKEST, PALEST, len(times)),
-            zorder=MARGIN_Z,
-            label="moving obstacle, paler later",
+        centres = centres_at(obstacle, times)
+        radii = np.full(len(times), obstacle.radius_m)
+        faded = {"alpha": np.linspace(DARKEST, PALEST, len(times)), "linewidths": 1.0}
+        artists.append(
+            draw_discs(panel, centres, radii, label="moving obstacle, paler later", **faded)
         )
-        panel.add_collection(discs, autolim=False)
-        if grown.any():
-            rims = PatchCollection(
-                [
-                    Circle(centre, obstacle.radius_m + growth)
-                    for centre, growth in zip(centres, grown.tolist(), strict=True)
-                ],
-                facecolors="none",
-                edgecolors=BLACK,
-                linestyles="dotted",
-                zorder=MARGIN_Z,
-            )
-            panel.add_collection(rims, autolim=False)
-        artists = artists or [discs]
+        if predicted and growth_m(obstacle, times).any():
+            grown = radii + growth_m(obstacle, times)
+            draw_discs(panel, centres, grown, facecolors="none", linestyles="dotted")
         known = [time for time in obstacle.times_s if 0.0 < time < end_s]
-        way = centres_at(obstacle, np.array(sorted({0.0, *known, end_s})))
-        panel.plot(*way.T, color=WHITE, linewidth=2.6, zorder=MARGIN_Z)
-        panel.plot(*way.T, color=FRAME, linewidth=1.1, linestyle="dashdot", zorder=MARGIN_Z + 0.1)
-        for (x, y), time in zip(centres, times.tolist(), strict=True):
+        path = centres_at(obstacle, np.array(sorted({0.0, *known, end_s})))
+        look = {"color": FRAME, "linewidth": 1.1, "linestyle": "dashdot"}
+        draw_path(panel, path, casing=2.6, zorder=MARGIN_Z + 0.1, **look)
+        for (x, y), time in zip(centres.tolist(), times.tolist(), strict=True):
             if not (x_min <= x <= x_max and y_min <= y <= y_max):
                 continue  # text far outside cannot be rendered, nor seen
-            panel.text(
-                x,
-                y,
-                obstacle.name if time == 0.0 else f"{time:g} s",
-                fontsize=NOTE_PT,
-                ha="center",
-                va="center",
-                zorder=MARGIN_Z + 0.2,
-                clip_on=True,
-            )
-    return artists
+            words = obstacle.name if time == 0.0 else f"{time:g} s"
+            middle = {"ha": "center", "va": "center", "clip_on": True, "zorder": MARGIN_Z + 0.2}
+            panel.text(x, y, words, fontsize=NOTE_PT, **middle)
+    return artists[:1]
+
+
+def window_about(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
+    """Return a square around positions (n, 2), shifted into the workspace as far as it fits."""
+    low, high = positions_m.min(axis=0), positions_m.max(axis=0)
+    side = max(
+        float((high - low).max()) * (1.0 + 2.0 * WINDOW_MARGIN),
+        MIN_WINDOW_STEPS * problem.step_length_m,
+    )
+    margin = BORDER * side
+    first, last = np.array(problem.workspace.bounds_m).reshape(2, 2)
+    begin = np.where(
+        last - first + 2.0 * margin <= side,
+        (first + last - side) / 2.0,
+        np.clip((low + high - side) / 2.0, first - margin, last + margin - side),
+    )
+    # Positions outside the bounds, such as base stations, stay visible.
+    begin = np.minimum(np.maximum(begin, high + margin - side), low - margin)
+    x, y = begin.tolist()
+    return x, y, x + side, y + side
+
+
+def map_window(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
+    """Return the window around positions and stations; the whole workspace if that is not larger.
+
+    Problems about the channel itself show the whole workspace.
+    """
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    margin = EDGE_MARGIN * max(x_max - x_min, y_max - y_min)
+    whole = (x_min - margin, y_min - margin, x_max + margin, y_max + margin)
+    if problem.task in ("learn", "map"):
+        return whole
+    stations = [radio.site.position_m for radio in problem.stations]
+    window = window_about(problem, np.vstack([positions_m, np.array(stations)]))
+    return window if _is_small(problem, window) else whole
+
+
+def _is_small(problem: Problem, window: Bounds) -> bool:
+    """Return whether a window shows so little of the workspace that it needs an inset."""
+    x_min, _, x_max, _ = problem.workspace.bounds_m
+    return window[2] - window[0] < INSET_BELOW * (x_max - x_min)
+
+
+def show_window(
+    panel: Panel, problem: Problem, positions_m: NDArray[np.float64], window: Bounds
+) -> None:
+    """Limit a map to a window; a small one gets an inset of the workspace away from positions."""
+    show_bounds(panel, window)
+    if not _is_small(problem, window):
+        return
+    shares = (positions_m - np.array(window[:2])) / (window[2] - window[0])
+    corners = [(x, y) for y in (0.01, 0.99 - INSET) for x in (0.01, 0.99 - INSET)]
+    distances = [
+        np.linalg.norm(shares - np.array(corner) - INSET / 2.0, axis=1).min() for corner in corners
+    ]
+    left, bottom = corners[int(np.argmax(distances))]
+    inset = panel.inset_axes((left, bottom, INSET, INSET))
+    draw_ground(inset, problem.workspace, "")
+    inset.set_xlabel("")
+    inset.set_ylabel("")
+    inset.set_xticks([])
+    inset.set_yticks([])
+    draw_places(inset, problem)
+    inset.plot(*rectangle(window), color=PREDICTED, linewidth=1.5, zorder=9.0)

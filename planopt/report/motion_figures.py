@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
@@ -9,11 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planopt.channel.belief import Belief
+from planopt.planning.certificate import Certificate
 from planopt.planning.holes import BlockedWay
+from planopt.planning.plan import Plan, Verdict
 from planopt.planning.results import Run, Solution
+from planopt.problems.constraints import Constraints
 from planopt.problems.problem import Problem
-from planopt.report.map_window import map_window, window_about
-from planopt.report.maps import draw_ground, draw_moving, draw_places
+from planopt.report.maps import draw_ground, draw_moving, draw_places, map_window, window_about
 from planopt.report.motion_map import (
     draw_belief_maps,
     draw_blocked,
@@ -29,14 +32,11 @@ from planopt.report.motion_map import (
     layers_of,
 )
 from planopt.report.motion_series import TIME, Series, plan_series, power_series, run_series
-from planopt.report.panel import Panel, add_panel, new_figure
-from planopt.report.plan_words import plan_words, team_words
+from planopt.report.panel import Panel, new_figure, split_panel
 from planopt.report.style import NOTE_PT, head, legend_below, spaced
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
-    from matplotlib.gridspec import SubplotSpec
 
 COLUMNS = 5
 """Columns of a legend."""
@@ -46,6 +46,13 @@ MESSAGE_WIDTH = 100
 
 WORDS_WIDTH, WORDS_LINES = 60, 13
 """Letters in a line, and number of lines, of a certificate."""
+
+MEANING = {
+    Verdict.VERIFIED: "constraints hold; contact is left only where unavoidable or worth its price",
+    Verdict.FEASIBLE_UNVERIFIED: "not rejected, but a part of the proof is missing",
+    Verdict.VIOLATED: "a constraint does not hold",
+    Verdict.NONE: "there is no plan",
+}
 
 
 def draw_solution(solution: Solution) -> Figure:
@@ -59,7 +66,7 @@ def draw_solution(solution: Solution) -> Figure:
     positions = np.concatenate(shown)
     words = _certificates(solution)
     series = plan_series(problem, plans, target_m)
-    figure, maps, curves = _sheet(problem, [*series, (_blank, 0.3 + 0.11 * len(words))])
+    figure, maps, curves = _sheet(problem, [*series, (_draw_nothing, 0.3 + 0.11 * len(words))])
     alone = problem.task == "reach" and len(plans) == 1
     window = (window_about if alone else map_window)(problem, positions)
     entries = draw_belief_maps(figure, maps, problem, solution.belief, positions, window)
@@ -73,7 +80,7 @@ def draw_solution(solution: Solution) -> Figure:
             drawn += draw_measured(panel, measured, "measured")
         if target_m is not None:
             drawn += draw_expected_target(panel, target_m)
-        entries = _merged(entries, drawn)
+        entries = [*drawn, *entries]
     _draw_series(series, curves[:-1], float(plans[0].t_s[0]), float(plans[0].t_s[-1]))
     curves[-1].set_axis_off()
     curves[-1].text(
@@ -124,7 +131,7 @@ def draw_run(run: Run) -> Figure:
 def _draw_courier(run: Run) -> Figure:
     """Draw the path of one robot to its goal on the true power, where that is available."""
     problem, log = run.problem, run.run.log
-    figure, panel = _single_map()
+    figure, (panel,) = new_figure(10.0, 9.6, maps_only=True)
     message = wrap(f"{spaced(run.outcome)}: {run.reason}", MESSAGE_WIDTH)
     draw_ground(panel, problem.workspace, "\n".join(message))
     if run.truths:
@@ -141,7 +148,7 @@ def _draw_courier(run: Run) -> Figure:
         *draw_relaxed(panel, log),
         *draw_blocked(panel, run.blocked),
     ]
-    legend_below(figure, _merged([], entries), COLUMNS)
+    legend_below(figure, entries, COLUMNS)
     return figure
 
 
@@ -166,7 +173,7 @@ def _draw_team(run: Run) -> Figure:
         drawn += draw_plans(panel, problem, plans, 1)
         if run.target is not None:
             drawn += draw_target(panel, run.target)
-        entries = _merged(entries, drawn + draw_blocked(panel, run.blocked))
+        entries = [*drawn, *draw_blocked(panel, run.blocked), *entries]
     half_step = problem.planner.step_s / 2.0
     _draw_series(series, curves, float(t_s[0]) - half_step, float(t_s[-1]) + half_step)
     legend_below(figure, entries, COLUMNS)
@@ -175,13 +182,10 @@ def _draw_team(run: Run) -> Figure:
 
 def draw_run_series(run: Run) -> Figure:
     """Draw one robot's power, connection, predicted connectivity and step times over time."""
-    from matplotlib.gridspec import GridSpec
-
     series = power_series(run)
-    figure = new_figure(12.0, 9.0)
     shares = [share for _, share in series]
-    cells = GridSpec(len(series), 1, figure=figure, height_ratios=shares)
-    panels = [add_panel(figure, cells[row, 0]) for row in range(len(series))]
+    rows = [[row] for row in range(len(series))]
+    figure, panels = new_figure(12.0, 9.0, rows, height_ratios=shares)
     t_s, half_step = run.run.log.t_s, run.problem.planner.step_s / 2.0
     _draw_series(series, panels, float(t_s[0]) - half_step, float(t_s[-1]) + half_step)
     head(
@@ -197,41 +201,26 @@ def draw_no_plan(
 ) -> Figure:
     """Draw why there is no plan: the cheapest paths, and the holes that a bound forbids."""
     positions = np.concatenate([one.way_m for one in blocked])
-    figure, panel = _single_map()
+    figure, (panel,) = new_figure(10.0, 9.6, maps_only=True)
     window = window_about(problem, positions)
     entries = draw_belief_maps(figure, [panel], problem, belief, positions, window)
     panel.set_title("\n".join(wrap(f"no plan: {message}", MESSAGE_WIDTH)), loc="left")
-    legend_below(figure, _merged(entries, draw_blocked(panel, blocked)), COLUMNS)
+    legend_below(figure, [*draw_blocked(panel, blocked), *entries], COLUMNS)
     head(figure, f"{problem.name}: horizon {problem.planner.horizon}, no plan")
     return figure
 
 
-def _single_map() -> tuple[Figure, Panel]:
-    from matplotlib.gridspec import GridSpec
-
-    figure = new_figure(10.0, 9.6, maps_only=True)
-    return figure, add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
-
-
 def _sheet(problem: Problem, series: Sequence[Series]) -> tuple[Figure, list[Panel], list[Panel]]:
-    """Return a figure with panels for maps, and for series beside one map or below two."""
-    from matplotlib.gridspec import GridSpec, GridSpecFromSubplotSpec
-
-    count, shares = len(layers_of(problem)), [share for _, share in series]
-    if count == 1:
-        figure = new_figure(15.0, max(7.6, 1.2 + 1.65 * sum(shares)))
-        cells = GridSpec(1, 2, figure=figure, width_ratios=[1.2, 1.0])
-        spots: list[SubplotSpec] = [cells[0, 0]]
-        below = cells[0, 1]
+    """Return a figure with panels for maps, and for series next to one map or below two."""
+    layers, shares = layers_of(problem), [share for _, share in series]
+    if len(layers) == 1:
+        size = 15.0, max(7.6, 1.2 + 1.65 * sum(shares))
+        figure, panels = new_figure(*size, [["map", "series"]], width_ratios=[1.2, 1.0])
     else:
         curves_in = 0.6 + 1.5 * sum(shares)
-        figure = new_figure(13.0, 6.5 + curves_in)
-        cells = GridSpec(2, count, figure=figure, height_ratios=[5.0, curves_in])
-        spots = [cells[0, column] for column in range(count)]
-        below = cells[1, :]
-    rows = GridSpecFromSubplotSpec(len(shares), 1, below, height_ratios=shares)
-    maps = [add_panel(figure, spot) for spot in spots]
-    return figure, maps, [add_panel(figure, rows[row, 0]) for row in range(len(shares))]
+        mosaic = [layers, ["series"] * len(layers)]
+        figure, panels = new_figure(13.0, 6.5 + curves_in, mosaic, height_ratios=[5.0, curves_in])
+    return figure, panels[:-1], split_panel(figure, panels[-1], shares)
 
 
 def _draw_series(
@@ -245,10 +234,74 @@ def _draw_series(
     panels[-1].set_xlabel(TIME)
 
 
-def _blank(panel: Panel) -> None:
+def _draw_nothing(panel: Panel) -> None:
     """Draw nothing: the panel holds text."""
 
 
-def _merged(entries: Sequence[Artist], more: Sequence[Artist]) -> list[Artist]:
-    """Return legend entries with one for each label."""
-    return list({str(each.get_label()): each for each in (*more, *entries)}.values())
+def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
+    """Return the plan and the verdict of the independent verifier in words, a line each."""
+    proof = plan.certificate
+    clearance = (
+        f"least clearance {proof.min_clearance_m:.3f} m along the swept path, "
+        f"{constraints.clearance_m:g} m required"
+        if math.isfinite(proof.min_clearance_m)
+        else "no obstacles to keep clear of"
+    )
+    required = f", {constraints.step_p_min:g} required" if constraints.step_p_min > 0.0 else ""
+    residual = (
+        "not refined"
+        if proof.kkt_residual is None
+        else f"KKT residual of the refinement {proof.kkt_residual:.2g}"
+    )
+    lines = [
+        f"verdict: {spaced(plan.verdict)} ({MEANING[plan.verdict]})",
+        clearance,
+        *_distance_words(proof),
+        f"least P(connected) {proof.min_connectivity:.3f}{required} (posterior: {proof.posterior})",
+        f"motion model satisfied to {proof.dynamics_defect:.2g} m; {residual}",
+        f"cost {plan.objective:.1f} s (lattice start {plan.lattice_objective:.1f} s); "
+        f"{spaced(plan.termination)} after {plan.iterations} iterations, "
+        f"{1e3 * plan.wall_s:.0f} ms; fallback: {spaced(plan.rung)}",
+    ]
+    if proof.rule is not None:
+        lines.append(proof.rule.words)
+    if proof.relaxed_steps:
+        lines.append(
+            f"the bound is not met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "
+            f"missed by at most {max(proof.relaxation_db):.2f} dB"
+        )
+    return [*lines, *proof.reasons, *([plan.message] if plan.message else [])]
+
+
+def team_words(plans: Sequence[Plan]) -> list[str]:
+    """Return each robot's verdict in words, a few lines each."""
+    lines: list[str] = []
+    for plan in plans:
+        proof = plan.certificate
+        clearance = (
+            f"least clearance {proof.min_clearance_m:.2f} m"
+            if math.isfinite(proof.min_clearance_m)
+            else "no obstacles"
+        )
+        lines += [
+            f"{plan.robot}: {spaced(plan.verdict)}, {clearance}, "
+            f"least P(connected) {proof.min_connectivity:.3f}",
+            *(f"    {words}" for words in _distance_words(proof)),
+            f"    objective {plan.objective:.4g} (best start {plan.lattice_objective:.4g}); "
+            f"fallback {spaced(plan.rung)}, {1e3 * plan.wall_s:.0f} ms",
+            *(f"    {reason}" for reason in proof.reasons[:2]),
+        ]
+    return lines
+
+
+def _distance_words(proof: Certificate) -> list[str]:
+    """Return the distance a plan keeps from robots and moving obstacles, if there are any."""
+    parts = [
+        f"{distance:.3f} m from {kind}"
+        for distance, kind in (
+            (proof.min_separation_m, "other robots"),
+            (proof.min_moving_clearance_m, "moving obstacles"),
+        )
+        if distance is not None
+    ]
+    return [f"always at least {', '.join(parts)}"] if parts else []

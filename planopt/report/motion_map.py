@@ -17,20 +17,23 @@ from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.results import Run
 from planopt.problems.problem import Problem
-from planopt.report.grid import Bounds, believed_rasters
-from planopt.report.map_window import show_window
 from planopt.report.maps import (
     LAYER_Z,
     MARGIN_Z,
     PATH_Z,
     PLACE_Z,
+    Bounds,
+    believed_rasters,
     draw_ground,
     draw_layer,
     draw_level,
+    draw_lines,
+    draw_path,
     draw_places,
     ring_xy,
+    show_window,
 )
-from planopt.report.panel import Panel
+from planopt.report.panel import Look, Panel
 from planopt.report.style import (
     BLACK,
     CONNECTED,
@@ -89,27 +92,21 @@ def draw_belief_maps(
         else:
             draw_ground(panel, problem.workspace, "standard deviation of the prediction")
             draw_layer(panel, deviation, DEVIATION_MAP, figure, "standard deviation [dB]")
-        places = draw_places(panel, problem)
+        entries = [*draw_places(panel, problem), *entries]
         show_window(panel, problem, positions_m, window)
-        entries = [*places, *(each for each in entries if each not in places)]
     return entries
 
 
 def draw_true_power(figure: Figure, panel: Panel, run: Run) -> None:
-    """Draw the true power below the obstacles, with the threshold on its colour bar."""
+    """Draw the true power of the serving station, with the threshold on its colour bar."""
+    raster = run.truths[0].raster
+    if len(run.truths) > 1:
+        cells = np.stack(np.meshgrid(raster.x_m, raster.y_m), axis=-1)
+        power = true_serving_dbm(run.problem, run.truths, cells.reshape(-1, 2))
+        raster = Raster(raster.x_m, raster.y_m, power.reshape(cells.shape[:2]))
     label = "true power [dBm] (line: threshold)"
     mark = run.problem.stations[0].true_threshold_dbm
-    draw_layer(panel, true_power(run), POWER_MAP, figure, label, mark=mark)
-
-
-def true_power(run: Run) -> Raster:
-    """Return the true power on the first station's cells; of several, the serving station's."""
-    raster = run.truths[0].raster
-    if len(run.truths) == 1:
-        return raster
-    cells = np.stack(np.meshgrid(raster.x_m, raster.y_m), axis=-1)
-    power = true_serving_dbm(run.problem, run.truths, cells.reshape(-1, 2))
-    return Raster(raster.x_m, raster.y_m, power.reshape(cells.shape[:2]))
+    draw_layer(panel, raster, POWER_MAP, figure, label, mark=mark)
 
 
 def path_curve(
@@ -134,19 +131,10 @@ def draw_tracks(panel: Panel, problem: Problem, runs: Sequence[RobotRun]) -> lis
     entries: list[Artist] = []
     for number, run in enumerate(runs):
         curve, steps = path_curve(problem, run.log.positions_m, run.drive)
-        panel.plot(*curve.T, color=WHITE, linewidth=4.2, zorder=PATH_Z, solid_capstyle="round")
-        entries += panel.plot(
-            *curve.T,
-            color=robot_colour(number),
-            linewidth=1.8,
-            marker=robot_marker(number),
-            markevery=steps,
-            markersize=4.5,
-            markeredgecolor=WHITE,
-            markeredgewidth=0.6,
-            zorder=PATH_Z + 0.1,
-            label=f"{run.robot}, driven",
-        )
+        look = {"color": robot_colour(number), "linewidth": 1.8, "marker": robot_marker(number)}
+        look |= {"markersize": 4.5, "markeredgecolor": WHITE, "markeredgewidth": 0.6}
+        look |= {"zorder": PATH_Z + 0.1, "markevery": steps, "label": f"{run.robot}, driven"}
+        entries += draw_path(panel, curve, casing=4.2, **look)
     return entries
 
 
@@ -155,9 +143,10 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
     entries: list[Artist] = []
     for number, plan in enumerate(plans):
         curve, steps = path_curve(problem, plan.positions_m, plan.drive, first)
-        panel.plot(*curve.T, color=WHITE, linewidth=3.6, zorder=PATH_Z, solid_capstyle="round")
-        entries += panel.plot(
-            *curve.T,
+        entries += draw_path(
+            panel,
+            curve,
+            casing=3.6,
             color=robot_colour(number),
             linewidth=1.8,
             linestyle=(0, (2.5, 1.0)),
@@ -173,7 +162,7 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
         if len(plan.route_m):
             route = np.vstack([plan.positions_m[-1:], plan.route_m])
             entries += _draw_dotted(panel, route, "remaining route to the goal")
-        entries += draw_holes(panel, np.vstack([plan.positions_m, plan.route_m]), plan.holes)
+        entries += _draw_holes(panel, np.vstack([plan.positions_m, plan.route_m]), plan.holes)
     return entries
 
 
@@ -182,45 +171,27 @@ def draw_blocked(panel: Panel, blocked: Sequence[BlockedWay]) -> list[Artist]:
     entries: list[Artist] = []
     for one in blocked:
         entries += _draw_dotted(panel, one.way_m, "cheapest path, forbidden")
-        entries += draw_holes(panel, one.way_m, one.holes)
+        entries += _draw_holes(panel, one.way_m, one.holes)
     return entries
 
 
 def _draw_dotted(panel: Panel, path_m: NDArray[np.float64], label: str) -> Sequence[Artist]:
-    return panel.plot(
-        *path_m.T,
-        color=BLACK,
-        linewidth=1.2,
-        linestyle=(0, (1, 2)),
-        zorder=PATH_Z - 0.2,
-        label=label,
-    )
+    look: Look = {"color": BLACK, "linewidth": 1.2, "linestyle": (0, (1, 2))}
+    return draw_path(panel, path_m, zorder=PATH_Z - 0.2, label=label, **look)
 
 
-def draw_holes(panel: Panel, path_m: NDArray[np.float64], holes: Sequence[Hole]) -> list[Artist]:
+def _draw_holes(panel: Panel, path_m: NDArray[np.float64], holes: Sequence[Hole]) -> list[Artist]:
     """Draw the coverage holes that a path (n, 2) crosses, with their lengths."""
     entries: list[Artist] = []
     for hole in holes:
-        x, y = _part_in_hole(path_m, hole).T
-        panel.plot(x, y, color=WHITE, linewidth=7.0, zorder=PATH_Z - 0.4, solid_capstyle="butt")
-        entries += panel.plot(
-            x,
-            y,
-            color=VERMILLION,
-            linewidth=5.0,
-            zorder=PATH_Z - 0.3,
-            solid_capstyle="butt",
-            label="crosses a coverage hole",
-        )
-        middle = len(x) // 2
-        panel.text(
-            x[middle],
-            y[middle],
-            f"{hole.length_m:.0f} m",
-            zorder=PATH_Z + 0.5,
-            clip_on=True,
-            bbox={"boxstyle": "round,pad=0.15", "fc": WHITE, "ec": "none", "alpha": 0.8},
-        )
+        part = _part_in_hole(path_m, hole)
+        look = {"color": VERMILLION, "linewidth": 5.0, "solid_capstyle": "butt"}
+        label = "crosses a coverage hole"
+        entries += draw_path(panel, part, casing=7.0, zorder=PATH_Z - 0.3, label=label, **look)
+        x, y = part[len(part) // 2]
+        box = {"boxstyle": "round,pad=0.15", "fc": WHITE, "ec": "none", "alpha": 0.8}
+        words = f"{hole.length_m:.0f} m"
+        panel.text(x, y, words, zorder=PATH_Z + 0.5, clip_on=True, bbox=box)
     return entries
 
 
@@ -236,8 +207,6 @@ def _part_in_hole(path_m: NDArray[np.float64], hole: Hole) -> NDArray[np.float64
 
 def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artist]:
     """Draw the outline that paths must stay outside of; nothing without obstacles in sight."""
-    from matplotlib.collections import LineCollection
-
     clearance = problem.constraints.clearance_m
     around = shapely.box(*window).buffer(clearance)
     near = [
@@ -248,25 +217,16 @@ def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artis
     rings = shapely.get_parts(shapely.boundary(shapely.union_all(near)))
     if not len(rings):
         return []
-    outline = LineCollection(
-        [ring_xy(ring) for ring in rings],
-        colors=PURPLE,
-        linewidths=0.9,
-        linestyles="dashed",
-        zorder=MARGIN_Z,
-        label=f"clearance of {clearance:g} m",
-    )
-    panel.add_collection(outline, autolim=False)
-    return [outline]
+    look: Look = {"colors": PURPLE, "linewidths": 0.9, "linestyles": "dashed", "zorder": MARGIN_Z}
+    label = f"clearance of {clearance:g} m"
+    return [draw_lines(panel, [ring_xy(ring) for ring in rings], label=label, **look)]
 
 
 def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
-    """Draw a driven path by true connection: solid on white, or dashed on black where lost.
+    """Draw a driven path by true connection: solid on white, or dashed on black if disconnected.
 
     Lightness and dashes distinguish the two without colour. A step has the state of its end.
     """
-    from matplotlib.collections import LineCollection
-
     entries: list[Artist] = []
     for label, colour, casing, dashes, state in (
         ("driven, connected", CONNECTED, WHITE, "solid", True),
@@ -275,21 +235,10 @@ def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
         pieces = _pieces(log, state)
         if not pieces:
             continue
-        below = LineCollection(
-            pieces, colors=casing, linewidths=6.0, capstyle="round", zorder=PATH_Z
-        )
-        lines = LineCollection(
-            pieces,
-            colors=colour,
-            linewidths=4.0,
-            linestyles=[dashes],
-            capstyle="butt",
-            zorder=PATH_Z + 0.1,
-            label=label,
-        )
-        for collection in (below, lines):
-            panel.add_collection(collection, autolim=False)
-        entries.append(lines)
+        draw_lines(panel, pieces, colors=casing, linewidths=6.0, capstyle="round")
+        look: Look = {"colors": colour, "linewidths": 4.0, "linestyles": [dashes]}
+        look |= {"capstyle": "butt", "zorder": PATH_Z + 0.1, "label": label}
+        entries.append(draw_lines(panel, pieces, **look))
     return entries
 
 
@@ -303,17 +252,6 @@ def _pieces(log: StepLog, connected: bool) -> list[NDArray[np.float64]]:
         for first, last in itertools.pairwise(bounds)
         if states[first] == connected
     ]
-
-
-def draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
-    """Mark the positions at which the chance constraint was relaxed."""
-    relaxed = log.relaxation_db > 0.0
-    if not relaxed.any():
-        return []
-    look = {"marker": "D", "s": 60.0, "color": PURPLE, "linewidths": 0.0}
-    positions = log.positions_m[relaxed]
-    # Below the path, which stays visible.
-    return [panel.scatter(*positions.T, zorder=PATH_Z - 0.1, label="bound relaxed", **look)]
 
 
 def draw_measured(
@@ -331,49 +269,30 @@ def draw_measured(
     return [panel.scatter(*positions_m.T, linewidths=0.4, label=label, **look)]
 
 
+def draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
+    """Mark the positions at which the chance constraint was relaxed, below the path."""
+    positions = log.positions_m[log.relaxation_db > 0.0]
+    look = {"marker": "D", "s": 60.0, "color": PURPLE, "linewidths": 0.0, "zorder": PATH_Z - 0.1}
+    if not len(positions):
+        return []
+    return [panel.scatter(*positions.T, label="bound relaxed", **look)]
+
+
 def draw_target(panel: Panel, target: TargetLog) -> list[Artist]:
     """Draw the true trajectory of the target above the station's estimates of it."""
-    x, y = target.true_m.T
-    panel.plot(x, y, color=WHITE, linewidth=2.6, zorder=PATH_Z + 0.35)
-    (track,) = panel.plot(
-        x, y, color=BLACK, linewidth=1.6, zorder=PATH_Z + 0.4, label="target, true path"
-    )
-    end = panel.scatter(
-        x[-1:],
-        y[-1:],
-        marker="*",
-        s=190.0,
-        color=BLACK,
-        edgecolors=WHITE,
-        linewidths=0.8,
-        zorder=PLACE_Z + 0.1,
-        label="target at the end",
-    )
-    estimates = panel.scatter(
-        *target.station_mean_m.T,
-        s=30.0,
-        color=WHITE,
-        edgecolors=BLACK,
-        linewidths=0.9,
-        zorder=PATH_Z + 0.3,
-        label="the station's estimates",
-    )
-    return [track, end, estimates]
+    true_m, station_m = target.true_m, target.station_mean_m
+    look = {"color": BLACK, "linewidth": 1.6, "zorder": PATH_Z + 0.4}
+    track = draw_path(panel, true_m, casing=2.6, label="target, true path", **look)
+    look = {"color": BLACK, "edgecolors": WHITE, "linewidths": 0.8, "zorder": PLACE_Z + 0.1}
+    end = panel.scatter(*true_m[-1:].T, marker="*", s=190.0, label="target at the end", **look)
+    look = {"color": WHITE, "edgecolors": BLACK, "linewidths": 0.9, "zorder": PATH_Z + 0.3}
+    estimates = panel.scatter(*station_m.T, s=30.0, label="station's estimates", **look)
+    return [*track, end, estimates]
 
 
 def draw_expected_target(panel: Panel, target_m: NDArray[np.float64]) -> list[Artist]:
     """Draw the expected position of the target after each step (N, 2)."""
-    return list(
-        panel.plot(
-            *target_m.T,
-            color=BLACK,
-            linewidth=1.4,
-            linestyle="dotted",
-            marker="*",
-            markersize=9.0,
-            markeredgecolor=WHITE,
-            markeredgewidth=0.5,
-            zorder=PATH_Z + 0.1,
-            label="target as expected",
-        )
-    )
+    look: Look = {"color": BLACK, "linewidth": 1.4, "linestyle": "dotted", "marker": "*"}
+    look |= {"markersize": 9.0, "markeredgecolor": WHITE, "markeredgewidth": 0.5}
+    label = "target as expected"
+    return list(draw_path(panel, target_m, zorder=PATH_Z + 0.1, label=label, **look))

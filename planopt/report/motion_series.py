@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ from planopt.report.style import (
     TRUE,
     VERMILLION,
     WHITE,
+    draw_band,
     dress,
     legend_above,
     plain_log_ticks,
@@ -63,39 +65,46 @@ RUNG_LOOKS = {
 Series = tuple[Callable[[Panel], None], float]
 """Draws one panel; its share of the height."""
 
+Curve = tuple[NDArray[np.float64], NDArray[np.float64], str]
+"""Times (n,), values (n,) and label of one robot."""
+
+Track = tuple[NDArray[np.float64], Drive | None]
+"""Positions (n + 1, 2) of a robot, and its states and inputs if it has dynamics."""
+
 
 def run_series(run: Run) -> list[Series]:
     """Return the panels that a run has data for."""
+    problem, t_s = run.problem, run.runs[0].log.t_s
     strip = 0.18 + 0.13 * len(run.runs)
     panels: list[Series] = []
+    channel = run.channel
     if run.target is not None:
-        panels.append((lambda panel: _draw_target(panel, run), 1.3))
-    elif run.channel is not None:
-        given = run.problem.channel.given
-        if given is None or given.k_pl_db is None:
+        panels.append((partial(_draw_target, run=run), 1.3))
+    elif channel is not None:
+        initial = problem.channel.given
+        if initial is None or initial.k_pl_db is None:
             # Known path loss has no uncertainty to draw.
-            panels.append((lambda panel: _draw_path_loss(panel, run), 1.0))
-        panels.append((lambda panel: _draw_map_error(panel, run), 1.0))
-    if run.target is not None or run.problem.constraints.p_min > 0.0:
-        panels.append((lambda panel: _draw_connectivity(panel, run), 1.0))
-        panels.append((lambda panel: _draw_connection(panel, run), strip))
-    if run.target is not None and run.channel is not None:
-        panels.append((lambda panel: _draw_map_error(panel, run), 1.0))
-    if keeps_distance(run.problem):
-        tracks = [(one.log.positions_m, one.drive) for one in run.runs]
-        t_s = run.runs[0].log.t_s
-        panels.append((lambda panel: _draw_distances(panel, run.problem, tracks, t_s), 1.0))
-    panels.append((lambda panel: _draw_fallbacks(panel, run), strip))
+            variance = np.asarray(channel.theta_variance_db, dtype=np.float64)
+            panels.append((partial(_draw_path_loss, t_s=t_s, variance_db=variance), 1.0))
+        panels.append((partial(_draw_map_error, t_s=t_s, rms_db=channel.rms_db), 1.0))
+    if run.target is not None or problem.constraints.p_min > 0.0:
+        panels.append((partial(_draw_run_connectivity, run=run), 1.0))
+        panels.append((partial(_draw_connection, run=run), strip))
+    if run.target is not None and channel is not None:
+        panels.append((partial(_draw_map_error, t_s=t_s, rms_db=channel.rms_db), 1.0))
+    tracks = [(one.log.positions_m, one.drive) for one in run.runs]
+    panels += _distance_series(problem, tracks, t_s)
+    panels.append((partial(_draw_fallbacks, run=run), strip))
     return panels
 
 
 def power_series(run: Run) -> list[Series]:
     """Return the panels of one robot's power, connection and planning times."""
     return [
-        (lambda panel: _draw_power(panel, run), 3.0),
-        (lambda panel: _draw_connection(panel, run), 0.5),
-        (lambda panel: _draw_connectivity(panel, run), 2.0),
-        (lambda panel: _draw_step_times(panel, run.run.log), 2.0),
+        (partial(_draw_power, run=run), 3.0),
+        (partial(_draw_connection, run=run), 0.5),
+        (partial(_draw_run_connectivity, run=run), 2.0),
+        (partial(_draw_step_times, log=run.run.log), 2.0),
     ]
 
 
@@ -105,27 +114,28 @@ def plan_series(
     """Return the panels that plans have data for; `target_m` (N, 2) is the expected target."""
     panels: list[Series] = []
     if target_m is not None:
-        panels.append((lambda panel: _draw_target_distance(panel, problem, plans, target_m), 1.0))
-    panels.append((lambda panel: _draw_planned_power(panel, problem, plans), 1.0))
+        distance = partial(_draw_target_distance, problem=problem, plans=plans, target_m=target_m)
+        panels.append((distance, 1.0))
+    panels.append((partial(_draw_planned_power, problem=problem, plans=plans), 1.0))
     if target_m is not None or problem.constraints.p_min > 0.0:
-        panels.append((lambda panel: _draw_planned_connectivity(panel, problem, plans), 1.0))
-    if keeps_distance(problem):
-        tracks = [(plan.positions_m, plan.drive) for plan in plans]
-        t_s = plans[0].t_s
-        panels.append((lambda panel: _draw_distances(panel, problem, tracks, t_s), 1.0))
-    return panels
+        panels.append((partial(_draw_planned_connectivity, problem=problem, plans=plans), 1.0))
+    tracks = [(plan.positions_m, plan.drive) for plan in plans]
+    return panels + _distance_series(problem, tracks, plans[0].t_s)
 
 
-def keeps_distance(problem: Problem) -> bool:
-    """Return whether robots must keep a distance from each other or from moving obstacles."""
-    separated = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
-    return separated or bool(problem.workspace.moving)
+def _draw_robots(panel: Panel, curves: Sequence[Curve]) -> None:
+    """Draw one curve for each robot."""
+    for number, (t_s, values, label) in enumerate(curves):
+        look = {"color": robot_colour(number), "marker": robot_marker(number), "markersize": 3.5}
+        panel.plot(t_s, values, linewidth=1.2, label=label, **look)
 
 
 def _draw_power(panel: Panel, run: Run) -> None:
     """Draw the power predicted one step ahead, with its band, and the true power."""
     log, station = run.run.log, run.problem.stations[0]
-    _draw_band(panel, log.t_s, log.predicted_dbm, log.deviation_db, PREDICTED, BAND_WORDS)
+    half = BAND_Z * log.deviation_db
+    low, high = log.predicted_dbm - half, log.predicted_dbm + half
+    draw_band(panel, log.t_s, low, high, PREDICTED, BAND_WORDS)
     panel.plot(log.t_s, log.predicted_dbm, color=PREDICTED, label="predicted one step ahead")
     look = {"color": TRUE, "linewidth": 0.8, "marker": ".", "markersize": 4.0}
     panel.plot(log.t_s, log.true_dbm, label="true", **look)
@@ -139,10 +149,11 @@ def _draw_power(panel: Panel, run: Run) -> None:
 
 def _draw_planned_power(panel: Panel, problem: Problem, plans: Sequence[Plan]) -> None:
     """Draw each robot's predicted power with its band, and the threshold if it matters."""
+    _draw_robots(panel, [(plan.t_s, plan.mean_dbm, "_power") for plan in plans])
     for number, plan in enumerate(plans):
-        label = BAND_WORDS if number == 0 else None
-        _draw_band(panel, plan.t_s, plan.mean_dbm, plan.deviation_db, robot_colour(number), label)
-        _draw_robot_curve(panel, plan.t_s, plan.mean_dbm, number)
+        half, label = BAND_Z * plan.deviation_db, None if number else BAND_WORDS
+        low, high = plan.mean_dbm - half, plan.mean_dbm + half
+        draw_band(panel, plan.t_s, low, high, robot_colour(number), label)
     if any(term.sensor for term in problem.terms) or problem.constraints.p_min > 0.0:
         threshold = problem.stations[0].threshold_dbm
         panel.axhline(threshold, color=BLACK, linestyle="dashed", label="threshold")
@@ -150,86 +161,60 @@ def _draw_planned_power(panel: Panel, problem: Problem, plans: Sequence[Plan]) -
     legend_above(panel)
 
 
-def _draw_band(
-    panel: Panel,
-    t_s: NDArray[np.float64],
-    mean: NDArray[np.float64],
-    deviation: NDArray[np.float64],
-    colour: str,
-    label: str | None,
-) -> None:
-    half = BAND_Z * deviation
-    look = {"color": colour, "alpha": 0.18, "linewidth": 0.0}
-    panel.fill_between(t_s, mean - half, mean + half, label=label, **look)
-
-
-def _draw_robot_curve(
-    panel: Panel,
-    t_s: NDArray[np.float64],
-    values: NDArray[np.float64],
-    number: int,
-    label: str | None = None,
-) -> None:
-    look = {"color": robot_colour(number), "marker": robot_marker(number), "markersize": 3.5}
-    panel.plot(t_s, values, linewidth=1.2, label=label, **look)
-
-
-def _draw_connectivity(panel: Panel, run: Run) -> None:
+def _draw_run_connectivity(panel: Panel, run: Run) -> None:
     """Draw the probability of connection predicted one step ahead, and relaxed steps."""
+    several = len(run.runs) > 1
+    curves: list[Curve] = []
     relaxed: list[tuple[float, float]] = []
-    for number, one in enumerate(run.runs):
-        log = one.log
-        label = one.robot if len(run.runs) > 1 else None
-        _draw_robot_curve(panel, log.t_s, log.connectivity, number, label)
-        steps = log.relaxation_db > 0.0
+    for one in run.runs:
+        log, steps = one.log, one.log.relaxation_db > 0.0
+        curves.append((log.t_s, log.connectivity, one.robot if several else "_chance"))
         relaxed += zip(log.t_s[steps].tolist(), log.connectivity[steps].tolist(), strict=True)
-    lowest = float(np.fmin.reduce([1.0, *np.concatenate([r.log.connectivity for r in run.runs])]))
-    _finish_connectivity(panel, run.problem, lowest, relaxed, "P(connected), one step ahead")
+    _draw_connectivity(panel, run.problem, curves, relaxed, "P(connected), one step ahead")
 
 
 def _draw_planned_connectivity(panel: Panel, problem: Problem, plans: Sequence[Plan]) -> None:
     """Draw each robot's predicted probability of connection, and relaxed steps."""
-    for number, plan in enumerate(plans):
-        _draw_robot_curve(panel, plan.t_s[-len(plan.connectivity) :], plan.connectivity, number)
+    curves = [(one.t_s[-len(one.connectivity) :], one.connectivity, "_chance") for one in plans]
     relaxed = [
         (float(plan.t_s[step]), float(plan.connectivity[step]))
         for plan in plans
         for step in plan.certificate.relaxed_steps
     ]
-    lowest = min(float(plan.connectivity.min()) for plan in plans)
-    _finish_connectivity(panel, problem, lowest, relaxed, "P(connected) along the plan")
+    _draw_connectivity(panel, problem, curves, relaxed, "P(connected) along the plan")
 
 
-def _finish_connectivity(
+def _draw_connectivity(
     panel: Panel,
     problem: Problem,
-    lowest: float,
-    relaxed: Sequence[tuple[float, float]],
+    curves: Sequence[Curve],
+    relaxed: Sequence[tuple[float, float]],  # Times and probabilities of relaxed steps
     title: str,
 ) -> None:
-    """Draw the bound and the relaxed steps of a panel of probabilities, and label it."""
+    """Draw probabilities of connection, their bound and the steps at which it is relaxed."""
+    _draw_robots(panel, curves)
     p_min = problem.constraints.step_p_min
+    lowest = float(np.fmin.reduce([0.9, *np.concatenate([values for _, values, _ in curves])]))
     if p_min > 0.0:
         panel.axhline(p_min, color=BLACK, linestyle="dashed", label=f"p_min = {p_min:g}")
         lowest = min(lowest, p_min)
     if relaxed:
         look = {"marker": "D", "s": 28.0, "color": PURPLE, "edgecolors": BLACK}
         panel.scatter(*np.array(relaxed).T, zorder=3.0, label="bound relaxed", **look)
-    dress(panel, title, TIME, "P(connected) [1]")
+    dress(panel, title, TIME, "P [1]")
     # The axis follows the values, but does not magnify values that are all close to 1.
-    panel.set_ylim(min(0.9, lowest) - 0.02, 1.02)
+    panel.set_ylim(lowest - 0.02, 1.02)
     legend_above(panel)
 
 
 def _draw_connection(panel: Panel, run: Run) -> None:
     """Draw a row for each robot: its marker where truly connected, a cross elsewhere."""
     for number, one in enumerate(run.runs):
-        for selection, look in (
-            (one.log.connected, {"marker": robot_marker(number), "color": robot_colour(number)}),
-            (~one.log.connected, {"marker": "x", "color": BLACK}),
-        ):
-            if selection.any():
-                times = one.log.t_s[selection]
+        own = {"marker": robot_marker(number), "color": robot_colour(number)}
+        cross = {"marker": "x", "color": BLACK}
+        for selection, look in ((one.log.connected, own), (~one.log.connected, cross)):
+            times = one.log.t_s[selection]
+            if len(times):
                 panel.scatter(times, np.full(len(times), float(number)), s=20.0, **look)
     share = np.mean([one.metrics.true_connected_share for one in run.runs])
     words = f"{100.0 * share:.1f} % of the steps; x: not" if run.rungs else "no step was driven"
@@ -239,33 +224,34 @@ def _draw_connection(panel: Panel, run: Run) -> None:
 
 def _draw_fallbacks(panel: Panel, run: Run) -> None:
     """Draw a row for each robot: the fallback of every plan, circled if it is not verified."""
+    logs = [one.log for one in run.runs]
     for rung, (marker, colour) in RUNG_LOOKS.items():
-        rows = [_release_times(one.log, rung) for one in run.runs]
-        counts = [len(times) for times in rows]
-        if sum(counts):
-            panel.scatter(
-                np.concatenate(rows),
-                np.repeat(np.arange(len(rows), dtype=np.float64), counts),
-                marker=marker,
-                s=18.0,
-                color=colour,
-                zorder=3.0,
-                label=f"{spaced(rung)} ({sum(counts)})",
-            )
-    unverified = [
-        (t_s, float(row))
-        for row, one in enumerate(run.runs)
-        for t_s, verdict in zip(one.log.t_s[1:], one.log.verdict[1:], strict=True)
-        if verdict is not Verdict.VERIFIED
+        rows = [_release_times(log, rung) for log in logs]
+        look = {"marker": marker, "color": colour, "s": 18.0, "zorder": 3.0}
+        _draw_rows(panel, rows, spaced(rung), **look)
+    rows = [
+        log.t_s[1:][
+            np.array([each is not Verdict.VERIFIED for each in log.verdict[1:]], dtype=bool)
+        ]
+        for log in logs
     ]
-    if unverified:
-        look = {"s": 80.0, "facecolors": "none", "edgecolors": BLACK, "linewidths": 1.3}
-        panel.scatter(*np.array(unverified).T, label=f"not verified ({len(unverified)})", **look)
+    look = {"s": 80.0, "facecolors": "none", "edgecolors": BLACK, "linewidths": 1.3}
+    _draw_rows(panel, rows, "not verified", **look)
     rate = f"{100.0 * run.verified_rate:.0f} % verified" if run.rungs else "no step was driven"
     dress(panel, f"fallbacks, {rate}", TIME, "", grid=False)
     _label_rows(panel, run.problem)
     if run.rungs:
         legend_above(panel, 3)
+
+
+def _draw_rows(
+    panel: Panel, rows: Sequence[NDArray[np.float64]], label: str, **look: object
+) -> None:
+    """Mark the times (n,) of each robot in its row; the label has their number."""
+    counts = [len(times) for times in rows]
+    if sum(counts):
+        at = np.repeat(np.arange(len(rows), dtype=np.float64), counts)
+        panel.scatter(np.concatenate(rows), at, label=f"{label} ({sum(counts)})", **look)
 
 
 def _draw_step_times(panel: Panel, log: StepLog) -> None:
@@ -274,15 +260,11 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
     for rung, (marker, colour) in RUNG_LOOKS.items():
         times = _release_times(log, rung)
         if len(times):
-            panel.scatter(
-                times,
-                milliseconds[np.isin(log.t_s, times)],
-                marker=marker,
-                s=16.0 if rung is Rung.PLAN else 34.0,
-                color=colour,
-                zorder=2.0 if rung is Rung.PLAN else 3.0,
-                label=f"{spaced(rung)} ({len(times)})",
-            )
+            look = {"marker": marker, "color": colour, "s": 16.0, "zorder": 2.0}
+            if rung is not Rung.PLAN:
+                look |= {"s": 34.0, "zorder": 3.0}
+            label = f"{spaced(rung)} ({len(times)})"
+            panel.scatter(times, milliseconds[np.isin(log.t_s, times)], label=label, **look)
     dress(panel, "planning time of a step, by fallback", TIME, "step time [ms]")
     if len(log.t_s) > 1:
         panel.set_yscale("log")
@@ -294,9 +276,7 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
 
 def _release_times(log: StepLog, rung: Rung) -> NDArray[np.float64]:
     """Return when plans of a fallback were released; the start has no plan."""
-    chosen = np.array([found is rung for found in log.rung])
-    chosen[0] = False
-    return log.t_s[chosen]
+    return log.t_s[1:][np.array([found is rung for found in log.rung[1:]], dtype=bool)]
 
 
 def _label_rows(panel: Panel, problem: Problem) -> None:
@@ -306,29 +286,44 @@ def _label_rows(panel: Panel, problem: Problem) -> None:
     panel.set_ylim(count - 0.4, -0.6)
 
 
+def _distance_series(
+    problem: Problem, tracks: Sequence[Track], t_s: NDArray[np.float64]
+) -> list[Series]:
+    """Return the panel of distances, if robots must keep any."""
+    separated = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
+    if not (separated or problem.workspace.moving):
+        return []
+    return [(partial(_draw_distances, problem=problem, tracks=tracks, t_s=t_s), 1.0)]
+
+
 def _draw_distances(
-    panel: Panel,
-    problem: Problem,
-    tracks: Sequence[tuple[NDArray[np.float64], Drive | None]],
-    t_s: NDArray[np.float64],  # (n + 1,)
+    panel: Panel, problem: Problem, tracks: Sequence[Track], t_s: NDArray[np.float64]
 ) -> None:
     """Draw the least distances during each step, and the required ones."""
-    step_s = problem.planner.step_s
-    motions = [driven_motion(positions, drive, step_s) for positions, drive in tracks]
-    curves: list[tuple[str, str, float, NDArray[np.float64]]] = []
-    if len(motions) > 1:
-        least = least_separations_m(motions)
-        curves.append(("two robots", BLUE, problem.constraints.separation_m, least))
-    if problem.workspace.moving:
-        least = least_moving_clearances_m(problem, motions)
-        curves.append(("moving obstacle", VERMILLION, problem.constraints.clearance_m, least))
-    for label, colour, required, least in curves:
-        # The value of a step holds during the whole step.
-        steps = np.append(least[:1], least)
-        panel.plot(t_s, steps, color=colour, drawstyle="steps-pre", label=label)
-        panel.axhline(required, color=colour, linestyle="dashed")
+    motions = [driven_motion(*track, problem.planner.step_s) for track in tracks]
+    lowest = 0.0
+    for label, colour, required, least in (
+        (
+            "two robots",
+            BLUE,
+            problem.constraints.separation_m,
+            least_separations_m(motions) if len(motions) > 1 else None,
+        ),
+        (
+            "moving obstacle",
+            VERMILLION,
+            problem.constraints.clearance_m,
+            least_moving_clearances_m(problem, motions) if problem.workspace.moving else None,
+        ),
+    ):
+        if least is not None:
+            # The value of a step holds during the whole step.
+            steps = np.append(least[:1], least)
+            panel.plot(t_s, steps, color=colour, drawstyle="steps-pre", label=label)
+            panel.axhline(required, color=colour, linestyle="dashed")
+            lowest = min(lowest, float(least.min()))
     dress(panel, "least distance (dashed: required)", TIME, "distance [m]")
-    panel.set_ylim(min(0.0, *(float(least.min()) for *_, least in curves)), None)
+    panel.set_ylim(lowest, None)
     legend_above(panel)
 
 
@@ -338,47 +333,42 @@ def _draw_target(panel: Panel, run: Run) -> None:
         raise AssertionError("there is no target")
     t_s, trace = run.runs[0].log.t_s, run.target.station_variance_m2
     panel.plot(t_s, trace, color=PREDICTED)
-    arrived = np.concatenate([[0], run.target.delivered.sum(axis=1)])
+    arrived = run.target.delivered.any(axis=1)
     for label, selection, fill in (
-        ("packets arrived", arrived > 0, PREDICTED),
-        ("none arrived", arrived == 0, WHITE),
+        ("packets arrived", arrived, PREDICTED),
+        ("none arrived", ~arrived, WHITE),
     ):
-        selection[0] = False  # nothing was sent at the start
         if selection.any():
             look = {"s": 22.0, "facecolors": fill, "edgecolors": PREDICTED, "zorder": 3.0}
-            panel.scatter(t_s[selection], trace[selection], label=label, **look)
+            panel.scatter(t_s[1:][selection], trace[1:][selection], label=label, **look)
     dress(panel, "uncertainty of the target", TIME, "trace P [m²]")
     panel.set_yscale("log")
     plain_log_ticks(panel.yaxis)
     legend_above(panel)
 
 
-def _draw_path_loss(panel: Panel, run: Run) -> None:
-    _draw_channel_curve(panel, run, "theta_variance_db")
+def _draw_path_loss(
+    panel: Panel, t_s: NDArray[np.float64], variance_db: NDArray[np.float64]
+) -> None:
+    panel.plot(t_s, variance_db, color=PREDICTED, marker="o", markersize=3.5)
     dress(panel, "uncertainty of path loss", TIME, "trace M / |θ|² [dB]")
 
 
-def _draw_map_error(panel: Panel, run: Run) -> None:
-    rms_db = _draw_channel_curve(panel, run, "rms_db")
+def _draw_map_error(panel: Panel, t_s: NDArray[np.float64], rms_db: NDArray[np.float64]) -> None:
+    panel.plot(t_s, rms_db, color=PREDICTED, marker="o", markersize=3.5)
     dress(panel, "error of the predicted map", TIME, "RMS error [dB]")
-    low, high = float(rms_db.min()), float(rms_db.max())
+    low, high = float(np.min(rms_db)), float(np.max(rms_db))
     margin = max(0.05 * (high - low), (LEAST_SPAN_DB - (high - low)) / 2.0)
     panel.set_ylim(low - margin, high + margin)
-
-
-def _draw_channel_curve(panel: Panel, run: Run, name: str) -> NDArray[np.float64]:
-    values = np.asarray(getattr(run.channel, name), dtype=np.float64)
-    panel.plot(run.runs[0].log.t_s, values, color=PREDICTED, marker="o", markersize=3.5)
-    return values
 
 
 def _draw_target_distance(
     panel: Panel, problem: Problem, plans: Sequence[Plan], target_m: NDArray[np.float64]
 ) -> None:
     """Draw each robot's distance to the expected target, and the best distance of its sensor."""
-    for number, plan in enumerate(plans):
-        distance = np.linalg.norm(plan.positions_m[1:] - target_m, axis=1)
-        _draw_robot_curve(panel, plan.t_s[1:], distance, number)
+    distances = [np.linalg.norm(plan.positions_m[1:] - target_m, axis=1) for plan in plans]
+    times = [plan.t_s[1:] for plan in plans]
+    _draw_robots(panel, [(t, d, "_distance") for t, d in zip(times, distances, strict=True)])
     sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
     label = f"sensor is best at {sensor.sweet_spot_m:g} m"
     panel.axhline(sensor.sweet_spot_m, color=BLACK, linestyle="dashed", label=label)

@@ -1,9 +1,9 @@
-"""Matplotlib as the figures use it, typed.
+"""Figures and panels: Matplotlib as it is used here, typed; layout; files.
 
 Matplotlib leaves the styling keywords of its methods untyped, which strict checking reports at
 every call. The protocols below name the methods that are used, with types, and this file is the
-only place where one is taken for the other. No pyplot: figures belong to whoever holds them and
-are collected like any other object.
+only place where one is taken for the other. No pyplot: figures belong to the caller and are
+collected like any other object.
 """
 
 # ruff: noqa: D102 - matplotlib documents the methods that the protocols name
@@ -12,21 +12,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planopt.errors import InputError
+from planopt.files.whole import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axis import Axis
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import Collection
-    from matplotlib.colorbar import Colorbar
     from matplotlib.figure import Figure
-    from matplotlib.gridspec import SubplotSpec
+
+DPI = 110
+"""Resolution of pixel formats."""
+
+UNDATED: dict[str, dict[str, None]] = {
+    ".png": {},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
+"""Formats, and the date that is left out of their metadata."""
 
 Values = NDArray[np.float64] | Sequence[float]
+Look = dict[str, Any]
+"""Keywords of Matplotlib that style what is drawn."""
 
 
 class Panel(Protocol):
@@ -41,6 +54,8 @@ class Panel(Protocol):
     def plot(self, x: Values, y: Values, /, **look: object) -> Sequence[Artist]: ...
     def scatter(self, x: Values, y: Values, /, **look: object) -> Collection: ...
     def bar(self, x: Values, height: Values, /, **look: object) -> object: ...
+    def barh(self, y: Values, width: Values, /, **look: object) -> object: ...
+    def stairs(self, values: Values, edges: Values, /, **look: object) -> Artist: ...
     def errorbar(self, x: Values, y: Values, /, **look: object) -> object: ...
     def fill_between(
         self, x: Values, low: Values, high: Values | float, /, **look: object
@@ -51,6 +66,7 @@ class Panel(Protocol):
     ) -> object: ...
     def axvspan(self, low: float, high: float, /, **look: object) -> object: ...
     def axhline(self, y: float, /, **look: object) -> Artist: ...
+    def axvline(self, x: float, /, **look: object) -> Artist: ...
     def text(self, x: float, y: float, words: str, /, **look: object) -> Artist: ...
     def add_collection(self, collection: Collection, /, *, autolim: bool = True) -> object: ...
     def legend(self, **look: object) -> object: ...
@@ -73,48 +89,73 @@ class Panel(Protocol):
     def grid(self, visible: bool, /, **look: object) -> None: ...
 
 
-class _Sheet(Protocol):
-    """The methods of ``matplotlib.figure.Figure`` whose keywords it leaves untyped."""
-
-    def colorbar(self, layer: ScalarMappable, /, **look: object) -> Colorbar: ...
-    def legend(self, **look: object) -> object: ...
-    def suptitle(self, words: str, /, **look: object) -> object: ...
-    def savefig(self, path: Path, /, **look: object) -> None: ...
-
-
-def new_figure(width_in: float, height_in: float, *, maps_only: bool = False) -> Figure:
-    """An empty figure of that size in inches, whose panels find room for their labels.
-
-    Where all panels are maps they are moved together, since equal scales leave gaps.
-    """
+def new_figure(
+    width_in: float,
+    height_in: float,
+    mosaic: Sequence[Sequence[object]] = ("A",),
+    *,
+    maps_only: bool = False,  # Panels of equal scale leave gaps: move them together
+    **ratios: Sequence[float],  # width_ratios, height_ratios of columns and rows
+) -> tuple[Figure, list[Panel]]:
+    """Return a figure and its panels; equal entries of the mosaic are one panel, "." is empty."""
     from matplotlib.figure import Figure
 
-    return Figure(
-        figsize=(width_in, height_in), layout="compressed" if maps_only else "constrained"
-    )
+    layout = "compressed" if maps_only else "constrained"
+    figure = Figure(figsize=(width_in, height_in), layout=layout)
+    cells = [list(row) for row in mosaic]
+    panels: dict[object, Panel] = cast("Any", figure).subplot_mosaic(cells, **ratios)
+    names = dict.fromkeys(name for row in cells for name in row if name != ".")
+    return figure, [panels[name] for name in names]
 
 
-def add_panel(figure: Figure, cell: SubplotSpec) -> Panel:
-    """A new panel in a cell of a grid."""
-    return cast(Panel, figure.add_subplot(cell))
+def split_panel(figure: Figure, panel: Panel, shares: Sequence[float]) -> list[Panel]:
+    """Replace a panel by panels above each other, with these shares of its height."""
+    from matplotlib.gridspec import GridSpecFromSubplotSpec
+
+    axes = cast("Any", panel)
+    cell = axes.get_subplotspec()
+    axes.remove()
+    rows = GridSpecFromSubplotSpec(len(shares), 1, cell, height_ratios=shares)
+    return [cast("Any", figure).add_subplot(rows[row, 0]) for row in range(len(shares))]
 
 
 def add_colorbar(figure: Figure, layer: ScalarMappable, panel: Panel, **look: object) -> Panel:
-    """A colour bar beside `panel`; its own axes."""
-    bar = cast(_Sheet, figure).colorbar(layer, ax=panel, **look)
-    return cast(Panel, bar.ax)
+    """Add a colour bar next to `panel`; return its axes."""
+    return cast("Any", figure).colorbar(layer, ax=panel, **look).ax
 
 
 def add_legend(figure: Figure, **look: object) -> None:
-    """A legend of the whole figure."""
-    cast(_Sheet, figure).legend(**look)
+    """Add a legend of the whole figure."""
+    cast("Any", figure).legend(**look)
 
 
 def add_title(figure: Figure, words: str, **look: object) -> None:
-    """A title of the whole figure."""
-    cast(_Sheet, figure).suptitle(words, **look)
+    """Add a title of the whole figure."""
+    cast("Any", figure).suptitle(words, **look)
 
 
-def write(figure: Figure, path: Path, **look: object) -> None:
-    """Write the figure in the format that the ending of `path` names."""
-    cast(_Sheet, figure).savefig(path, **look)
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure, whole or not at all.
+
+    Parameters
+    ----------
+    figure
+        From any of the ``draw_*`` functions.
+    path
+        Ends in ``.png``, ``.svg`` or ``.pdf``; its folder is made if need be.
+
+    Raises
+    ------
+    InputError
+        Another ending.
+    OutputError
+        The file cannot be written.
+    """
+    metadata = UNDATED.get(path.suffix.lower())
+    if metadata is None:
+        raise InputError(
+            f"{path.name}: figures cannot be written as {path.suffix or 'a file without ending'!r}",
+            remedy=f"end the name in one of {', '.join(UNDATED)}",
+        )
+    write = cast("Any", figure).savefig
+    write_whole(path, lambda temporary: write(temporary, dpi=DPI, metadata=metadata))

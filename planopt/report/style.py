@@ -1,16 +1,18 @@
-"""The style of every figure: colours for colour-blind readers as well, sizes, and words.
+"""The style of every figure: colours, sizes, words, legends, and marks that several figures share.
 
-Colours are those of Okabe and Ito (2008) and the perceptually even maps viridis and cividis.
-Nothing global is set: figures of the caller look as before.
+Colours are those of Okabe and Ito (2008) and the perceptually even maps viridis and cividis, for
+colour-blind readers as well. Nothing global is set: figures of the caller look as before.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from planopt.report.panel import Panel, add_legend, add_title
+import numpy as np
+
+from planopt.report.panel import Panel, Values, add_legend, add_title
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -22,6 +24,7 @@ ORANGE, SKY, GREEN, YELLOW = "#e69f00", "#56b4e9", "#009e73", "#f0e442"
 BLUE, VERMILLION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
 SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+DASHES = ("-", "--", "-.", ":")
 
 OBSTACLE, OBSTACLE_EDGE, FRAME = "#efefef", "#8c8c8c", "#404040"
 BAND = "#d9d9d9"
@@ -33,13 +36,46 @@ POWER_MAP, DEVIATION_MAP, PROBABILITY_MAP = "viridis", "cividis", "cividis"
 TITLE_PT, LABEL_PT, TICK_PT, NOTE_PT = 11.0, 10.0, 9.0, 9.0
 
 BAND_Z = 1.28
-"""Half width of drawn bands in deviations: the middle 80 % of a normal distribution."""
+"""Half width of drawn bands in standard deviations: the middle 80 % of a normal distribution."""
 
 BAND_WORDS = "80 % band"
 
+ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
+ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
+"""Of different lengths, so that the pair of colour and marker repeats late."""
+
+LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
+"""Width in inches of a letter of a legend and of the mark before its words; height of a line."""
+
+
+def robot_colour(number: int) -> str:
+    """Return the colour of a robot, the first has number 0."""
+    return ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
+
+
+def robot_marker(number: int) -> str:
+    """Return the marker of a robot."""
+    return ROBOT_MARKERS[number % len(ROBOT_MARKERS)]
+
+
+def curve_look(number: int) -> dict[str, Any]:
+    """Return the colour, marker and sizes of a curve by its number."""
+    return {
+        "color": SERIES[number % len(SERIES)],
+        "marker": MARKERS[number % len(MARKERS)],
+        "markersize": 5.0,
+        "linewidth": 1.6,
+    }
+
+
+def dashed_look(number: int) -> dict[str, Any]:
+    """Return the colour and dashes of a curve without marks by its number."""
+    dashes = DASHES[number % len(DASHES)]
+    return {"color": SERIES[number % len(SERIES)], "linestyle": dashes, "linewidth": 1.8}
+
 
 def spaced(name: str) -> str:
-    """A name as words."""
+    """Return a name as words."""
     return name.replace("_", " ")
 
 
@@ -55,7 +91,7 @@ def dress(panel: Panel, title: str, x_label: str, y_label: str, *, grid: bool = 
 
 
 def frame_title(panel: Panel, words: str) -> Artist:
-    """Title of one frame of an animation, as an artist that can be removed."""
+    """Return the title of one frame of an animation, as an artist that can be removed."""
     return panel.text(
         0.0, 1.01, words, transform=panel.transAxes, fontsize=TITLE_PT, va="bottom", zorder=9.0
     )
@@ -66,31 +102,39 @@ def head(figure: Figure, words: str) -> None:
     add_title(figure, words, fontsize=TITLE_PT + 1.0, fontweight="bold")
 
 
-ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
-ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
-"""Of different lengths, so that the pair of colour and marker repeats late."""
+def draw_intervals(
+    panel: Panel, x: Values, y: Values, low: Values, high: Values, **look: Any
+) -> Artist:
+    """Draw marks (n,) with bars from `low` to `high`, none where these are NaN; the marks."""
+    # An end that equals the value may pass it by rounding; NaN stays.
+    ends = (np.maximum(np.subtract(y, low), 0.0), np.maximum(np.subtract(high, y), 0.0))
+    bars = {"elinewidth": 1.5, "capsize": 3.0, "linestyle": "none"}
+    panel.errorbar(x, y, yerr=ends, ecolor=look["color"], **bars)
+    (marks,) = panel.plot(x, y, **look)
+    return marks
 
 
-def robot_colour(number: int) -> str:
-    """Return the colour of a robot, the first has number 0."""
-    return ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
+def draw_band(
+    panel: Panel, x: Values, low: Values, high: Values, colour: str, label: str | None = None
+) -> None:
+    """Draw the area between two curves (n,)."""
+    panel.fill_between(x, low, high, color=colour, alpha=0.16, linewidth=0.0, label=label)
 
 
-def robot_marker(number: int) -> str:
-    """Return the marker of a robot."""
-    return ROBOT_MARKERS[number % len(ROBOT_MARKERS)]
-
-
-LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
-"""Room in inches that a letter of a legend, the mark before its words, and a line of it take."""
+def legend_entries(entries: Iterable[Artist]) -> list[Artist]:
+    """Return legend entries with one for each label: the first of each, in their order."""
+    found: dict[str, Artist] = {}
+    for entry in entries:
+        found.setdefault(str(entry.get_label()), entry)
+    return list(found.values())
 
 
 def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> None:
-    """Legend under all panels, where it can cover no start and no goal.
+    """Add a legend under all panels, where it covers no start and no goal.
 
-    It has fewer columns than asked for where its words are long, and the figure grows as it does.
+    Long words reduce the number of columns; the figure grows with the number of lines.
     """
-    handles = list(entries)
+    handles = legend_entries(entries)
     labels = [str(handle.get_label()) for handle in handles]
     longest = max((len(line) for label in labels for line in label.splitlines()), default=0)
     width_in, height_in = (float(side) for side in figure.get_size_inches())
@@ -110,7 +154,7 @@ def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> Non
 
 
 def legend_above(panel: Panel, columns: int = 6) -> None:
-    """Legend of curves, if any has a label, on the line of the panel's title."""
+    """Add a legend of curves, if any has a label, on the line of the panel's title."""
     if not panel.get_legend_handles_labels()[1]:
         return
     panel.legend(
@@ -124,6 +168,11 @@ def legend_above(panel: Panel, columns: int = 6) -> None:
     )
 
 
+def legend_inside(panel: Panel, place: str = "best") -> None:
+    """Add a legend in a panel of dots, which leave room for it."""
+    panel.legend(fontsize=NOTE_PT, loc=place, framealpha=0.9, edgecolor="none")
+
+
 def plain_log_ticks(axis: Axis) -> None:
     """Write the values of a logarithmic axis out, at 1, 2 and 5."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
@@ -131,8 +180,3 @@ def plain_log_ticks(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
-
-
-def legend_inside(panel: Panel, place: str = "best") -> None:
-    """Legend in a panel of dots, which leave room for it."""
-    panel.legend(fontsize=NOTE_PT, loc=place, framealpha=0.9, edgecolor="none")

@@ -1,13 +1,21 @@
-"""Names of metrics, and predicted against true connection as a plain-text table."""
+"""Results as plain text: names of metrics, aligned columns, comparisons, reliability."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.style import spaced
 from planopt.studies.comparison import Comparison
+from planopt.studies.comparison_rows import (
+    Row,
+    Setting,
+    has_horizon,
+    setting_words,
+    short_keys,
+)
 
 
 @dataclass(frozen=True)
@@ -76,7 +84,200 @@ MISSING = "-"
 WIDTH = 100
 """Letters in a line of a comparison's table."""
 
-_Column = tuple[str, Callable[[ReliabilityBin], str]]
+OWN = "own"
+"""Value of a swept key that a setting leaves as it is in the problem."""
+
+SETTING_WIDTH = 80
+"""Letters of a setting in words, where settings are numbered."""
+
+VERIFIED, POLISH = ("verified [%]", ""), ("polish gain [%]", "polish_gain")
+"""Columns of every task; the first is of no metric."""
+
+GOAL_COLUMNS = (
+    ("time to goal [s]", "goal_time_s"),
+    ("connected [%]", "true_connected_share"),
+    ("longest outage [m]", "longest_outage_m"),
+    ("realised cost [m]", "realised_cost_m"),
+    ("cost ratio", "cost_ratio"),
+    ("least P", "predicted_min_connectivity"),
+    VERIFIED,
+    POLISH,
+)
+"""Metrics shown where there is a goal, and their headings; the first with its interval."""
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Return the table of a comparison, aligned, one line a setting in the order of the rows.
+
+    Columns beyond `WIDTH` letters go below, with the names of the setting before them again. With
+    several swept keys settings are numbered, and described in words once.
+
+    Parameters
+    ----------
+    comparison
+        The comparison. A metric that a setting does not have is shown as ``-``; where there is no
+        goal, one that no setting has is left out.
+    """
+    settings = comparison.settings
+    problems = (comparison.problem, *comparison.others)
+    to_goal = all(problem.task == "reach" for problem in problems)
+    shown = GOAL_COLUMNS if to_goal else _columns(comparison.rows)
+    title = (
+        f"{', '.join(problem.name for problem in problems)}: {len(comparison.runs)} runs in "
+        f"{comparison.wall_s:.1f} s; means over runs, {interval_words(comparison)}"
+    )
+    if comparison.resumed:
+        title += f"; {comparison.resumed} runs were finished before"
+    if to_goal:
+        title += "; time to goal and cost ratio (to the clairvoyant) over the runs that arrived"
+    header, *lines = _names(comparison, to_goal=to_goal)
+    metrics = [name for _, name in shown]
+    headings = ["runs", "stalled", *(heading for heading, _ in shown)]
+    table = [[*header, *headings, "step p50 [ms]", "step p95 [ms]"]]
+    for names, setting in zip(lines, settings, strict=True):
+        table.append([*names, *_cells(setting, metrics)])
+    text = [*textwrap.wrap(title, WIDTH), "", *_listed(comparison), *_in_blocks(table, len(header))]
+    text += ["", *_paired(settings, [header, *lines], [name for name in metrics if name])]
+    text += reliability_lines(comparison.reliability, "steps", "seeds")
+    return "\n".join(text).rstrip("\n")
+
+
+def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
+    """Return the headings and cells that name the settings."""
+    settings, swept = comparison.settings, list(short_keys(comparison.rows))
+    if len(swept) > 1:
+        return [["setting"], *([str(number + 1)] for number in range(len(settings)))]
+    ones = [setting.one for setting in settings]
+    columns = [["problem", *(one.problem for one in ones)]] if comparison.others else []
+    columns += [[key, *(str(one.sweep.get(key, OWN)) for one in ones)] for key in swept]
+    columns += [["cost to go", *(str(one.cost_to_go) for one in ones)]] if to_goal else []
+    horizons = [str(one.horizon) if has_horizon(one) else MISSING for one in ones]
+    columns += [["planner", *(one.planner for one in ones)], ["horizon", *horizons]]
+    return [list(line) for line in zip(*columns, strict=True)]
+
+
+def _listed(comparison: Comparison) -> list[str]:
+    """Return numbered settings in words; no line if at most one key is swept."""
+    names, several = short_keys(comparison.rows), bool(comparison.others)
+    if len(names) < 2:
+        return []
+    lines = ["settings"]
+    for number, setting in enumerate(comparison.settings, start=1):
+        words = setting_words(setting.one, names, several_problems=several)
+        first, *more = textwrap.wrap(words, SETTING_WIDTH) or [""]
+        lines += [f"{number:>7}  {first}", *(f"{'':9}{part}" for part in more)]
+    long = [f"{short} is {key}" for key, short in names.items() if short != key]
+    return [*lines, *textwrap.wrap(", ".join(long), WIDTH), ""]
+
+
+def _paired(
+    settings: Sequence[Setting], names: Sequence[Sequence[str]], metrics: Sequence[str]
+) -> list[str]:
+    """Return the table of differences from the first setting, seed by seed, with their intervals.
+
+    Intervals without zero have a star. No line where there is no interval.
+    """
+    cells = {m: [_difference(each.rows.get(m)) for each in settings] for m in metrics}
+    known = [m for m in metrics if any(cell != MISSING for cell in cells[m])]
+    if not known:
+        return []
+    shown = [m for m in known if any(_differs(each.rows.get(m)) for each in settings[1:])]
+    same = [metric_name(metric).words for metric in known if metric not in shown]
+    intervals = [cell for m in shown for cell in cells[m][1:] if cell != MISSING]
+    apart = sum(cell.endswith("*") for cell in intervals)
+    title = (
+        "paired differences from the first setting, seed by seed, with 95 % intervals; "
+        f"{apart} of {len(intervals)} leave out zero (*)"
+    )
+    table = [[*names[0], *map(_label, shown)]]
+    for number, name in enumerate(names[2:], start=1):
+        table.append([*name, *(cells[metric][number] for metric in shown)])
+    alike = textwrap.wrap(f"the same in every run: {', '.join(same)}", WIDTH) if same else []
+    return [*textwrap.wrap(title, WIDTH), *_in_blocks(table, len(names[0])), *alike, ""]
+
+
+def _differs(row: Row | None) -> bool:
+    """Return whether a metric differs from the first setting's on any seed."""
+    return row is not None and any((row.paired_difference, row.difference_low, row.difference_high))
+
+
+def _difference(row: Row | None) -> str:
+    """Return the paired difference with its interval, and a star where that excludes zero."""
+    if row is None or row.paired_difference is None:
+        return MISSING
+    low, high, name = row.difference_low, row.difference_high, metric_name(row.metric)
+    if low is None or high is None:
+        return MISSING
+    mean, begin, end = (
+        f"{name.scale * value:+.{name.digits}f}" for value in (row.paired_difference, low, high)
+    )
+    return f"{mean} ({begin} to {end})" + ("" if low <= 0.0 <= high else " *")
+
+
+def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
+    """Return heading and name of every metric of a sum of terms that a setting has."""
+    there = dict.fromkeys(row.metric for row in rows if row.mean is not None)
+    bands = {metric: f", and of {words}" for metric, (*_, words) in BANDS.items()}
+    metrics = [m for m in there if m != "polish_gain" and m not in BAND_ENDS]
+    return [*((_label(m) + bands.get(m, ""), m) for m in metrics), VERIFIED, POLISH]
+
+
+def _label(metric: str) -> str:
+    return f"{metric_name(metric).words} [{metric_name(metric).unit}]"
+
+
+def _cells(setting: Setting, shown: Sequence[str]) -> list[str]:
+    """Return the numbers of a line; entries that belong to no metric are the same in every row."""
+    one = next(iter(setting.rows.values()))
+    verified = MISSING if one.verified_rate is None else f"{100.0 * one.verified_rate:.1f}"
+    cells = [str(one.seeds), str(one.stalled)]
+    for metric in shown:
+        text = _mean(setting.rows, metric, interval=metric == shown[0]) if metric else verified
+        cells.append(text)
+    times_s = (one.p50_step_s, one.p95_step_s)
+    return [*cells, *(MISSING if s is None else f"{1e3 * s:.1f}" for s in times_s)]
+
+
+def _mean(rows: Mapping[str, Row], metric: str, *, interval: bool) -> str:
+    """Return the mean of a metric in the unit shown, with its interval if wanted, and its band."""
+    row, name = rows.get(metric), metric_name(metric)
+    if row is None or row.mean is None:
+        return MISSING
+
+    def shown(value: float) -> str:
+        return f"{name.scale * value:.{name.digits}f}"
+
+    text = shown(row.mean)
+    if interval and row.ci_low is not None and row.ci_high is not None:
+        text += f" ({shown(row.ci_low)} to {shown(row.ci_high)})"
+    ends = [rows[end].mean for end in BANDS.get(metric, ())[:2] if end in rows]
+    return f"{text}, {' to '.join(shown(end or 0.0) for end in ends)}" if ends else text
+
+
+def _in_blocks(table: Sequence[Sequence[str]], first: int) -> list[str]:
+    """Return aligned lines, with headings in several lines where they are wider than their cells.
+
+    Blocks of columns of at most `WIDTH` letters stand below each other, an empty line between
+    them; each begins with the `first` columns, which name the line, the last of them to the right.
+    """
+    columns = [
+        [textwrap.wrap(heading, max(map(len, (*heading.split(), *below)))), below]
+        for heading, *below in zip(*table, strict=True)
+    ]
+    widths = [2 + max(map(len, (*heading, *below))) for heading, below in columns]
+    blocks, room = [columns[:first]], WIDTH + 2 - sum(widths[:first])
+    for column, width in zip(columns[first:], widths[first:], strict=True):
+        if width > room and len(blocks[-1]) > first:
+            blocks.append(columns[:first])
+            room = WIDTH + 2 - sum(widths[:first])
+        blocks[-1].append(column)
+        room -= width
+    lines: list[str] = []
+    for block in blocks:
+        height = max(len(heading) for heading, _ in block)
+        padded = [[*[""] * (height - len(heading)), *heading, *below] for heading, below in block]
+        lines += ["", *aligned(list(zip(*padded, strict=True)), first - 1)]
+    return lines[1:]
 
 
 def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
@@ -89,30 +290,28 @@ def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
 def reliability_lines(
     bins: Sequence[ReliabilityBin], what: str, groups: str | None = None
 ) -> list[str]:
-    """Table of predicted against true connection, one line a bin; no line without bins."""
+    """Return the table of predicted against true connection, a line a bin; no line without bins."""
     if not bins:
         return []
-    title = "predicted against true connection"
-    columns: list[_Column] = [("predicted P", _range), (what, lambda one: str(one.count))]
+    title, with_intervals = "predicted against true connection", any(one.interval for one in bins)
+    columns = [
+        ["predicted P", *(f"{one.low:g} to {one.high:g}" for one in bins)],
+        [what, *(str(one.count) for one in bins)],
+        ["mean predicted", *(f"{one.predicted:.4f}" for one in bins)],
+        ["connected", *(f"{one.realised:.4f}" for one in bins)],
+    ]
     if groups is not None:
-        columns.append((groups, lambda one: str(one.groups)))
-    columns.append(("mean predicted", lambda one: f"{one.predicted:.4f}"))
-    columns.append(("connected", lambda one: f"{one.realised:.4f}"))
-    if any(one.interval for one in bins):
+        columns.insert(2, [groups, *(str(one.groups) for one in bins)])
+    if with_intervals:
         title += f"; intervals over {groups}"
-        columns.append(("95 % interval", _interval))
+        columns.append(["95 % interval", *map(_interval, bins)])
     elif groups is not None:
         title += f"; no interval from fewer than {FEWEST_GROUPS} {groups}"
-    header = [heading for heading, _ in columns]
-    return [title, *aligned([header, *([cell(one) for _, cell in columns] for one in bins)], 1)]
-
-
-def _range(one: ReliabilityBin) -> str:
-    return f"{one.low:g} to {one.high:g}"
+    return [title, *aligned(list(zip(*columns, strict=True)), 1)]
 
 
 def _interval(one: ReliabilityBin) -> str:
-    """The interval, with a mark where it misses the mean prediction."""
+    """Return the interval, with a star where it misses the mean prediction."""
     if one.interval is None:
         return MISSING
     words = f"{one.interval[0]:.4f} to {one.interval[1]:.4f}"

@@ -32,9 +32,11 @@ from planopt.problems.systems import SystemProblem, system_from_tables
 from planopt.short_repr import short_repr
 from planopt.studies.comparison_rows import (
     Row,
+    Setting,
     comparison_rows,
     runs_by_setting,
     runs_reliability,
+    settings_of_runs,
 )
 from planopt.studies.study import cpu_name, digest_of_tables, program
 
@@ -107,6 +109,11 @@ class Comparison:
             pandas is not installed.
         """
         return require_pandas().DataFrame(run_columns(self))
+
+    @property
+    def settings(self) -> tuple[Setting, ...]:
+        """The settings with their runs and rows, in the order of the rows."""
+        return tuple(settings_of_runs(self.runs, self.rows))
 
     @property
     def reliability(self) -> tuple[ReliabilityBin, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +16,9 @@ from planopt.planning.run_summary import RunSummary
 from planopt.problems.planner_kinds import OWN
 
 CONFIDENCE = 0.95
+
+SettingKey = tuple[str, str, str | None, str, int]
+"""Problem, sweep in words, cost-to-go, planner and horizon."""
 
 NOT_DONE = 4
 """Exit code of runs that did not do what was asked."""
@@ -78,6 +81,33 @@ class Row:
     ratio_high: float | None = None
     problem: str = ""
     sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting of a comparison."""
+
+    runs: Sequence[RunSummary]  # Seed by seed
+    rows: Mapping[str, Row]  # By metric
+
+    @property
+    def one(self) -> RunSummary:
+        """The first run: problem, sweep, cost-to-go, planner and horizon are those of all."""
+        return self.runs[0]
+
+    @property
+    def stalled(self) -> int:
+        """How many runs did not do what the problem asks."""
+        return sum(run.exit_code == NOT_DONE for run in self.runs)
+
+
+def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Setting]:
+    """Divide runs and rows by their settings, in the order of the rows."""
+    found: dict[SettingKey, dict[str, Row]] = {}
+    for row in rows:
+        found.setdefault(setting_of(row), {})[row.metric] = row
+    groups = {setting_of(each[0]): each for each in runs_by_setting(runs)}
+    return [Setting(groups[key], rows) for key, rows in found.items() if key in groups]
 
 
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
@@ -184,14 +214,14 @@ def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
 
 def runs_by_setting(runs: Sequence[RunSummary]) -> list[list[RunSummary]]:
     """Divide runs by their settings, in the order in which these occur."""
-    found: dict[Hashable, list[RunSummary]] = {}
+    found: dict[SettingKey, list[RunSummary]] = {}
     for run in runs:
         found.setdefault(setting_of(run), []).append(run)
     return list(found.values())
 
 
-def setting_of(one: RunSummary | Row) -> tuple[str, str, str | None, str, int]:
-    """Return what tells settings apart: problem, sweep, cost to go, planner and horizon."""
+def setting_of(one: RunSummary | Row) -> SettingKey:
+    """Return the key of a setting."""
     return one.problem, sweep_words(one), one.cost_to_go, one.planner, one.horizon
 
 

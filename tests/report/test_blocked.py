@@ -27,8 +27,7 @@ from planopt.cli import main
 from planopt.planning.holes import BlockedError
 from planopt.planning.prepare import prepare
 from planopt.problems.library import library_folder
-from planopt.report.motion_figures import draw_no_plan, draw_run
-from planopt.report.saving import save_figure
+from planopt.report import draw_no_plan, draw_run, save_figure
 
 CHANGES = {
     "p_min = 0.8": "p_min = 0.8\nslack_max_db = 0.0",

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from artists import drawn, labels_of, legend_of, panel_of
 
-from planopt.report.comparison_figure import draw_comparison, draw_traces, looks_of
+from planopt.report import draw_comparison, draw_traces
+from planopt.report.comparison_figure import layout_of
+from planopt.studies.comparison_rows import comparison_rows
 
-GEODESIC, CONNECTED = ("", "geodesic", "auto"), ("", "connected", "lattice")
+
+def looks_of(comparison):
+    """The slots of the settings at the first tick, by cost-to-go."""
+    return {s.setting.one.cost_to_go: s for s in layout_of(comparison).slots if s.x < 0.5}
 
 
 def test_units_and_settings(comparison):
@@ -24,8 +29,8 @@ def test_units_and_settings(comparison):
         "step time [ms]",
     }
     assert legend_of(figure) == [
-        "geodesic cost to go, planner auto",
-        "connected cost to go, planner lattice",
+        "geodesic cost-to-go, planner auto",
+        "connected cost-to-go, planner lattice",
     ]
 
 
@@ -39,7 +44,7 @@ def test_horizons_are_categories_in_order(comparison):
 def test_means_and_intervals(comparison):
     """Marks at the means; bars to the interval's ends; none where no run arrived."""
     axes = panel_of(draw_comparison(comparison), "time to goal")
-    shift = looks_of(comparison)[CONNECTED].shift
+    shift = looks_of(comparison)["connected"].x
     marks = {
         tuple(np.round(container.lines[0].get_xydata()[0], 9)): container.lines[2][0]
         for container in axes.containers
@@ -54,18 +59,18 @@ def test_shares_are_percent(comparison):
     axes = panel_of(draw_comparison(comparison), "connected in truth")
     for container in axes.containers:
         assert container.lines[0].get_ydata()[0] == pytest.approx(90.0)
-        assert np.ptp(container.lines[2][0].get_segments()[0][:, 1]) == 0.0
+        assert not np.isfinite(container.lines[2][0].get_segments()[0]).any()
 
 
 def test_single_runs_are_dots(comparison):
     """One faint dot a run, with its value, beside its setting's mean."""
     axes = panel_of(draw_comparison(comparison), "longest outage")
-    dots = [line.get_xydata()[0] for line in axes.lines if line.get_alpha() == 0.25]
+    dots = np.concatenate([line.get_xydata() for line in axes.lines if line.get_alpha() == 0.25])
     assert sorted(y for _, y in dots) == [0.0] * 4 + [4.0] * 4
-    looks = looks_of(comparison)
-    means = sorted(x + look.shift for x in (0, 1) for look in looks.values())
+    slots = layout_of(comparison).slots
+    means = sorted(slot.x for slot in slots)
     nearest = [min(abs(x - mean) for mean in means) for x, _ in dots]
-    assert max(nearest) < looks[GEODESIC].width / 2
+    assert max(nearest) < slots[0].width / 2
 
 
 def test_stalled_and_step_times(comparison):
@@ -75,17 +80,28 @@ def test_stalled_and_step_times(comparison):
     assert [bar.get_height() for bar in stalled.patches] == [0, 2, 0, 0]
     times = panel_of(figure, "step time")
     assert times.get_yscale() == "log"
-    bars = times.containers[0].lines[2][0].get_segments()
-    np.testing.assert_allclose([bar[:, 1] for bar in bars], [[12.5, 40.0]] * 2)
+    bars = [each.lines[2][0].get_segments()[0][:, 1] for each in times.containers]
+    np.testing.assert_allclose(bars, [[12.5, 40.0]] * 4)
 
 
 def test_settings_do_not_overlap(comparison):
     """Looks differ in colour by cost to go, in marker by planner, and stand side by side."""
-    looks = looks_of(comparison)
-    first, second = looks[GEODESIC], looks[CONNECTED]
-    assert first.colour != second.colour and first.marker != second.marker
-    assert second.shift - first.shift == pytest.approx(first.width)
-    assert first.shift == -second.shift
+    first, second = looks_of(comparison).values()
+    assert first.look["color"] != second.look["color"]
+    assert first.look["marker"] != second.look["marker"]
+    assert second.x - first.x == pytest.approx(first.width)
+    assert first.x == -second.x
+
+
+def test_constant_metrics_are_words(comparison):
+    """A metric that is the same in every run has no panel but is listed; so are no stalled runs."""
+    same = [replace(run, metrics={**run.metrics, "path_m": 70.0}) for run in comparison.runs]
+    found = replace(comparison, runs=tuple(same), rows=tuple(comparison_rows(same)))
+    figure = drawn(draw_comparison(found))
+    assert "driven length [m]" not in labels_of(figure)
+    assert any("driven length 70 m" in words for words in legend_of(figure))
+    arrived = tuple(replace(run, exit_code=0) for run in same)
+    assert "runs of 2 [count]" not in labels_of(draw_comparison(replace(found, runs=arrived)))
 
 
 def test_unknown_metric_and_one_setting(comparison):
@@ -110,7 +126,7 @@ def with_traces(comparison, count):
         for horizon in (1, 2)
         for seed in range(count)
     )
-    return replace(comparison, runs=runs)
+    return replace(comparison, runs=runs, rows=tuple(comparison_rows(runs)))
 
 
 def test_traces_are_means_over_runs_with_bands(comparison):

@@ -1,4 +1,4 @@
-"""Map layers: outlines, rasters, contours, places."""
+"""Maps: the prediction grid, outlines, rasters, contours, places, the shown window."""
 
 from dataclasses import replace
 
@@ -6,23 +6,41 @@ import numpy as np
 import pytest
 import shapely
 from artists import drawn
-from matplotlib.gridspec import GridSpec
+from scenes import small_problem
 
-from planopt.report.maps import draw_ground, draw_layer, draw_level, draw_places, outline
-from planopt.report.panel import add_panel, new_figure
+from planopt.report.maps import (
+    BORDER,
+    NODES,
+    believed_rasters,
+    cell_centres,
+    draw_ground,
+    draw_layer,
+    draw_level,
+    draw_places,
+    drawn_cells,
+    outline,
+    window_about,
+)
+from planopt.report.panel import new_figure
 from planopt.world.raster import Raster
 
 
 @pytest.fixture
-def figure():
-    """An empty figure."""
+def sheet():
+    """An empty figure and its only panel."""
     return new_figure(4.0, 4.0, maps_only=True)
 
 
 @pytest.fixture
-def panel(figure):
+def figure(sheet):
+    """The figure."""
+    return sheet[0]
+
+
+@pytest.fixture
+def panel(sheet):
     """Its only panel."""
-    return add_panel(figure, GridSpec(1, 1, figure=figure)[0, 0])
+    return sheet[1][0]
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -103,3 +121,76 @@ def test_places(panel, problem):
     np.testing.assert_array_equal(goal.get_offsets(), [[90.0, 75.0]])
     np.testing.assert_array_equal(station.get_offsets(), [[50.0, 60.0]])
     assert [part.get_label() for part in (start, goal, station)] == ["start", "goal", "station"]
+
+
+def test_cells_fill_the_bounds():
+    """Square cells, the chosen number along the long side, half a cell inside the bounds."""
+    x, y = cell_centres((-10.0, 5.0, 290.0, 105.0))
+    assert len(x) == NODES and len(y) == NODES // 3
+    assert x[0] == pytest.approx(-9.0) and x[-1] == pytest.approx(289.0)
+    assert y[0] == pytest.approx(6.0) and y[-1] == pytest.approx(104.0)
+
+
+def test_thin_bounds_have_two_cells():
+    """A raster needs at least two cells along both axes."""
+    x, y = cell_centres((0.0, 0.0, 1000.0, 0.1))
+    assert (len(x), len(y)) == (NODES, 2)
+
+
+def test_drawn_cells_against_shapely(problem):
+    """Cells with a free cell among themselves and their eight neighbours, by brute force."""
+    x, y = np.linspace(-15.0, 115.0, 40), np.linspace(-15.0, 95.0, 30)
+    area = shapely.box(*problem.workspace.bounds_m).difference(
+        shapely.union_all([obstacle.polygon for obstacle in problem.workspace.obstacles])
+    )
+    free = np.array([[area.contains(shapely.Point(a, b)) for a in x] for b in y])
+    expected = np.zeros_like(free)
+    for row, column in np.argwhere(free):
+        expected[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] = True
+    drawn = drawn_cells(problem.workspace, x, y)
+    np.testing.assert_array_equal(drawn, expected)
+    assert not drawn.all()
+
+
+def test_rasters_are_the_posterior(problem, belief):
+    """Each cell has what the posterior predicts at its centre, the courtyard included."""
+    mean, deviation, _ = believed_rasters(problem, belief, (0.0, 0.0, 100.0, 80.0))
+    iy, ix = np.argwhere(np.isfinite(mean.values))[::997].T
+    expected = belief.posterior.predict(np.stack([mean.x_m[ix], mean.y_m[iy]], axis=1))
+    np.testing.assert_allclose(mean.values[iy, ix], expected.mean_db, rtol=1e-9)
+    np.testing.assert_allclose(deviation.values[iy, ix], expected.deviation_db, rtol=1e-9)
+    np.testing.assert_array_equal(np.isfinite(mean.values), np.isfinite(deviation.values))
+
+    def at(raster, place):
+        return raster.values[
+            np.abs(raster.y_m - place[1]).argmin(), np.abs(raster.x_m - place[0]).argmin()
+        ]
+
+    assert np.isfinite(at(mean, (50.0, 30.0)))  # courtyard
+    assert np.isnan(at(mean, (42.5, 30.0)))  # wing
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_places_are_shown_and_little_outside_the_workspace(seed: int) -> None:
+    """A square, with room around the places."""
+    generator = np.random.default_rng(seed)
+    problem = small_problem(bounds_m=(-50.0, 0.0, 70.0, 120.0))
+    for _ in range(20):
+        places = generator.uniform((-50.0, 0.0), (70.0, 120.0), (4, 2))
+        x_min, y_min, x_max, y_max = window_about(problem, places)
+        side = x_max - x_min
+        assert side == pytest.approx(y_max - y_min)
+        assert (places > (x_min, y_min)).all() and (places < (x_max, y_max)).all()
+        low, high = BORDER * side, 120.0 + BORDER * side
+        if side <= high + low:
+            edge = 1e-9
+            assert min(x_min + 50.0, y_min) >= -low - edge
+            assert max(x_max + 50.0, y_max) <= high + edge
+
+
+def test_a_station_outside_the_bounds_stays_in_sight() -> None:
+    """Of a team's map."""
+    problem = small_problem(bounds_m=(0.0, 0.0, 40.0, 30.0))
+    places = np.array([[5.0, 5.0], [90.0, 10.0]])
+    x_min, y_min, x_max, y_max = window_about(problem, places)
+    assert x_min < 5.0 and x_max > 90.0 and y_min < 5.0 and y_max > 10.0

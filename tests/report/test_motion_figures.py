@@ -1,4 +1,4 @@
-"""Figures of plans and runs: units, and curves and marks that equal the data."""
+"""Figures of plans and runs: units, curves and marks that equal the data, certificates."""
 
 from __future__ import annotations
 
@@ -11,25 +11,27 @@ from apart_scene import apart_problem
 from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
 from teams import team_problem, team_run
 
-from planopt import MovingObstacle, Verdict, load, simulate, solve
+from planopt import ConnectivityRule, MovingObstacle, Verdict, load, simulate, solve
 from planopt.commands.pictures import picture_run, picture_solution
 from planopt.extend import Rung
+from planopt.planning.certificate import RuleResult
 from planopt.planning.results import Solution
 from planopt.planning.worth.situation import Aim
 from planopt.problems import GivenParameters
-from planopt.report.motion_figures import WORDS_LINES, draw_run, draw_run_series, draw_solution
+from planopt.report import draw_run, draw_run_series, draw_solution
+from planopt.report.motion_figures import MEANING, WORDS_LINES, plan_words
 from planopt.report.motion_series import RUNG_LOOKS
 from planopt.report.style import BAND_Z
 from planopt.world.moving_obstacle import centres_at
 
-MAP, POWER, CHANCE = {"x [m]", "y [m]"}, "power [dBm]", "P(connected) [1]"
+MAP, POWER, CHANCE = {"x [m]", "y [m]"}, "power [dBm]", "P [1]"
 DISC = "moving obstacle, paler later"
 
 
 def test_units_of_plan_run_and_series(solution, simulation):
     """All axes of the figures of one robot to a goal have units."""
     plan = drawn(draw_solution(solution))
-    assert labels_of(plan) == MAP | {"time [s]", POWER, CHANCE, f"{CHANCE} (line: p_min)"}
+    assert labels_of(plan) == MAP | {"time [s]", POWER, CHANCE, "P(connected) [1] (line: p_min)"}
     assert labels_of(drawn(draw_run(simulation))) == MAP | {"true power [dBm] (line: threshold)"}
     assert labels_of(drawn(draw_run_series(simulation))) == {
         "time [s]", POWER, CHANCE, "step time [ms]"
@@ -39,7 +41,7 @@ def test_units_of_plan_run_and_series(solution, simulation):
 @pytest.mark.parametrize(
     ("task", "more"),
     [
-        ("track", {CHANCE, "trace P [m²]"}),
+        ("track", {CHANCE, "P(connected) [1]", "trace P [m²]"}),
         ("learn", {POWER, "trace M / |θ|² [dB]"}),
         ("map", {POWER, "standard deviation [dB]", "trace M / |θ|² [dB]"}),
     ],
@@ -224,7 +226,7 @@ def test_target_and_its_estimates(simulation):
     figure = drawn(draw_run(run))
     ground, curve = figure.axes[0], panel_of(figure, "uncertainty of the target")
     path = line_of(ground, "target, true path")
-    estimates = collection_of(ground, "the station's estimates")
+    estimates = collection_of(ground, "station's estimates")
     np.testing.assert_array_equal(path.get_xydata(), run.target.true_m)
     np.testing.assert_array_equal(estimates.get_offsets(), run.target.station_mean_m)
     assert estimates.get_zorder() < path.get_zorder()
@@ -243,7 +245,7 @@ def test_connections_and_bound_of_a_team(simulation):
     assert [text.get_text() for text in rows.get_yticklabels()] == names
     lost = [each.get_offsets() for each in rows.collections if len(each.get_offsets()) == 1]
     np.testing.assert_array_equal(np.concatenate(lost), [[4.0, 0.0], [4.0, 1.0], [4.0, 2.0]])
-    assert f"{CHANCE} (line: p_min)" in labels_of(figure)
+    assert "P(connected) [1] (line: p_min)" in labels_of(figure)
 
 
 def test_fallbacks_and_verdicts(simulation):
@@ -327,3 +329,55 @@ def test_moving_obstacles_only_where_there_are_some():
     moving = replace(problem, workspace=replace(problem.workspace, moving=(cart,)))
     figure = drawn(draw_solution(replace(solved, problem=moving)))
     assert DISC in legend_of(figure) and len(discs(figure.axes[0])) == 3
+
+
+def test_all_numbers(plan, problem):
+    """Every number of the certificate, with what was asked."""
+    assert plan_words(plan, problem.constraints) == [
+        "verdict: verified (constraints hold; "
+        "contact is left only where unavoidable or worth its price)",
+        "least clearance 1.625 m along the swept path, 1.5 m required",
+        "least P(connected) 0.812, 0.8 required (posterior: exact)",
+        "motion model satisfied to 2.5e-09 m; KKT residual of the refinement 3.5e-07",
+        "cost 101.2 s (lattice start 103.5 s); converged after 17 iterations, 42 ms; "
+        "fallback: plan",
+        "the bound is not met at 1 of 4 steps; missed by at most 0.75 dB",
+    ]
+
+
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_every_verdict_has_words(plan, problem, verdict):
+    """No verdict is without its meaning."""
+    assert MEANING[verdict] in plan_words(replace(plan, verdict=verdict), problem.constraints)[0]
+
+
+def test_missing_parts(plan, problem):
+    """No obstacles, no polish, no relaxation; reasons and message come last."""
+    certificate = replace(
+        plan.certificate,
+        min_clearance_m=float("inf"),
+        kkt_residual=None,
+        relaxed_steps=(),
+        relaxation_db=(),
+        reasons=("first", "second"),
+    )
+    words = plan_words(replace(plan, certificate=certificate, message="third"), problem.constraints)
+    assert words[1] == "no obstacles to keep clear of"
+    assert words[3].endswith("not refined")
+    assert words[5:] == ["first", "second", "third"]
+
+
+def test_rule_of_connectivity_has_its_line(plan, problem):
+    """What was asked and achieved, by which method, with which slack."""
+    rule = RuleResult("each_step", 2.0, 3.0, "steps", "p_min at each step asked for", 0.5)
+    ruled = replace(plan, certificate=replace(plan.certificate, rule=rule))
+    words = "\n".join(plan_words(ruled, problem.constraints))
+    assert "connectivity (each step): 2 steps, 3 steps asked" in words
+    assert "slack 0.50 dB" in words
+
+
+@pytest.mark.parametrize(("form", "asked"), [("joint", False), ("data", False), ("outage", True)])
+def test_a_bound_is_asked_of_steps_only_where_it_is(plan, problem, form, asked):
+    """What a rule asks of all steps together says nothing of the least of them."""
+    constraints = replace(problem.constraints, rule=ConnectivityRule(form))
+    assert (", 0.8 required" in "\n".join(plan_words(plan, constraints))) == asked

@@ -6,8 +6,7 @@ import numpy as np
 
 from planopt import load
 from planopt.channel.calibration import reliability
-from planopt.report.comparison_table import comparison_text
-from planopt.report.tables import reliability_lines
+from planopt.report import comparison_text, reliability_lines
 
 
 def blocks_of(comparison) -> list[list[str]]:
@@ -68,7 +67,8 @@ def test_no_column_for_costs_where_there_is_no_goal(comparison):
     """Without a goal there is no cost to go to tell apart."""
     learn = replace(comparison.problem, objective=load("outdoor_map").objective)
     rows = tuple(replace(row, cost_to_go=None) for row in comparison.rows[:1])
-    _, table, *_ = blocks_of(replace(comparison, problem=learn, rows=rows))
+    runs = tuple(replace(run, cost_to_go=None) for run in comparison.runs)
+    _, table, *_ = blocks_of(replace(comparison, problem=learn, rows=rows, runs=runs))
     assert table[-1].split()[0] == "auto" and "cost" not in " ".join(table)
 
 

@@ -18,8 +18,8 @@ from planopt.problems.library import library_folder, list_problems
 from planopt.problems.overrides import with_changes
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.save import problem_from_dict, problem_to_dict
-from planopt.report.comparison_figure import axis_of, draw_comparison
-from planopt.report.comparison_table import comparison_text
+from planopt.report import comparison_text, draw_comparison
+from planopt.report.comparison_figure import layout_of
 from planopt.studies.comparison import Comparison, run_columns
 from planopt.studies.comparison_rows import short_keys
 from planopt.studies.study import run_key
@@ -189,8 +189,7 @@ def test_settings_with_several_keys_are_numbered(comparison) -> None:
     assert row.paired_difference is not None and f"{row.paired_difference:+.2f} (" in line
     # Wrong parameters change no path here, which is said, not left out.
     assert "the same in every run: " in text
-    axis = axis_of(comparison)
-    assert axis.ordered(comparison.rows) == ["1", "2", "3", "4"]
+    assert layout_of(comparison).ticks == ("1", "2", "3", "4")
 
 
 def test_short_keys_tell_keys_apart(comparison) -> None:
@@ -218,7 +217,7 @@ def test_bounds_are_run_once_without_horizon(bounded) -> None:
     """They foresee the whole run whatever the horizon, and stand beside all of these."""
     assert planner_kind("oracle_log").foresees
     assert [run.planner for run in bounded.runs[::5]] == ["auto", "auto", "oracle_log"]
-    assert axis_of(bounded).ordered(bounded.rows) == ["1", "2", "whole run"]
+    assert layout_of(bounded).ticks == ("1", "2", "whole run")
     lines = [line for line in comparison_text(bounded).splitlines() if line[:10] == "oracle_log"]
     assert lines and all(line.split()[1] == "-" for line in lines)
 

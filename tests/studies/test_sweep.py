@@ -20,8 +20,8 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.problems import FunctionTruth
 from planopt.problems.overrides import with_changes
-from planopt.report.comparison_figure import axis_of, draw_comparison, looks_of
-from planopt.report.comparison_table import comparison_text
+from planopt.report import comparison_text, draw_comparison
+from planopt.report.comparison_figure import layout_of
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import comparison_rows
 
@@ -259,12 +259,11 @@ def test_parquet_without_pyarrow(comparison, tmp_path: Path, monkeypatch) -> Non
 
 def test_the_swept_key_stands_along_the_picture(comparison) -> None:
     """If there is one horizon; the other key tells the series apart."""
-    axis = axis_of(comparison)
-    assert axis.key == "constraints.p_min"
-    assert [label for label, *_ in looks_of(comparison)] == [
-        "speed_max_m_s = 1.0",
-        "speed_max_m_s = 2.0",
-    ]
+    layout = layout_of(comparison)
+    assert layout.label == "constraints.p_min"
+    assert {slot.label for slot in layout.slots} == {
+        f"speed_max_m_s = {speed:.1f}, geodesic cost-to-go, planner auto" for speed in (1, 2)
+    }
     figure = draw_comparison(comparison)
     ticks = {tuple(t.get_text() for t in axes.get_xticklabels()) for axes in figure.axes}
     assert ticks == {("0.5", "0.9")}

@@ -18,7 +18,7 @@ from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 from planopt.problems import load_system
 from planopt.problems.systems import system_from_tables
-from planopt.report.coverage_figure import NetworkPicture, draw_deployment, draw_network
+from planopt.report import NetworkPicture, draw_deployment, draw_network
 from planopt.systems.coverage.check import faults
 from planopt.systems.coverage.system import drive
 

@@ -119,8 +119,7 @@ def solve(problem: SystemProblem, request: Request) -> Answer:
     )
 
     def draw(folder: Path) -> None:
-        from planopt.report.coverage_figure import draw_deployment
-        from planopt.report.saving import save_figure
+        from planopt.report import draw_deployment, save_figure
 
         shapes = tuple(each.polygon for each in content.obstacles)
         figure = draw_deployment(problem.name, content.ground, shapes, found.places_m, found.cost)
@@ -181,8 +180,7 @@ def words(problem: SystemProblem) -> tuple[str, ...]:
 
 
 def _draw(name: str, driven: Driven, request: Request, folder: Path) -> None:
-    from planopt.report.coverage_figure import NetworkPicture, animate_network, draw_network
-    from planopt.report.saving import save_figure
+    from planopt.report import NetworkPicture, animate_network, draw_network, save_figure
 
     problem = driven.problem
     shapes = tuple(each.polygon for each in problem.obstacles)

@@ -118,8 +118,7 @@ def words(problem: SystemProblem) -> tuple[str, ...]:
 
 
 def _draw(name: str, driven: Driven, folder: Path) -> None:
-    from planopt.report.pursuit_figure import animate_pursuit, draw_pursuit
-    from planopt.report.saving import save_figure
+    from planopt.report import animate_pursuit, draw_pursuit, save_figure
 
     save_figure(draw_pursuit(name, driven.pursuit), folder / PICTURE)
     animate_pursuit(name, driven.pursuit, folder / ANIMATION)

@@ -332,8 +332,7 @@ def _in_words(
 
 
 def _draw(content: DesignProblem, data: Mapping[str, Any], folder: Path) -> None:
-    from planopt.report.pursuit_design_figure import draw_design
-    from planopt.report.saving import save_figure
+    from planopt.report import draw_design, save_figure
 
     save_figure(draw_design(content.task, data), folder / PICTURE)
 

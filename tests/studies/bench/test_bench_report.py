@@ -6,7 +6,7 @@ import numpy as np
 from bench_rows import row
 
 from planopt.commands.bench import report_json
-from planopt.report.bench_report import bench_text, draw_bench
+from planopt.report import bench_text, draw_bench
 from planopt.studies.bench.folder import Manifest
 from planopt.studies.bench.references import best_known, reference_of
 

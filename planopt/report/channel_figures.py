@@ -1,0 +1,454 @@
+"""Figures of the channel: maps, fits, calibration, reliability, sensitivity, found stations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.belief import Belief
+from planopt.channel.calibration import EDGES, Calibration, ReliabilityBin
+from planopt.channel.channel_map import PosteriorMap
+from planopt.channel.estimation.channel_fit import ChannelFit
+from planopt.channel.estimation.lemma1 import BINS, empirical_correlation
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import ChannelParameters, Station, regressors, station_distance_m
+from planopt.errors import InputError
+from planopt.problems.problem import Problem
+from planopt.report.maps import (
+    X_LABEL,
+    Y_LABEL,
+    believed_rasters,
+    draw_ground,
+    draw_layer,
+    draw_level,
+    draw_measurements,
+    draw_places,
+    draw_sites,
+    raster_bounds,
+    show_bounds,
+)
+from planopt.report.panel import Look, Panel, new_figure
+from planopt.report.style import (
+    BLACK,
+    DEVIATION_MAP,
+    MARKERS,
+    OBSTACLE_EDGE,
+    POWER_MAP,
+    PREDICTED,
+    PROBABILITY_MAP,
+    SERIES,
+    VERMILLION,
+    curve_look,
+    dashed_look,
+    draw_band,
+    draw_intervals,
+    dress,
+    head,
+    legend_below,
+    legend_inside,
+    plain_log_ticks,
+)
+from planopt.world.raster import Raster
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+PANEL_IN, AROUND_IN, MAX_SLENDER = 4.0, 1.9, 2.0
+"""Width of a map's panel, height of titles and legend in inches, largest ratio of its sides."""
+
+SHOWN_DECORRELATIONS, SHOWN_EXTENT = 5.0, 0.25
+"""Correlation is shown up to so many decorrelation distances or this share of the extent, whichever
+is more, but not beyond the extent, where there are no pairs."""
+
+LINE_DEVIATIONS, LINE_POINTS = 2.0, 200
+"""Half width of the band of a fitted line in standard deviations; points of a drawn curve."""
+
+SERIES_WIDTH = 0.6
+"""Width that the series share in a bin of the reliability diagram."""
+
+MEASURED = "#dcdcdc"
+
+PARAMETERS = {
+    "k_pl_db": "path loss at 1 m, K_PL",
+    "n_pl": "path loss exponent, n_PL",
+    "shadow_variance_db2": "shadowing variance, ξ²",
+    "decorrelation_m": "decorrelation distance, β",
+    "multipath_std_db": "multipath standard deviation, ω",
+}
+
+
+def draw_belief(problem: Problem, belief: Belief) -> Figure:
+    """Draw predicted power [dBm], its deviation [dB] and P(connected) with the p_min contour.
+
+    Of several stations, power and deviation are the serving one's.
+
+    Parameters
+    ----------
+    problem
+        Gives the map, the threshold and p_min.
+    belief
+        What is predicted from; its measurements are dots, the censored ones hollow.
+    """
+    threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
+    chance = "P(any station connects)" if len(problem.stations) > 1 else _chance_words(threshold)
+    figure, panels = new_figure(16.5, 5.8, ["ABC"], maps_only=True)
+    for panel in panels:
+        draw_ground(panel, problem.workspace, "")
+    rasters = believed_rasters(problem, belief, problem.workspace.bounds_m)
+    entries = _prediction_maps(figure, panels, rasters, threshold, chance, p_min)
+    measurements = belief.posterior.measurements
+    dots = [draw_measurements(panel, measurements) for panel in panels[:2]]
+    places = [draw_places(panel, problem) for panel in panels]
+    legend_below(figure, [*places[0], *dots[0], *entries], 6)
+    words = f"{len(measurements)} measurements, {belief.fit.method} fit"
+    head(figure, f"{problem.name}: predictions from {words}")
+    return figure
+
+
+def draw_posterior_map(
+    maps: PosteriorMap, measurements: Measurements, station: Station, title: str
+) -> Figure:
+    """Draw predicted power [dBm], its deviation [dB] and P(connected), side by side.
+
+    Parameters
+    ----------
+    maps
+        The map.
+    measurements
+        What it was predicted from: dots on the deviation, the censored ones hollow.
+    station
+        Marked where it is inside the map.
+    title
+        Of the figure.
+    """
+    bounds = x_min, y_min, x_max, y_max = raster_bounds(maps.mean_db)
+    slender = min((y_max - y_min) / (x_max - x_min), MAX_SLENDER)
+    figure, panels = new_figure(16.5, AROUND_IN + PANEL_IN * slender, ["ABC"], maps_only=True)
+    for panel in panels:
+        dress(panel, "", X_LABEL, Y_LABEL, grid=False)
+        panel.set_aspect("equal")
+    rasters = maps.mean_db, maps.deviation_db, maps.connectivity
+    threshold = maps.threshold_dbm
+    level = _prediction_maps(figure, panels, rasters, threshold, _chance_words(threshold), None)
+    entries = draw_measurements(panels[1], measurements)
+    x, y = station.position_m
+    if x_min <= x <= x_max and y_min <= y <= y_max:
+        entries += [draw_sites(panel, np.array([[x, y]])) for panel in panels][:1]
+    for panel in panels:
+        show_bounds(panel, bounds)  # Nothing beyond the map, wherever measurements were taken
+    legend_below(figure, [*entries, *level], 4)
+    head(figure, title)
+    return figure
+
+
+def _chance_words(threshold_dbm: float) -> str:
+    return f"P(power ≥ {threshold_dbm:g} dBm)"
+
+
+def _prediction_maps(
+    figure: Figure,
+    panels: Sequence[Panel],
+    rasters: tuple[Raster, Raster, Raster],
+    threshold: float,
+    chance_words: str,
+    p_min: float | None,
+) -> list[Artist]:
+    """Draw the layers of power, standard deviation and probability; the contour, for a legend."""
+    mean, deviation, chance = rasters
+    titles = "predicted power", "standard deviation of the prediction", chance_words
+    for panel, title in zip(panels, titles, strict=True):
+        dress(panel, title, X_LABEL, Y_LABEL, grid=False)
+    label = "power [dBm] (line: threshold)"
+    draw_layer(panels[0], mean, POWER_MAP, figure, label, mark=threshold)
+    draw_layer(panels[1], deviation, DEVIATION_MAP, figure, "standard deviation [dB]")
+    label = "P(connected) [1]" + ("" if p_min is None else " (line: p_min)")
+    draw_layer(panels[2], chance, PROBABILITY_MAP, figure, label, (0.0, 1.0), p_min)
+    if p_min is None:
+        return draw_level(panels[0], mean, threshold, VERMILLION, f"{threshold:g} dBm")
+    return draw_level(panels[2], chance, p_min, VERMILLION, f"p_min = {p_min:g}")
+
+
+def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> Figure:
+    """Draw power by distance with the fitted line, and the residuals' covariance by lag.
+
+    Parameters
+    ----------
+    measurements
+        What was fitted.
+    fit
+        The fit.
+    station
+        Where distances are measured from.
+    """
+    ratios: Look = {"width_ratios": [1.15, 1.0], "height_ratios": [3.0, 1.0]}
+    figure, panels = new_figure(13.0, 5.8, ["AB", "AC"], **ratios)
+    _draw_path_loss(panels[0], measurements, fit.parameters, station)
+    _draw_covariance(panels[1], panels[2], measurements, fit, station)
+    censored = int(measurements.censored.sum())
+    words = f"{len(measurements)} measurements, {censored} of them censored: {fit.status}"
+    head(figure, f"{fit.method} fit to {words}")
+    return figure
+
+
+def _draw_path_loss(
+    panel: Panel, measurements: Measurements, parameters: ChannelParameters, station: Station
+) -> None:
+    """Draw power by distance, and the fitted line with two standard deviations of its residuals."""
+    distance = station_distance_m(measurements.positions_m, station)
+    exact = {"marker": "o", "facecolors": BLACK, "linewidths": 0.0}
+    hollow = {"marker": "v", "facecolors": "none", "edgecolors": VERMILLION, "linewidths": 1.0}
+    for label, selection, look in (
+        ("measured", ~measurements.censored, exact),
+        ("at most this (censored)", measurements.censored, hollow),
+    ):
+        if selection.any():
+            power = measurements.power_dbm[selection]
+            panel.scatter(distance[selection], power, s=14.0, alpha=0.7, label=label, **look)
+    nearest, farthest = float(distance.min()), float(distance.max())
+    if farthest < 1.01 * nearest:
+        nearest, farthest = 0.9 * nearest, 1.1 * farthest  # an axis needs an extent
+    span = np.geomspace(nearest, farthest, LINE_POINTS)
+    line = parameters.k_pl_db - 10.0 * parameters.n_pl * np.log10(span)
+    spread = LINE_DEVIATIONS * np.hypot(parameters.shadow_std_db, parameters.multipath_std_db)
+    words = f"±{LINE_DEVIATIONS:g} standard deviations"
+    draw_band(panel, span, line - spread, line + spread, PREDICTED, words)
+    words = f"{parameters.k_pl_db:.1f} dBm - {10.0 * parameters.n_pl:.1f} dB log10(d / 1 m)"
+    panel.plot(span, line, color=PREDICTED, linewidth=2.0, label=words)
+    dress(panel, "path loss", "distance to the station d [m]", "power [dBm]")
+    panel.set_xscale("log")
+    plain_log_ticks(panel.xaxis)
+    legend_inside(panel)
+
+
+def _draw_covariance(
+    panel: Panel, counts: Panel, measurements: Measurements, fit: ChannelFit, station: Station
+) -> None:
+    """Draw residual products by lag, the fitted covariance, and how many pairs there are.
+
+    Only uncensored pairs: the residual of a censored power is not known.
+    """
+    parameters = fit.parameters
+    exact = ~measurements.censored
+    positions = measurements.positions_m[exact]
+    extent = float(np.hypot(*np.ptp(positions, axis=0))) if len(positions) else 0.0
+    shown = max(SHOWN_DECORRELATIONS * parameters.decorrelation_m, SHOWN_EXTENT * extent)
+    if extent > 0.0:
+        shown = min(shown, extent)
+        theta = np.array([parameters.k_pl_db, parameters.n_pl])
+        residual = measurements.power_dbm[exact] - regressors(positions, station) @ theta
+        bins = empirical_correlation(positions, residual, extent)
+        near = bins.lag_m <= shown
+        lag, pairs = bins.lag_m[near], bins.pairs[near]
+        panel.scatter(lag, bins.covariance_db2[near], s=22.0, color=BLACK, label="mean of a bin")
+        counts.bar(lag, pairs, width=0.8 * extent / BINS, color=OBSTACLE_EDGE)
+    lags = np.linspace(0.0, shown, LINE_POINTS)
+    shadow, decorrelation = parameters.shadow_std_db**2, parameters.decorrelation_m
+    errors = {
+        name: _with_error(fit, name)
+        for name in ("shadow_std_db", "decorrelation_m", "multipath_std_db")
+    }
+    words = (
+        f"fit: std {errors['shadow_std_db']} dB, decorrelation {errors['decorrelation_m']} m",
+        f"with multipath, std {errors['multipath_std_db']} dB",
+    )
+    look = {"color": PREDICTED, "linewidth": 2.0}
+    panel.plot(lags, shadow * np.exp(-lags / decorrelation), label=words[0], **look)
+    look = {"linestyle": "none", "marker": "D", "color": PREDICTED, "clip_on": False}
+    panel.plot([0.0], [shadow + parameters.multipath_std_db**2], label=words[1], **look)
+    dress(panel, "covariance of the residuals (uncensored)", "", "covariance [dB²]")
+    dress(counts, "", "distance between measurements [m]", "pairs [count]")
+    for either in (panel, counts):
+        either.set_xlim(0.0, shown)
+    legend_inside(panel, "upper right")
+
+
+def _with_error(fit: ChannelFit, name: str) -> str:
+    """Return an estimate with its standard error, where that is known."""
+    value, error = getattr(fit.parameters, name), fit.standard_errors.get(name, math.inf)
+    if not math.isfinite(error):
+        return f"{value:.3g}"
+    return f"{value:.3g} ± {error:.2g}" if error < 100.0 else f"{value:.3g} ± {error:.0f}"
+
+
+def draw_calibration(calibrations: Mapping[str, Calibration]) -> Figure:
+    """Draw coverage against level with its 95 % interval, and the histogram of the PIT.
+
+    Parameters
+    ----------
+    calibrations
+        By the name of the predictor, for the legend.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    if not calibrations:
+        raise InputError("there is no calibration to draw", key="calibrations")
+    figure, (coverage, pit) = new_figure(12.0, 5.4, ["AB"])
+    entries: list[Artist] = []
+    for number, (name, one) in enumerate(calibrations.items()):
+        levels = np.array([(each.level, each.share, each.low, each.high) for each in one.coverage])
+        label = f"{name}: rmse {one.rmse_db:.2f} dB"
+        look = curve_look(number)
+        entries.append(draw_intervals(coverage, *(100.0 * levels.T), label=label, **look))
+        steps = {"baseline": None, "color": look["color"], "linewidth": 1.6, "label": name}
+        pit.stairs(100.0 * one.pit_share, one.pit_edges, **steps)
+    nominal = {"color": BLACK, "linewidth": 1.0, "label": "nominal"}
+    entries += coverage.plot([0.0, 100.0], [0.0, 100.0], **nominal)
+    pit.axhline(100.0 / len(next(iter(calibrations.values())).pit_share), **nominal)
+    coverage.set_xlim(40.0, 101.0)
+    coverage.set_ylim(30.0, 101.0)
+    pit.set_xlim(0.0, 1.0)
+    pit.set_ylim(0.0, None)
+    dress(coverage, "coverage", "level of the interval [%]", "measurements inside [%]")
+    words = "predicted probability of less than measured [1]"
+    dress(pit, "probability integral transform", words, "measurements [%]")
+    legend_below(figure, entries, 4)
+    count = _range_words([one.count for one in calibrations.values()])
+    censored = _range_words([one.censored for one in calibrations.values()])
+    head(figure, f"calibration on {count} held-out measurements, {censored} censored")
+    return figure
+
+
+def _range_words(counts: Sequence[int]) -> str:
+    """Return a number, or the least and the largest if they differ."""
+    least, largest = min(counts), max(counts)
+    return f"{least}" if least == largest else f"{least} to {largest}"
+
+
+def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str) -> Figure:
+    """Draw true against predicted connection, and by how much they differ in each bin.
+
+    Bars are 95 % intervals over groups, where there are enough groups; below each bin stands how
+    many predictions of the first series it holds.
+    """
+    edges = sorted({(one.low, one.high) for bins in series.values() for one in bins})
+    if not edges:
+        raise InputError("there is no prediction to draw", key="reliability")
+    figure, (diagram, difference) = new_figure(13.0, 5.4, ["AB"], width_ratios=[1.0, 1.5])
+    nominal = {"color": BLACK, "linewidth": 1.0, "label": "as predicted"}
+    entries = list(diagram.plot([0.0, 100.0], [0.0, 100.0], **nominal))
+    difference.axhline(0.0, color=BLACK, linewidth=1.0)
+    for number, (name, bins) in enumerate(series.items()):
+        at = np.array([edges.index((one.low, one.high)) for one in bins], dtype=np.float64)
+        at += SERIES_WIDTH * ((number + 0.5) / len(series) - 0.5)
+        predicted = 100.0 * np.array([one.predicted for one in bins])
+        rows = [(one.realised, *(one.interval or (np.nan, np.nan))) for one in bins]
+        found = 100.0 * np.array(rows)  # Share connected, ends of its interval
+        look = {**curve_look(number), "label": name}
+        entries.append(draw_intervals(diagram, predicted, *found.T, **look))
+        look["linestyle"] = "none"
+        draw_intervals(difference, at, *(found.T - predicted), **look)
+    counts = {(one.low, one.high): one.count for one in next(iter(series.values()))}
+    labels = [f"{100 * low:g}-{100 * high:g}" for low, high in edges]
+    labels = [f"{w}\nn={counts.get(edge, 0)}" for w, edge in zip(labels, edges, strict=True)]
+    difference.set_xticks(np.arange(len(edges), dtype=np.float64), labels=labels)
+    difference.set_xlim(-0.6, len(edges) - 0.4)
+    least = 100.0 * min(low for low, _ in edges)
+    diagram.set_xlim(min(least, 100.0 * EDGES[-2]) - 1.0, 101.0)
+    dress(diagram, "reliability", "predicted P(connected) [%]", "truly connected [%]")
+    words = "bin of predicted P(connected) [%]", "difference [percentage points]"
+    dress(difference, "truly connected less predicted", *words)
+    legend_below(figure, entries, 4)
+    head(figure, title)
+    return figure
+
+
+def draw_sensitivity(
+    relative_errors: Sequence[float], curves: Mapping[str, NDArray[np.float64]]
+) -> Figure:
+    """Draw the average of Delta^2 [dB^2] against the error [%], a curve a parameter.
+
+    Parameters
+    ----------
+    relative_errors
+        ``(k,)`` shares.
+    curves
+        From :func:`planopt.channel.sensitivity.sensitivity_curves`, or averages of several.
+
+    Raises
+    ------
+    InputError
+        A curve has another length than the errors, or there is none.
+    """
+    if not curves or any(len(curve) != len(relative_errors) for curve in curves.values()):
+        raise InputError(
+            f"there is not one value for each of {len(relative_errors)} errors",
+            key="curves",
+            remedy="give what sensitivity_curves returned for these errors",
+        )
+    percent = 100.0 * np.asarray(relative_errors, dtype=np.float64)
+    figure, (panel,) = new_figure(8.0, 5.4)
+    for number, (name, curve) in enumerate(curves.items()):
+        panel.plot(percent, curve, label=PARAMETERS.get(name, name), **curve_look(number))
+    panel.set_ylim(0.0, None)
+    dress(panel, "", "error in one parameter [%]", "mean squared error Δ² [dB²]")
+    legend_below(figure, panel.get_legend_handles_labels()[0], 2)
+    head(figure, "error of the predicted map by the error in one parameter")
+    return figure
+
+
+def draw_stations(
+    true_m: NDArray[np.float64],
+    estimates_m: Mapping[str, NDArray[np.float64]],
+    measured_m: NDArray[np.float64],
+) -> Figure:
+    """Draw the first estimates on a map, and the distribution of the errors of all.
+
+    Parameters
+    ----------
+    true_m
+        ``(m, 2)`` true positions.
+    estimates_m
+        ``(m, 2)`` estimated positions by the name of the method, for the legend.
+    measured_m
+        ``(k, 2)`` where the power was measured.
+
+    Raises
+    ------
+    InputError
+        There are no estimates, or not as many as true positions.
+    """
+    wrong = [name for name, found in estimates_m.items() if found.shape != true_m.shape]
+    if not estimates_m or wrong or not len(true_m):
+        raise InputError(
+            f"there is not one estimate for each of {len(true_m)} true positions",
+            key=wrong[0] if wrong else "estimates_m",
+        )
+    figure, (scene, errors) = new_figure(13.0, 6.0, ["AB"], width_ratios=[1.1, 1.0])
+    shown = next(iter(estimates_m))
+    found_m = estimates_m[shown]
+    scene.scatter(*measured_m.T, s=3.0, color=MEASURED, linewidths=0.0)
+    # NaN breaks the line between two pairs.
+    ends = np.stack([true_m, found_m, np.full_like(true_m, np.nan)], axis=1).reshape(-1, 2)
+    scene.plot(*ends.T, color=OBSTACLE_EDGE, linewidth=0.9)
+    hollow = {"facecolors": "none", "edgecolors": SERIES[0], "linewidths": 1.2}
+    entries: list[Artist] = [
+        scene.scatter(*true_m.T, s=14.0, color=BLACK, label="true", zorder=3),
+        scene.scatter(*found_m.T, s=22.0, label="estimated", zorder=4, **hollow),
+        # The dot in the legend is larger than those on the map.
+        scene.scatter([], [], color=MEASURED, marker=MARKERS[0], label="measured here"),
+    ]
+    scene.set_aspect("equal", adjustable="datalim")
+    dress(scene, f"{shown}: from true to estimated", X_LABEL, Y_LABEL)
+    for number, (name, found) in enumerate(estimates_m.items()):
+        ordered = np.sort(np.hypot(*(found - true_m).T))
+        # The curve steps up by one transmitter at each error.
+        shares = np.repeat(np.arange(len(ordered) + 1), 2)[1:-1] / len(ordered)
+        words = f"median {np.median(ordered):.2f} m, 90 % {np.quantile(ordered, 0.9):.2f} m"
+        look = dashed_look(number)
+        errors.plot(np.repeat(ordered, 2), 100.0 * shares, label=f"{name}: {words}", **look)
+    errors.set_xscale("log")
+    errors.set_ylim(0.0, 100.0)
+    dress(errors, "error of position", "distance to the true position [m]", "transmitters [%]")
+    plain_log_ticks(errors.xaxis)
+    legend_inside(errors, "upper left")
+    legend_below(figure, entries, 3)
+    head(figure, f"{len(true_m)} transmitters, located by the power received from them")
+    return figure

@@ -1,0 +1,281 @@
+"""Figures of networks: cells, paths, radio links, teams at events, cost over time, an animation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.coverage.control.radio import radio_tree
+from planopt.coverage.events import Event
+from planopt.coverage.ground import Ground
+from planopt.coverage.limits import RadioLimits
+from planopt.coverage.simulation import ABSENT, NetworkRun
+from planopt.report.animation import animate
+from planopt.report.maps import X_LABEL, Y_LABEL, draw_lines, draw_polygons, draw_sites
+from planopt.report.panel import Panel, new_figure
+from planopt.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    OBSTACLE_EDGE,
+    ORANGE,
+    PURPLE,
+    SERIES,
+    VERMILLION,
+    curve_look,
+    dashed_look,
+    dress,
+    frame_title,
+    head,
+    legend_below,
+    legend_inside,
+    plain_log_ticks,
+    spaced,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+CELL = "#9a9a9a"
+"""Colour of borders between cells."""
+
+EVENT_SHADE = 0.12
+"""Opacity of the times of events."""
+
+TIME, COST = "time [s]", "H [m$^4$ x density]"
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkPicture:
+    """The run of a network that is drawn, and its surroundings."""
+
+    name: str  # Of the problem
+    run: NetworkRun
+    ground: Ground
+    obstacles: tuple[shapely.Polygon, ...]  # Areas that agents may not enter
+    events: tuple[Event, ...]
+    radio: RadioLimits | None = None  # Required links to base stations; None for none
+
+    def links(self, step: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the links ``(e, 2, 2)`` of the radio tree in a step, and unlinked agents (u, 2).
+
+        An agent is unlinked if every path to a station fails with more than the allowed
+        probability.
+        """
+        here = self.run.positions_m[step, self.run.states[step] != ABSENT]
+        if self.radio is None:
+            return np.zeros((0, 2, 2)), np.zeros((0, 2))
+        tree = radio_tree(here, self.radio)
+        # Station k is parent -1 - k: the stations in reverse order follow the agents.
+        ends = np.concatenate((here, self.radio.stations_m[::-1]))[tree.parent]
+        return np.stack((here, ends), axis=1)[tree.connected], here[~tree.connected]
+
+    @property
+    def busiest(self) -> int:
+        """The last step with an event in which most agents respond; 0 without events."""
+        times_s = self.run.times_s[:-1].tolist()
+        there = np.array([any(e.is_there(t) for e in self.events) for t in times_s])
+        team = np.where(there, (self.run.states >= 0).sum(axis=1), 0)
+        return int(len(team) - 1 - team[::-1].argmax()) if team.any() else 0
+
+
+def draw_network(picture: NetworkPicture) -> Figure:
+    """Draw a network when most agents responded and at its end, and its cost over time."""
+    run, eventful = picture.run, bool(picture.events)
+    rows = ["AAABBB", "CCDDEE" if eventful else "CCCDDD"]
+    figure, panels = new_figure(12.0, 8.2, rows, height_ratios=(1.75, 1.0))
+    busiest, last = picture.busiest, len(run.costs) - 1
+    entries: list[Artist] = []
+    for panel, begin, step, words in (
+        (panels[0], 0, busiest, "while agents respond" if busiest else "at the start"),
+        (panels[1], busiest, last, "at the end"),
+    ):
+        entries += _draw_area(panel, picture.ground, picture.obstacles, picture.radio)
+        entries += _draw_state(panel, picture, step)
+        entries += _draw_paths(panel, picture, begin, step)
+        dress(panel, f"{words}, {run.times_s[step]:g} s", X_LABEL, Y_LABEL, grid=False)
+    _draw_cost(panels[2], run, BLUE)
+    if eventful:
+        _draw_teams(panels[3], picture)
+        _draw_errors(panels[4], picture)
+        for panel in panels[2:]:
+            _shade_events(panel, picture)
+    else:
+        panels[3].plot(run.times_s[:-1], np.maximum(run.residuals_m, 1e-9), color=BLUE)
+        panels[3].set_yscale("log")
+        plain_log_ticks(panels[3].yaxis)
+        dress(panels[3], "largest distance to an agent's target", TIME, "distance [m]")
+    legend_below(figure, entries, 10)
+    head(figure, f"{spaced(picture.name)}: H {run.costs[0]:.4g} to {run.costs[-1]:.4g}")
+    return figure
+
+
+def draw_deployment(
+    name: str,
+    ground: Ground,
+    obstacles: tuple[shapely.Polygon, ...],
+    places_m: NDArray[np.float64],  # (n, 2)
+    cost: float,
+) -> Figure:
+    """Draw the best final positions of a network's agents, their cells, and the cost."""
+    figure, (panel,) = new_figure(6.6, 6.4)
+    entries = _draw_area(panel, ground, obstacles, None)
+    entries.append(_draw_cells(panel, ground, places_m))
+    entries.append(panel.scatter(*places_m.T, s=18.0, color=BLUE, zorder=3, label="covers"))
+    dress(panel, f"coverage cost H {cost:.4g}", X_LABEL, Y_LABEL, grid=False)
+    legend_below(figure, entries, 3)
+    head(figure, spaced(name))
+    return figure
+
+
+def draw_costs(runs: Mapping[str, NetworkRun]) -> Figure:
+    """Draw the coverage cost of runs over time, one line for each name."""
+    figure, (panel,) = new_figure(7.0, 4.4)
+    for number, (name, run) in enumerate(runs.items()):
+        _draw_cost(panel, run, label=name, **dashed_look(number))
+    legend_inside(panel, "upper right")
+    return figure
+
+
+def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]]) -> Figure:
+    """Draw the processor times of a step by the number of agents, one line for each name."""
+    figure, (panel,) = new_figure(7.0, 4.4)
+    sizes = np.array(agents, dtype=np.float64)
+    for number, (name, times) in enumerate(times_s.items()):
+        panel.plot(sizes, times, label=name, **curve_look(number))
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    plain_log_ticks(panel.xaxis)
+    plain_log_ticks(panel.yaxis)
+    dress(panel, "a step of the network", "agents [1]", "processor time [s]")
+    legend_inside(panel, "upper left")
+    return figure
+
+
+def animate_network(picture: NetworkPicture, path: Path) -> None:
+    """Write a GIF of a run: agents, their cells, radio links, events and responders."""
+    figure, (panel,) = new_figure(6.6, 6.8)
+    entries = _draw_area(panel, picture.ground, picture.obstacles, picture.radio)
+    dress(panel, "", X_LABEL, Y_LABEL, grid=False)
+    head(figure, spaced(picture.name))
+    run = picture.run
+
+    def draw_frame(step: int) -> list[Artist]:
+        words = f"t = {run.times_s[step]:g} s, H = {run.costs[step]:.4g}"
+        return [frame_title(panel, words), *_draw_state(panel, picture, step)]
+
+    animate(figure, path, len(run.costs), draw_frame, entries)
+
+
+def _draw_area(
+    panel: Panel,
+    ground: Ground,
+    obstacles: tuple[shapely.Polygon, ...],
+    radio: RadioLimits | None,
+) -> list[Artist]:
+    """Draw the region's outline, obstacles and base stations; legend entries."""
+    ring = shapely.get_coordinates(ground.free.exterior)
+    panel.plot(*ring.T, color=OBSTACLE_EDGE, linewidth=1.0)
+    panel.set_aspect("equal")
+    entries: list[Artist] = []
+    if obstacles:
+        entries.append(draw_polygons(panel, obstacles, "obstacle", linewidths=1.0))
+    if radio is not None:
+        entries.append(draw_sites(panel, radio.stations_m, "base station"))
+    return entries
+
+
+def _draw_cells(panel: Panel, ground: Ground, places_m: NDArray[np.float64]) -> Artist:
+    look = {"colors": CELL, "linewidths": 0.7, "zorder": 2.0, "label": "border of a cell"}
+    return draw_lines(panel, list(ground.borders(places_m)), **look)
+
+
+def _draw_state(panel: Panel, picture: NetworkPicture, step: int) -> list[Artist]:
+    """Draw cells, radio links, agents, events and estimates of one step."""
+    run = picture.run
+    here, states, time_s = run.positions_m[step], run.states[step], float(run.times_s[step])
+    drawn = [_draw_cells(panel, picture.ground, here[states != ABSENT])]
+    links, unlinked = picture.links(step)
+    if len(links):
+        look = {"colors": GREEN, "linewidths": 1.7, "zorder": 2.5, "label": "radio link"}
+        drawn.append(draw_lines(panel, list(links), **look))
+    places = [event.place_at(time_s) for event in picture.events if event.is_there(time_s)]
+    estimates = run.estimates_m[step]
+    for label, positions, colour, marker, size in (
+        ("no connection", unlinked, PURPLE, "x", 45.0),
+        ("covers", here[states == -1], BLUE, "o", 18.0),
+        ("responds", here[states >= 0], ORANGE, "o", 30.0),
+        ("absent", here[states == ABSENT], CELL, "x", 20.0),
+        ("event", np.array(places).reshape(-1, 2), VERMILLION, "*", 170.0),
+        ("estimate", estimates[np.isfinite(estimates).all(axis=1)], BLACK, "+", 110.0),
+    ):
+        if len(positions):
+            look = {"s": size, "color": colour, "marker": marker, "zorder": 3 + (size > 40.0)}
+            drawn.append(panel.scatter(*positions.T, label=label, **look))
+    return drawn
+
+
+def _draw_paths(panel: Panel, picture: NetworkPicture, begin: int, end: int) -> list[Artist]:
+    """Draw paths between two steps; agents that respond at either end have their own colour."""
+    run = picture.run
+    if end <= begin:
+        return []
+    paths = run.positions_m[begin : end + 1].transpose(1, 0, 2)
+    responds = (run.states[begin] >= 0) | (run.states[end] >= 0)
+    look = {"linewidths": 0.9, "alpha": 0.55, "zorder": 2.0, "label": "path so far"}
+    return [draw_lines(panel, list(paths), colors=list(np.where(responds, ORANGE, BLUE)), **look)]
+
+
+def _draw_cost(panel: Panel, run: NetworkRun, color: str, **look: Any) -> None:
+    panel.plot(run.times_s[:-1], run.costs, color=color, **{"linewidth": 1.6, **look})
+    panel.set_yscale("log")
+    plain_log_ticks(panel.yaxis)
+    dress(panel, "coverage cost H", TIME, COST)
+
+
+def _draw_teams(panel: Panel, picture: NetworkPicture) -> None:
+    """Draw the numbers of agents that respond to each event and that it requires."""
+    run, times_s = picture.run, picture.run.times_s[:-1]
+    for number, event in enumerate(picture.events):
+        colour = SERIES[number % len(SERIES)]
+        responding = (run.states == number).sum(axis=1).astype(np.float64)
+        panel.plot(times_s, responding, color=colour, linewidth=1.8, label=event.name)
+        wanted = run.wanted[:, number].astype(np.float64)
+        panel.plot(times_s, wanted, color=colour, linewidth=1.0, linestyle="--")
+    panel.set_ylim(0.0, None)
+    dress(panel, "agents that respond (dashed: required)", TIME, "agents [1]")
+    if len(picture.events) > 1:
+        legend_inside(panel, "upper right")
+
+
+def _draw_errors(panel: Panel, picture: NetworkPicture) -> None:
+    """Draw the errors of the estimated positions, and the agents' standard deviations."""
+    run, times_s = picture.run, picture.run.times_s[:-1]
+    for number, event in enumerate(picture.events):
+        colour = SERIES[number % len(SERIES)]
+        places = np.array([event.place_at(each) for each in times_s.tolist()])
+        error_m = np.linalg.norm(run.estimates_m[:, number] - places, axis=1)
+        panel.plot(times_s, error_m, color=colour, linewidth=1.6)
+        std_m = np.where(np.isfinite(run.stds_m[:, number]), run.stds_m[:, number], np.nan)
+        panel.plot(times_s, std_m, color=colour, linewidth=1.0, linestyle="--")
+    if np.isfinite(run.estimates_m).any():
+        panel.set_yscale("log")
+        plain_log_ticks(panel.yaxis)
+    panel.set_xlim(float(times_s[0]), float(times_s[-1]))
+    dress(panel, "error of the estimate (dashed: its std)", TIME, "distance [m]")
+
+
+def _shade_events(panel: Panel, picture: NetworkPicture) -> None:
+    """Shade the times of events."""
+    last_s = float(picture.run.times_s[-1])
+    for number, event in enumerate(picture.events):
+        if event.appears_s < last_s:
+            look = {"color": SERIES[number % len(SERIES)], "alpha": EVENT_SHADE, "linewidth": 0.0}
+            panel.axvspan(event.appears_s, min(event.ends_s, last_s), **look)

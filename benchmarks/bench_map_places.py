@@ -24,8 +24,8 @@ from scipy.spatial.distance import cdist
 from planopt import load
 from planopt.channel.calibration import FEWEST_GROUPS
 from planopt.channel.parameters import ChannelParameters
+from planopt.planning.learn import prepare
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.prepare import prepare
 from planopt.problems.problem import Problem
 from planopt.studies.comparison_rows import mean_interval
 from planopt.world.clearance import clearance_m, index_obstacles

@@ -25,9 +25,9 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from planopt.channel.fields.truth import measure
 from planopt.channel.posterior import extend
+from planopt.planning.learn import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.robot_run import true_serving_dbm
-from planopt.planning.prepare import prepare
 from planopt.planning.scene import Ground, build_ground
 from planopt.problems.load import load
 from planopt.problems.problem import Problem

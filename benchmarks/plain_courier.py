@@ -22,9 +22,8 @@ from planopt import load
 from planopt.channel.fields.truth import mean_power_dbm, measure
 from planopt.channel.prediction import connection_probability
 from planopt.planning.history import BEGINNING
+from planopt.planning.learn import Prepared, learn_measured, prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
-from planopt.planning.loop.learn import learn_measured
-from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.scene import Scene, build_scene, first_moves

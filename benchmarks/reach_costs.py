@@ -23,9 +23,9 @@ from plain_courier import drive_plain
 from planopt import load
 from planopt.errors import NoPlanError
 from planopt.objectives import ReachObjective
+from planopt.planning.learn import prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
 from planopt.problems.objective import OutageCharge
 from planopt.studies.bench.cases import library_names

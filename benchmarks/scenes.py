@@ -15,9 +15,9 @@ from planopt.channel.belief import Belief, update
 from planopt.channel.fields.truth import Truth, measure
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
-from planopt.planning.given import free_places
+from planopt.planning.drawn_places import free_places
+from planopt.planning.learn import Prepared, prepare
 from planopt.planning.plan import Plan
-from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene
 from planopt.problems.load import load
@@ -39,9 +39,7 @@ def munich() -> tuple[Problem, Scene, Prepared]:
 
 def true_channel() -> Truth:
     """What is measured and driven in."""
-    truth = munich()[2].truth
-    if truth is None:
-        raise AssertionError("the problem has a truth")
+    (truth,) = munich()[2].truths
     return truth
 
 

@@ -21,10 +21,11 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.moments import Region
-from planopt.planning.given import draw_truth, free_places
+from planopt.planning.drawn_places import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.initial_data import draw_truth
 from planopt.planning.judge import Judge
-from planopt.planning.loop.learn import learn
+from planopt.planning.learn import learn
 from planopt.planning.plan import Plan
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Ground, build_ground

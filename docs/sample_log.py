@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from planopt import load
 from planopt.channel import measure
 from planopt.files.whole import write_text
-from planopt.planning.given import draw
+from planopt.planning.initial_data import draw_initial_data
 from planopt.world.clearance import clearance_m, index_obstacles
 from planopt.world.workspace import Workspace
 
@@ -32,8 +32,7 @@ WAIT_S = 3600.0
 def main(log: str) -> None:
     """Walk, measure, write."""
     problem = load(PROBLEM)
-    truth = draw(problem, SEED).truth
-    assert truth is not None
+    (truth,) = draw_initial_data(problem, SEED).truths
     generator = np.random.default_rng(SEED)
     grid, ways = free_grid(problem.workspace)
     lines = ["x_m,y_m,power_dbm,at_floor,walk,t_s"]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from planopt import load
 from planopt.files.whole import write_text
-from planopt.planning.prepare import prepare
+from planopt.planning.learn import prepare
 
 
 def main(name: str, log: str, seed: str = "0") -> None:

@@ -9,7 +9,7 @@ from planopt.channel.channel_map import PosteriorMap
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.planning.holes import BlockedError
-from planopt.planning.prepare import prepare
+from planopt.planning.learn import prepare
 from planopt.planning.results import Run, Solution
 from planopt.problems.problem import Problem
 from planopt.report import (

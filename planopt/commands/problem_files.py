@@ -123,7 +123,7 @@ def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
 
 def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
     """Check a problem file, its maps and logs, and that the channel can be fitted."""
-    from planopt.planning.prepare import prepare
+    from planopt.planning.learn import prepare
     from planopt.problems.plausibility import measured_warnings, problem_warnings
     from planopt.problems.systems import SystemProblem, load_any
     from planopt.studies.variants import default_seeds, settings_of

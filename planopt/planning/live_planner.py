@@ -15,16 +15,16 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
 from planopt.parts import parts_of
-from planopt.planning.given import (
-    GivenMeasurements,
+from planopt.planning.drawn_places import with_drawn_starts
+from planopt.planning.initial_data import (
+    UserMeasurements,
     measurements_by_station,
     team_seeds,
-    with_drawn_starts,
     with_measurements,
 )
+from planopt.planning.learn import prepare
 from planopt.planning.loop.target_watch import expected_target, watch_target
 from planopt.planning.plan import Plan
-from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scenes
 from planopt.planning.stepping import Stepper
 from planopt.planning.team.plan_step import planning
@@ -85,7 +85,7 @@ class Planner:
         self,
         problem: Problem,
         *,
-        measurements: GivenMeasurements | None = None,
+        measurements: UserMeasurements | None = None,
         horizon: int | None = None,
         planner: str | None = None,
         cost_to_go: str | None = None,
@@ -123,7 +123,7 @@ class Planner:
     def step(
         self,
         state: ArrayLike,
-        measurements: GivenMeasurements | None = None,
+        measurements: UserMeasurements | None = None,
         *,
         connected: bool | None = None,
         target_m: ArrayLike | None = None,
@@ -185,7 +185,7 @@ class Planner:
     def step_all(
         self,
         states: Sequence[ArrayLike],
-        measurements: Sequence[GivenMeasurements | None] | None = None,
+        measurements: Sequence[UserMeasurements | None] | None = None,
         *,
         connected: Sequence[bool] | NDArray[np.bool_] | None = None,
         target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None = None,
@@ -206,7 +206,7 @@ class Planner:
     def _step_all(
         self,
         states: Sequence[ArrayLike],
-        measurements: Sequence[GivenMeasurements | None] | None,
+        measurements: Sequence[UserMeasurements | None] | None,
         connected: Sequence[bool] | NDArray[np.bool_] | None,
         target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None,
         obstacles: Obstacle | Sequence[Obstacle],

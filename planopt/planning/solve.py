@@ -6,14 +6,10 @@ from collections.abc import Sequence
 
 from planopt.channel.belief import Belief
 from planopt.channel.one_thread import one_blas_thread
-from planopt.planning.given import (
-    GivenMeasurements,
-    team_seeds,
-    with_drawn_starts,
-    with_measurements,
-)
+from planopt.planning.drawn_places import with_drawn_starts
+from planopt.planning.initial_data import UserMeasurements, team_seeds, with_measurements
+from planopt.planning.learn import prepare
 from planopt.planning.loop.target_watch import watch_target
-from planopt.planning.prepare import prepare
 from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper
@@ -30,7 +26,7 @@ def solve(
     planner: str | None = None,
     cost_to_go: str | None = None,
     seed: int = 0,
-    measurements: GivenMeasurements | None = None,
+    measurements: UserMeasurements | None = None,
 ) -> Solution:
     """Plan `horizon` steps ahead from the start, for each robot.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements, join
 from planopt.planning.history import History, history_of
-from planopt.planning.loop.learn import learn_measured
+from planopt.planning.learn import learn_measured
 from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.team.reservations import has_separation

@@ -12,9 +12,9 @@ import numpy as np
 
 from planopt.errors import NoPlanError
 from planopt.parts import parts_of
+from planopt.planning.learn import Prepared, prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scenes
 from planopt.problems.problem import Problem

@@ -22,7 +22,7 @@ from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.objectives import ReachObjective
 from planopt.planning.history import BEGINNING, History
-from planopt.planning.prepare import Prepared
+from planopt.planning.learn import Prepared
 from planopt.planning.proof.circumstances import circumstances_of
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
@@ -187,7 +187,7 @@ def prepared_of(problem: Problem, power_at: PowerAt = good_everywhere) -> Prepar
     x, y = np.arange(x_min + 0.5, x_max), np.arange(y_min + 0.5, y_max)
     cells = np.stack(np.meshgrid(x, y), axis=-1)
     values = power_at(cells.reshape(-1, 2)).reshape(cells.shape[:2])
-    return Prepared(Truth(Raster(x, y, values), None, values), belief_of(problem, power_at))
+    return Prepared((Truth(Raster(x, y, values), None, values),), belief_of(problem, power_at))
 
 
 def straight_path(problem: Problem, step_m: float = 1.9) -> np.ndarray:

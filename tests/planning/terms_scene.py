@@ -13,7 +13,7 @@ from sending_term import SendingTerm
 from planopt.channel.belief import Belief
 from planopt.extend import casadi_term
 from planopt.planning.judge import Judge
-from planopt.planning.prepare import prepare
+from planopt.planning.learn import prepare
 from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.predictions import broad_prediction
 from planopt.planning.scene import Ground, build_ground

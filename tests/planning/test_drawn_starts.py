@@ -11,8 +11,8 @@ import shapely
 from planopt import InputError, check, load, simulate, solve
 from planopt.channel.path_loss_estimate import estimate_theta
 from planopt.channel.posterior import condition
-from planopt.planning.given import with_drawn_starts
-from planopt.planning.prepare import prepare
+from planopt.planning.drawn_places import with_drawn_starts
+from planopt.planning.learn import prepare
 from planopt.problems.channel_setup import GivenParameters, SampledMeasurements
 from planopt.problems.load import check_files
 from planopt.problems.save import problem_from_dict, problem_to_dict

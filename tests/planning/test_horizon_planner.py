@@ -23,10 +23,10 @@ from planopt.channel.posterior import condition, predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.errors import InputError
 from planopt.planning import start_polish
-from planopt.planning.given import free_places
+from planopt.planning.drawn_places import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.learn import prepare
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.prepare import prepare
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.nlp_functions import NlpPoint
 from planopt.planning.programme.path_polish import polish_path
@@ -230,7 +230,7 @@ def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):
     """Strong, far-reaching shadowing and few neighbours: errors of tenths of a dB are mended."""
     problem = terms_problem(TRACKING, p_min=0.8, horizon=8, neighbours=8)
     situation, belief = situation_of(problem)
-    truth = prepare(problem, 0).truth
+    truth = prepare(problem, 0).truths[0]
     measured = measure(truth, free_places(problem, 300, np.random.default_rng(3)))
     parameters = replace(
         situation.posterior.parameters,

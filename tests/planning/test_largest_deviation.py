@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from planopt import load, simulate
-from planopt.planning.prepare import prepare
+from planopt.planning.learn import prepare
 
 
 def test_the_first_step_has_the_largest_deviation() -> None:

@@ -14,9 +14,9 @@ from planopt.channel.fields.multipath import Nakagami
 from planopt.channel.fields.truth import true_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.errors import InputError
-from planopt.planning.given import draw_truth, free_places
-from planopt.planning.loop.learn import learn
-from planopt.planning.prepare import prepare
+from planopt.planning.drawn_places import free_places
+from planopt.planning.initial_data import draw_truth
+from planopt.planning.learn import learn, prepare
 from planopt.problems.channel_setup import RasterTruth, SampledMeasurements
 from planopt.world.raster import Raster
 from planopt.world.raster_files import write_rasters
@@ -50,7 +50,7 @@ def test_measurements_are_the_truth_at_free_places(problem, prepared):
     for obstacle in problem.workspace.obstacles:
         assert not shapely.intersects(obstacle.polygon, points).any()
     assert ((measured.positions_m >= 0.0) & (measured.positions_m <= (120.0, 100.0))).all()
-    assert (measured.power_dbm == true_power_dbm(prepared.truth, measured.positions_m)).all()
+    assert (measured.power_dbm == true_power_dbm(prepared.truths[0], measured.positions_m)).all()
     assert prepared.belief.fit.measurements == 120
     assert prepared.belief.posterior.parameters == prepared.belief.fit.parameters
 
@@ -58,15 +58,15 @@ def test_measurements_are_the_truth_at_free_places(problem, prepared):
 def test_same_seed_same_world(problem, prepared):
     """And another seed, another."""
     again, other = prepare(problem, 4), prepare(problem, 5)
-    assert np.array_equal(again.truth.raster.values, prepared.truth.raster.values)
+    assert np.array_equal(again.truths[0].raster.values, prepared.truths[0].raster.values)
     assert np.array_equal(again.belief.posterior.theta, prepared.belief.posterior.theta)
-    assert not np.array_equal(other.truth.raster.values, prepared.truth.raster.values)
+    assert not np.array_equal(other.truths[0].raster.values, prepared.truths[0].raster.values)
 
 
 def test_more_measurements_leave_the_fading_as_it_was(problem, prepared):
     """Two streams: what is measured does not change what there is."""
     more = prepare(measuring(problem, 30), 4)
-    assert np.array_equal(more.truth.raster.values, prepared.truth.raster.values)
+    assert np.array_equal(more.truths[0].raster.values, prepared.truths[0].raster.values)
     assert len(more.belief.posterior.measurements) == 30
 
 
@@ -86,7 +86,7 @@ def test_floor_censors(problem):
     truth = replace(problem.channel.truth, floor_db=-80.0)
     found = prepare(replace(problem, channel=replace(problem.channel, truth=truth)), 4)
     measured = found.belief.posterior.measurements
-    assert found.truth.floor_dbm == -60.0
+    assert found.truths[0].floor_dbm == -60.0
     assert 0 < measured.censored.sum() < len(measured)
     assert (measured.power_dbm[measured.censored] == -60.0).all()
     assert (measured.power_dbm[~measured.censored] > -60.0).all()

@@ -16,9 +16,9 @@ from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.planning.baselines.foresight import best_nodes, clairvoyant_paths, oracle_paths
 from planopt.planning.baselines.strategies import StrategyPlanner
+from planopt.planning.learn import prepare
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
-from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_ground
 from planopt.targets.sensor import sensing_information
 
@@ -131,7 +131,7 @@ def test_best_nodes_are_the_best_of_all_walks():
 def foreseen():
     """A problem, its truth, a target's path, and the information that a walk brings truly."""
     problem = terms_problem(TRACKING, horizon=2, max_steps=12)
-    truth = prepare(problem, 0).truth
+    truth = prepare(problem, 0).truths[0]
     target = np.array([14.0, 18.0]) + np.arange(13)[:, None] * np.array([0.9, 0.2])
     sensor = problem.terms[0].sensor
 

@@ -13,7 +13,7 @@ import planopt
 from planopt import InputError, Measurements, Problem
 from planopt.channel import true_power_dbm
 from planopt.cli import main
-from planopt.planning.prepare import prepare
+from planopt.planning.learn import prepare
 from planopt.problems import (
     FittedTruth,
     LoggedMeasurements,
@@ -47,15 +47,16 @@ def test_a_log_suffices_for_a_simulation(log: Path) -> None:
     problem = of_log(log, FittedTruth(cell_m=0.5))
     assert problem_from_dict(problem_to_dict(problem)).channel.truth == problem.channel.truth
     prepared = prepare(problem, 0)
-    assert prepared.truth is not None
     known = prepared.belief.posterior.measurements
-    off = true_power_dbm(prepared.truth, known.positions_m) - known.power_dbm
+    off = true_power_dbm(prepared.truths[0], known.positions_m) - known.power_dbm
     multipath = prepared.belief.fit.parameters.multipath_std_db
     # The log and the truth have multipath of their own.
     assert off.std() == pytest.approx(np.sqrt(2.0) * multipath, rel=0.3)
-    assert np.array_equal(prepared.truth.raster.values, prepare(problem, 0).truths[0].raster.values)
+    assert np.array_equal(
+        prepared.truths[0].raster.values, prepare(problem, 0).truths[0].raster.values
+    )
     assert not np.allclose(
-        prepared.truth.raster.values, prepare(problem, 1).truths[0].raster.values
+        prepared.truths[0].raster.values, prepare(problem, 1).truths[0].raster.values
     )
     assert len(planopt.simulate(problem, horizon=2).runs[0].log.positions_m) == 4
 

@@ -13,9 +13,9 @@ from planopt.errors import NoPlanError
 from planopt.planning.check.check import check
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.saved import RUN_FILE
+from planopt.planning.learn import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.prepare import prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.results import Run
 from planopt.planning.scene import build_scene

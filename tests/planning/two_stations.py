@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from planopt.channel.belief import Belief
-from planopt.planning.prepare import Prepared
+from planopt.planning.learn import Prepared
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.predictions import broad_prediction
 from planopt.problems.base_station import BaseStation
@@ -65,8 +65,8 @@ def belief_in(problem: Problem, powers: Sequence[PowerAt]) -> Belief:
 
 def prepared_in(problem: Problem, powers: Sequence[PowerAt]) -> Prepared:
     """The belief, and truths that are just these powers."""
-    truths = [prepared_of(alone(problem, k), power).truth for k, power in enumerate(powers)]
-    return Prepared(truths[0], belief_in(problem, powers), tuple(truths[1:]))
+    truths = [prepared_of(alone(problem, k), power).truths[0] for k, power in enumerate(powers)]
+    return Prepared(tuple(truths), belief_in(problem, powers))
 
 
 def alone(problem: Problem, station: int) -> Problem:

@@ -28,7 +28,7 @@ from planopt import (
 from planopt.channel import true_power_dbm
 from planopt.errors import InputError
 from planopt.objectives import LearningTerm, ReachObjective, TermsObjective, TrackingTerm
-from planopt.planning.given import draw
+from planopt.planning.initial_data import draw_initial_data
 from planopt.problems import (
     ArrayTruth,
     DoubleIntegrator,
@@ -310,9 +310,9 @@ def test_ground_truth_of_arrays_and_functions() -> None:
     nearest = np.floor(places / 0.5) * 0.5 + 0.25
     for truth in (by_function, by_arrays):
         channel = ChannelSetup(truth=truth, measurements=SampledMeasurements(40))
-        given = draw(small(channel=channel), 3)
-        assert true_power_dbm(given.truth, places) == pytest.approx(power_dbm(nearest))
-        assert len(given.measurements) == 40
+        given = draw_initial_data(small(channel=channel), 3)
+        assert true_power_dbm(given.truths[0], places) == pytest.approx(power_dbm(nearest))
+        assert len(given.measurements[0]) == 40
 
 
 @pytest.mark.parametrize(
@@ -333,7 +333,7 @@ def test_ground_truth_that_is_none(truth) -> None:
     """Whatever is wrong with it, the error is ours."""
     channel = ChannelSetup(truth=truth, measurements=SampledMeasurements(5))
     with pytest.raises(InputError):
-        draw(small(channel=channel), 0)
+        draw_initial_data(small(channel=channel), 0)
 
 
 def test_ground_truth_of_several_stations() -> None:
@@ -342,8 +342,10 @@ def test_ground_truth_of_several_stations() -> None:
         power_dbm=lambda places: np.stack([power_dbm(places), power_dbm(places) - 7.0])
     )
     channel = ChannelSetup(truth=truth, measurements=SampledMeasurements(10))
-    given = draw(small(channel=channel, stations=[STATION, replace(STATION, name="b")]), 0)
-    first, second = (each.measurements.power_dbm for each in given.stations)
+    given = draw_initial_data(
+        small(channel=channel, stations=[STATION, replace(STATION, name="b")]), 0
+    )
+    first, second = (each.power_dbm for each in given.measurements)
     assert first - second == pytest.approx(np.full(10, 7.0))
 
 
@@ -351,7 +353,7 @@ def test_own_measurements() -> None:
     """They take the place of those that the problem would have taken."""
     truth = FunctionTruth(power_dbm=power_dbm, cell_m=0.5)
     sampled = small(channel=ChannelSetup(truth=truth, measurements=SampledMeasurements(40)))
-    taken = draw(sampled, 5).measurements
+    taken = draw_initial_data(sampled, 5).measurements[0]
     table = {
         "x_m": taken.positions_m[:, 0],
         "y_m": taken.positions_m[:, 1],
@@ -384,7 +386,7 @@ def test_a_run_in_a_truth_of_ones_own(tmp_path) -> None:
     )
     run = planopt.simulate(problem, seed=2)
     run.save(tmp_path / "run")
-    log = draw(problem, 2).measurements
+    log = draw_initial_data(problem, 2).measurements[0]
     again = planopt.simulate(
         replace(problem, channel=ChannelSetup(truth=truth)), seed=2, measurements=log
     )

@@ -11,7 +11,7 @@ import pytest
 
 from planopt.errors import InputError
 from planopt.extend import casadi_term
-from planopt.planning.given import draw
+from planopt.planning.initial_data import draw_initial_data
 from planopt.problems.library import find_problem
 from planopt.problems.load import load, problem_from_tables
 from planopt.problems.problem import Problem
@@ -151,8 +151,8 @@ def test_logs_are_read_by_station(tmp_path: Path) -> None:
     for k in range(12):
         lines.append(f"{10 * k},{5 + k % 3},{-50 - k},{-70 + k},{int(k == 4)}")
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
-    given = draw(changed(logged, tmp_path), 0)
-    west, east = (own.measurements for own in given.stations)
+    given = draw_initial_data(changed(logged, tmp_path), 0)
+    west, east = given.measurements
     assert west.power_dbm == pytest.approx(-50.0 - np.arange(12))
     assert east.power_dbm == pytest.approx(-70.0 + np.arange(12))
     assert west.censored.sum() == 1
@@ -161,7 +161,7 @@ def test_logs_are_read_by_station(tmp_path: Path) -> None:
         "\n".join(["x_m,y_m,power_dbm,weak", *(f"{9 * k},{k % 4},{-60 - k},0" for k in range(10))])
     )
     own = changed(both(logged, set_in("stations", 1, {"log_file": "east.csv"} | EAST)), tmp_path)
-    other = draw(own, 0).further[0].measurements
+    other = draw_initial_data(own, 0).measurements[1]
     assert other.power_dbm == pytest.approx(-60.0 - np.arange(10))
 
 
@@ -180,7 +180,7 @@ def test_maps_are_read_by_station(tmp_path: Path) -> None:
     np.savez(
         tmp_path / "gains.npz", x=x, y=y, west_db=np.full(shape, -90.0), east_db=np.full(shape, -80)
     )
-    given = draw(changed(raster, tmp_path), 0)
+    given = draw_initial_data(changed(raster, tmp_path), 0)
     assert [truth.raster.values[0, 0] for truth in given.truths] == [-70.0, -57.0]
     with pytest.raises(InputError, match=r"stations\[1\]\.gain_file"):
         _load_with(tmp_path, both(raster, set_in("stations", 1, "gain_file", "none.npz")))

@@ -22,6 +22,7 @@ from planopt.files.tables import REMEDY, comparable
 from planopt.planning.certificate import Certificate, dearest, worst_result
 from planopt.planning.check.replay import plan_reasons, replayed, start_of
 from planopt.planning.check.replay_belief import belief_reasons
+from planopt.planning.drawn_places import with_drawn_starts
 from planopt.planning.files.result_json import (
     NoPlanRecord,
     RunRecord,
@@ -38,7 +39,6 @@ from planopt.planning.files.saved import (
     read_saved,
     saved_from,
 )
-from planopt.planning.given import with_drawn_starts
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.results import Run, Solution
 from planopt.planning.team.reservations import least_of, worst_of_robots

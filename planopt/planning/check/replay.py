@@ -28,8 +28,8 @@ from planopt.planning.files.result_json import PlanRecord, RobotPlan, RunRecord
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
 from planopt.planning.files.saved import Saved, SavedPlan
 from planopt.planning.free_space import is_joined, obstacles_met
-from planopt.planning.given import Given, draw, team_seeds
 from planopt.planning.holes import BlockedError, holes_on
+from planopt.planning.initial_data import InitialData, draw_initial_data, team_seeds
 from planopt.planning.loop.clairvoyant import COSTS
 from planopt.planning.loop.drive import TrueWorld, World, drive
 from planopt.planning.loop.log import Outcome
@@ -60,34 +60,28 @@ SAME_PLACE_M = 1e-6
 class Start:
     """Initial data of a replay."""
 
-    given: Given  # Truth where it is known, and first measurements
-    drawn: bool  # Whether truth and first measurements follow from problem and seed
+    truths: tuple[Truth, ...]  # By station; empty if unknown
     belief: Belief
     remarks: list[str] = field(default_factory=list[str])
 
 
 def start_of(saved: Saved) -> Start:
-    """Draw the initial data again, or take what cannot be drawn from the files.
-
-    Raises
-    ------
-    InputError
-        The first measurements cannot be fitted.
-    """
+    """Draw the initial data again, or take them from the files."""
     problem, seed = saved.problem, saved.record.seed
     first = [own.measurements.take(slice(own.first)) for own in saved.beliefs[0].stations]
+    remarks: list[str] = []
     try:
-        given, drawn, remarks = draw(problem, seed), True, list[str]()
+        data = draw_initial_data(problem, seed)
     except InputError as error:
-        remarks = [f"first measurements are taken from the file, as none can be drawn: {error}"]
+        remarks.append(f"first measurements are taken from the file, as none can be drawn: {error}")
         try:
-            given, drawn = draw(problem, seed, first), False
+            data = draw_initial_data(problem, seed, first)
         except InputError:  # A file that the truth is read from is gone
-            stations = [Given(None, own) for own in first]
-            given, drawn = replace(stations[0], further=tuple(stations[1:])), False
-    if not given.truths:
+            data = InitialData((), tuple(first))
+    if not data.truths:
         remarks.append("true powers are taken from the file, which has no ground truth")
-    return Start(given, drawn, initial_belief(problem, given, saved.beliefs[0]), remarks)
+    belief = initial_belief(problem, data.measurements, saved.beliefs[0])
+    return Start(data.truths, belief, remarks)
 
 
 def replayed(saved: Saved, start: Start) -> Solution | Run:
@@ -101,8 +95,8 @@ def replayed(saved: Saved, start: Start) -> Solution | Run:
         aims = tuple(aim for (aim,) in robots.aims)
         return Solution(problem, seed, start.belief, plans, aims, saved.explanation(plans))
     world: World = SavedWorld(saved)
-    if start.given.truths:
-        world = TrueWorld(problem, start.given.truths, partial(_road_maps, problem))
+    if start.truths:
+        world = TrueWorld(problem, start.truths, partial(_road_maps, problem))
     return drive(problem, seed, start.belief, world, planning, target, generator)
 
 

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
+from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
 from planopt.files.compare import differences, in_words
 from planopt.planning.files.belief_file import Arrays, SavedBelief, station_prefix
-from planopt.planning.given import Given
-from planopt.planning.loop.learn import learn_stations
+from planopt.planning.learn import learn_stations
 from planopt.problems.problem import Problem
 
 VALUES, NOISE = "values_db", "noise_variance_db2"
 """Arrays of the Gaussian sites."""
 
 
-def initial_belief(problem: Problem, given: Given, saved: SavedBelief) -> Belief:
+def initial_belief(problem: Problem, first: Sequence[Measurements], saved: SavedBelief) -> Belief:
     """Return the belief before the first step: the fit made again, predictions as they were saved.
 
     Saved parameters are those of the predictions, because a fit on another machine differs a
     little. They are compared with the fit made again.
     """
-    learnt = learn_stations(problem, given)
+    learnt = learn_stations(problem, first)
     each = [
         _with_parameters(replace(own, further=()), said)
         for own, said in zip((learnt, *learnt.further), saved.stations, strict=True)

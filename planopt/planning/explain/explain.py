@@ -18,8 +18,8 @@ from planopt.planning.explain.faults import Case
 from planopt.planning.explain.keys import Trials, deadline_s
 from planopt.planning.explain.no_way import explain_blocked, explain_no_way, is_open
 from planopt.planning.explain.violated import explain_violated
+from planopt.planning.learn import prepare
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.prepare import prepare
 from planopt.planning.proof.predictions import broad_prediction
 from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scene, first_moves

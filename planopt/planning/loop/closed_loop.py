@@ -14,16 +14,12 @@ import numpy as np
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
 from planopt.parts import calling
-from planopt.planning.given import (
-    GivenMeasurements,
-    team_seeds,
-    with_drawn_starts,
-    with_measurements,
-)
+from planopt.planning.drawn_places import with_drawn_starts
+from planopt.planning.initial_data import UserMeasurements, team_seeds, with_measurements
+from planopt.planning.learn import Prepared, prepare
 from planopt.planning.loop.drive import TrueWorld, drive
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan
-from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.team.plan_step import planning
@@ -40,7 +36,7 @@ def simulate(
     planner: str | None = None,
     cost_to_go: str | None = None,
     seed: int = 0,
-    measurements: GivenMeasurements | None = None,
+    measurements: UserMeasurements | None = None,
     scenes: Sequence[Scene] | None = None,
     prepared: Prepared | None = None,
     on_start: Callable[[Sequence[Plan]], None] | None = None,

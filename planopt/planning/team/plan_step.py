@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.given import TeamSeeds
+from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Planning, PlanStep
 from planopt.planning.team.couriers import Couriers

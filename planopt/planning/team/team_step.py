@@ -20,8 +20,8 @@ from planopt.channel.belief import Belief
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Steers
 from planopt.planning.baselines.foresight import FollowingPlanner
-from planopt.planning.given import TeamSeeds
 from planopt.planning.history import BEGINNING, History
+from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.planners import Planner, asked_plan, planner_for

@@ -19,11 +19,12 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import NoPlanError
 from planopt.files.typed_json import encoded
 from planopt.planning.check.check import check
-from planopt.planning.given import team_seeds, with_drawn_starts
+from planopt.planning.drawn_places import with_drawn_starts
+from planopt.planning.initial_data import team_seeds
+from planopt.planning.learn import Prepared, prepare
 from planopt.planning.loop.drive import TrueWorld, first_steps
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.prepare import Prepared, prepare
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solve import solve_on
 from planopt.planning.team.plan_step import planning

@@ -9,8 +9,8 @@ import pytest
 from shapely.geometry import LineString, box
 
 from planopt.channel.fields.truth import power_truth
+from planopt.planning.learn import prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
-from planopt.planning.prepare import prepare
 from planopt.planning.scene import build_scene
 from planopt.problems.problem import Problem, problem_from_tables
 

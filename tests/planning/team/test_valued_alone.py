@@ -5,7 +5,7 @@ from terms_scene import TRACKING, situation_of, terms_problem
 
 import planopt.planning.proof.predictions as predictions
 import planopt.planning.team.team_step as team_step
-from planopt.planning.given import team_seeds
+from planopt.planning.initial_data import team_seeds
 from planopt.planning.team.team_step import build_team
 from planopt.planning.worth.path_worth import PathWorth
 from planopt.planning.worth.situation import Aim

@@ -8,8 +8,7 @@ from terms_scene import LEARNING, situation_of, terms_problem
 
 from planopt.channel.fields.truth import measure
 from planopt.channel.kriging import predict
-from planopt.planning.loop.learn import learn_measured
-from planopt.planning.prepare import prepare
+from planopt.planning.learn import learn_measured, prepare
 from planopt.planning.worth.local_worth import local_worth
 from planopt.planning.worth.path_worth import PathWorth
 

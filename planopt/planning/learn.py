@@ -1,20 +1,22 @@
-"""Learn a problem's channels from measurements."""
+"""Beliefs of a run: fitted to the first measurements, and updated with those of each step."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from planopt.channel.belief import Belief, update
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
+from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import PRIOR_N_PL, ChannelParameters
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.objectives.measuring import MeasuringRule
-from planopt.planning.given import Given
+from planopt.planning.initial_data import draw_initial_data
 from planopt.problems.channel_setup import GivenParameters
 from planopt.problems.problem import Problem
 
@@ -33,7 +35,7 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
 def _given(
     problem: Problem, known: GivenParameters, measurements: Measurements, station: int
 ) -> tuple[ChannelFit, ChannelPosterior]:
-    """Condition on measurements with parameters that are known; path loss is estimated if not."""
+    """Condition on measurements with known parameters; unknown path loss is estimated."""
     radio = problem.stations[station]
     path_loss_known = known.k_pl_db is not None
     parameters = ChannelParameters(
@@ -68,12 +70,27 @@ def _given(
     return fit, posterior
 
 
-def learn_stations(problem: Problem, given: Given) -> Belief:
-    """Fit the channel of every station to the first measurements."""
-    beliefs = [
-        learn(problem, own.measurements, station) for station, own in enumerate(given.stations)
-    ]
+def learn_stations(problem: Problem, measurements: Sequence[Measurements]) -> Belief:
+    """Fit the channel of every station to its first measurements."""
+    beliefs = [learn(problem, own, station) for station, own in enumerate(measurements)]
     return replace(beliefs[0], further=tuple(beliefs[1:]))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Ground truth by station, and the initial belief, of one seed."""
+
+    truths: tuple[Truth, ...]  # Empty if the problem has none
+    belief: Belief
+
+
+@one_blas_thread()
+def prepare(
+    problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
+) -> Prepared:
+    """Draw the initial data and fit the channel to the first measurements."""
+    data = draw_initial_data(problem, seed, measurements)
+    return Prepared(data.truths, learn_stations(problem, data.measurements))
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:

@@ -1,0 +1,322 @@
+"""Initial data of a run: ground truth and first measurements.
+
+Both follow from the problem and the seed, each from a random stream of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.fields.truth import (
+    Truth,
+    fitted_truth,
+    measure,
+    model_truth,
+    power_truth,
+    raster_truth,
+)
+from planopt.channel.measurements import (
+    LARGEST_POWER_DBM,
+    LEAST_POWER_DBM,
+    Measurements,
+    Table,
+    as_received,
+)
+from planopt.channel.parameters import ChannelParameters
+from planopt.channel.posterior import EXACT_LIMIT, condition
+from planopt.channel.power_log import LogFormat, read_log
+from planopt.errors import InputError
+from planopt.parts import calling
+from planopt.planning.drawn_places import free_places
+from planopt.problems.base_station import log_of, raster_truth_of
+from planopt.problems.channel_setup import (
+    ArrayTruth,
+    FittedTruth,
+    FunctionTruth,
+    LoggedMeasurements,
+    ModelTruth,
+    RasterTruth,
+    SampledMeasurements,
+)
+from planopt.problems.problem import Problem
+from planopt.world.raster import Raster, cell_centres_m
+from planopt.world.raster_files import read_raster
+
+
+@dataclass(frozen=True, eq=False)
+class TeamSeeds:
+    """Random streams of a team, apart from those of ground truth and measurements."""
+
+    target: np.random.Generator  # Target path, its first estimate and the sensors' noise
+    planners: tuple[np.random.Generator, ...]  # One for each robot, for planners that draw
+
+
+def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
+    """Return the streams of `seed`, unused."""
+    target, planners = np.random.SeedSequence(seed, spawn_key=(1,)).spawn(2)
+    return TeamSeeds(
+        np.random.default_rng(target),
+        tuple(np.random.default_rng(stream) for stream in planners.spawn(len(problem.robots))),
+    )
+
+
+UserMeasurements = Measurements | Table | Sequence[Measurements | Table]
+"""Measurements from a user: one table, or one for each station."""
+
+LARGEST_GAIN_DB = 500.0
+"""Limit of the magnitude of path gains in maps and problem files."""
+
+FURTHER_STREAMS = 2
+"""Random streams of the fading of further stations."""
+
+
+@dataclass(frozen=True, eq=False)
+class InitialData:
+    """Ground truth and first measurements of one seed, by station."""
+
+    truths: tuple[Truth, ...]  # Empty if the problem has none
+    measurements: tuple[Measurements, ...]
+
+
+def draw_initial_data(
+    problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
+) -> InitialData:
+    """Draw the ground truth, and take or read the first measurements."""
+    if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
+        raise InputError(
+            f"is {seed!r}, should be a whole number, at least 0",
+            key="seed",
+            remedy="give 0, 1, ...",
+        )
+    fading, places = np.random.SeedSequence(seed).spawn(2)
+    further = [
+        np.random.SeedSequence(seed, spawn_key=(FURTHER_STREAMS, number))
+        for number in range(1, len(problem.stations))
+    ]
+    generators = [np.random.default_rng(stream) for stream in (fading, *further)]
+    drawn = [
+        draw_truth(problem, generator, station) for station, generator in enumerate(generators)
+    ]
+    truths = tuple(truth for truth in drawn if truth is not None)
+    if measurements is None:
+        measurements = _first_measurements(problem, truths, np.random.default_rng(places))
+    setup = problem.channel.truth
+    if isinstance(setup, FittedTruth):
+        truths = tuple(
+            _fitted_truth(problem, setup, station, *each)
+            for station, each in enumerate(zip(measurements, generators, strict=True))
+        )
+    return InitialData(truths, tuple(measurements))
+
+
+def _first_measurements(
+    problem: Problem, truths: Sequence[Truth], generator: np.random.Generator
+) -> list[Measurements]:
+    """Read the logs of all stations, or measure the ground truth at drawn places."""
+    setup, known = problem.channel.measurements, problem.channel.given
+    if isinstance(setup, LoggedMeasurements):
+        logs = [log_of(setup, radio) for radio in problem.stations]
+        return [
+            read_log(log.file, LogFormat(log.columns, log.censored_column, log.floor_dbm))
+            for log in logs
+        ]
+    if setup.count == 0 and (known is None or known.k_pl_db is None):
+        raise InputError(
+            "there are no first measurements",
+            file=problem.file,
+            key="channel.measurements",
+            remedy="give measurements= to solve, simulate or Planner, or a count or a log to "
+            "the problem's channel",
+        )
+    if not truths:
+        raise InputError(
+            "there is no truth to measure",
+            file=problem.file,
+            key="channel.truth",
+            remedy="give channel.truth, or a log as channel.measurements.file",
+        )
+    places = free_places(problem, setup.count, generator)
+    return [measure(truth, places) for truth in truths]
+
+
+def _fitted_truth(
+    problem: Problem,
+    setup: FittedTruth,
+    station: int,
+    log: Measurements,
+    generator: np.random.Generator,
+) -> Truth:
+    """Fit a station's log and draw the truth from the posterior."""
+    radio = problem.stations[station]
+    fit = fit_channel(log, radio.site, problem.channel.fit_method)
+    if len(log) > EXACT_LIMIT:
+        log = log.take(np.sort(generator.choice(len(log), EXACT_LIMIT, replace=False)))
+    floor = None if setup.floor_db is None else setup.floor_db + radio.transmit_power_dbm
+    posterior = condition(fit.parameters, log)
+    return fitted_truth(posterior, problem.workspace.bounds_m, setup.cell_m, floor, generator)
+
+
+def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 0) -> Truth | None:
+    """Draw the ground truth of one station; None if there is none, or one to be fitted to a log."""
+    setup, radio = problem.channel.truth, problem.stations[station]
+    if isinstance(setup, RasterTruth):
+        setup = raster_truth_of(setup, radio)
+        gain = read_raster(setup.file, setup.variable)
+        _require_quantity(setup, gain)
+        if setup.quantity == "power":
+            gain = replace(gain, values=gain.values - radio.transmit_power_dbm)
+        # A comparison with NaN is false: no value is no fault.
+        if (np.abs(gain.values) > LARGEST_GAIN_DB).any():
+            raise InputError(
+                f"has values from {np.nanmin(gain.values):g} to {np.nanmax(gain.values):g}, which "
+                "are no path gains in dB",
+                file=setup.file,
+                key=setup.variable,
+                remedy=f"give decibels within {LARGEST_GAIN_DB:g}",
+            )
+        return raster_truth(
+            gain, radio.transmit_power_dbm, setup.floor_db, setup.multipath, generator
+        )
+    if isinstance(setup, ModelTruth):
+        parameters = ChannelParameters(
+            k_pl_db=setup.k_pl_db + radio.transmit_power_dbm,
+            n_pl=setup.n_pl,
+            shadow_std_db=setup.shadow_std_db,
+            decorrelation_m=setup.decorrelation_m,
+            multipath_std_db=setup.multipath_std_db,
+            station=radio.site,
+        )
+        floor = None if setup.floor_db is None else setup.floor_db + radio.transmit_power_dbm
+        return model_truth(
+            parameters,
+            problem.workspace.bounds_m,
+            setup.cell_m,
+            floor,
+            generator,
+            setup.multipath,
+        )
+    if isinstance(setup, ArrayTruth | FunctionTruth):
+        return _python_truth(problem, setup, station)
+    return None
+
+
+def _require_quantity(setup: RasterTruth, raster: Raster) -> None:
+    """Refuse a map whose file says that it has another quantity."""
+    other = {"gain": "dBm", "power": "dB"}[setup.quantity]
+    spread = raster.quantity.startswith("standard deviation")
+    if raster.unit not in (other, "1") and not spread:
+        return
+    remedy = "name a variable that has path gain in dB or received power in dBm"
+    if raster.unit == other and not spread:
+        remedy = f'set channel.truth.quantity = "{"power" if other == "dBm" else "gain"}"'
+    raise InputError(
+        f"has {raster.quantity or 'values'} in {raster.unit}, and channel.truth.quantity is "
+        f"{setup.quantity!r}",
+        file=setup.file,
+        key=setup.variable,
+        remedy=remedy,
+    )
+
+
+def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: int) -> Truth:
+    """Return the truth of a station from arrays or from a function of places."""
+    if isinstance(setup, ArrayTruth):
+        x, y, values = (_numbers(key, getattr(setup, key)) for key in ("x_m", "y_m", "power_dbm"))
+        several = values.ndim == 3
+    else:
+        x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+        x = cell_centres_m(x_min, x_max, setup.cell_m)
+        y = cell_centres_m(y_min, y_max, setup.cell_m)
+        places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        with calling(setup.power_dbm, "", key="channel.truth.power_dbm"):
+            powers = setup.power_dbm(places)
+        values = _numbers("power_dbm", powers)
+        several = values.ndim == 2
+        if values.shape[-1:] != (len(places),):
+            raise InputError(
+                f"returned shape {values.shape} for {len(places)} places",
+                key="channel.truth.power_dbm",
+                remedy="return a power for each place, (n,) or (stations, n)",
+            )
+        values = values.reshape(*values.shape[:-1], len(y), len(x))
+    if several != (len(problem.stations) > 1) or (several and len(values) != len(problem.stations)):
+        raise InputError(
+            f"has powers of shape {values.shape} for {len(problem.stations)} stations",
+            key="channel.truth.power_dbm",
+            remedy="give the powers of all stations, (stations, ny, nx) as an array or "
+            "(stations, n) by a function",
+        )
+    truth = power_truth(x, y, values[station] if several else values, setup.floor_dbm)
+    least, largest = float(truth.raster.values.min()), float(truth.raster.values.max())
+    if least < LEAST_POWER_DBM or largest > LARGEST_POWER_DBM:
+        raise InputError(
+            f"has powers from {least:g} to {largest:g}, which no receiver measures in dBm",
+            key="channel.truth.power_dbm",
+            remedy=f"give dBm from {LEAST_POWER_DBM:g} to {LARGEST_POWER_DBM:g}, or NaN and a "
+            "floor_dbm where nothing arrives",
+        )
+    return truth
+
+
+def _numbers(key: str, values: object) -> NDArray[np.float64]:
+    """Return an array of real numbers, or raise an error with the key."""
+    try:
+        found = np.asarray(values)
+        # NumPy would read numbers from text, and leave out imaginary parts.
+        if found.dtype.kind in "iufO":
+            return found.astype(np.float64)
+        kind = "text" if found.dtype.kind in "US" else f"numbers of type {found.dtype}"
+    except (TypeError, ValueError):
+        kind = type(values).__name__
+    raise InputError(
+        f"is {kind}, no array of real numbers",
+        key=f"channel.truth.{key}",
+        remedy="give real numbers, e.g. numpy.full(len(places_m), -60.0)",
+    )
+
+
+def with_measurements(
+    problem: Problem, measurements: UserMeasurements | None
+) -> tuple[Problem, tuple[Measurements, ...] | None]:
+    """Return a problem without first measurements of its own, and those of the user by station.
+
+    Return the problem and None if the user has none.
+    """
+    if measurements is None:
+        return problem, None
+    by_station = measurements_by_station(problem, measurements)
+    bare = tuple(
+        replace(station, log_file=None, power_column=None, censored_column=None)
+        for station in problem.stations
+    )
+    channel = replace(problem.channel, measurements=SampledMeasurements())
+    return replace(problem, stations=bare, channel=channel), by_station
+
+
+def measurements_by_station(
+    problem: Problem, measurements: UserMeasurements
+) -> tuple[Measurements, ...]:
+    """Return the measurements of a user, one table for each station."""
+    if isinstance(measurements, str | bytes | Path):
+        raise InputError(
+            f"is {measurements!r}, no table of measurements",
+            key="measurements",
+            remedy="read a file with planopt.channel.read_log, or name it in "
+            "channel.measurements.file",
+        )
+    tables = list(measurements) if isinstance(measurements, Sequence) else [measurements]
+    if len(tables) != len(problem.stations):
+        raise InputError(
+            f"measurements of {len(tables)} stations were given, the problem has "
+            f"{len(problem.stations)}",
+            key="measurements",
+            remedy="give a sequence with one table for each station, in the problem's order",
+        )
+    return tuple(as_received(table) for table in tables)

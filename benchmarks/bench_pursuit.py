@@ -12,11 +12,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.evaders import Fleeing
-from planopt.pursuit.knowledge import Track, snapshot
 from planopt.pursuit.motion import StraightMotion
-from planopt.pursuit.pursuers import DriveToReport, Policy
-from planopt.pursuit.receding import RecedingHorizon
-from planopt.pursuit.records import SnapshotRecords
+from planopt.pursuit.pursuers import DriveToReport, Policy, RecedingHorizon
+from planopt.pursuit.records import SnapshotRecords, Track, snapshot
 from planopt.pursuit.service import SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Pursuit, Scene, simulate_pursuit
 from planopt.studies.compare import compare

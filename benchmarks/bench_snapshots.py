@@ -1,8 +1,8 @@
-"""Small versions of ``snapshot_study.py``: slots, lost hops, updates and association."""
+"""Small versions of ``snapshot_study.py``: slots and lost hops."""
 
 from __future__ import annotations
 
-from snapshot_study import association, hops, slots, updates
+from snapshot_study import hops, slots
 
 
 def test_slots(benchmark):
@@ -20,19 +20,3 @@ def test_hops(benchmark):
     names = list(dict.fromkeys(row[0] for row in rows))
     assert all(late[name, 0.0] == 0.0 for name in names)
     assert late[names[-1], 0.1] < 0.2 * late[names[0], 0.1]
-
-
-def test_updates(benchmark):
-    """Changes cost less than every round, directed ones less still; without loss none is wrong."""
-    rows = benchmark.pedantic(lambda: list(updates(4, 1, 0))[1:], rounds=1)
-    assert all(row[4] == 0.0 for row in rows)
-    for first in range(0, len(rows), 5):
-        every, changes, refreshed, directed, _ = (row[2] for row in rows[first : first + 5])
-        assert directed < changes <= refreshed <= every
-
-
-def test_association(benchmark):
-    """Without misses and false alarms two evaders' reports are all told apart."""
-    rows = benchmark.pedantic(lambda: list(association(1, 0))[1:], rounds=1)
-    assert len(rows) == 10
-    assert rows[0][3] > 95.0 and rows[0][4] < 2.0

@@ -18,12 +18,12 @@ import shapely
 from numpy.typing import NDArray
 from scipy.stats import t
 
+from planopt.coverage.control.movers import plan_moves, stopping_ways
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.control.receding import plan_moves, stopping_ways
 from planopt.coverage.density import GaussianMixture, UniformDensity
+from planopt.coverage.events import packed_places
 from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
 from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits, packing_reach_m
-from planopt.coverage.localisation.ring import packed_places
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.region import convex_region
 from planopt.coverage.verify import verify_moves

@@ -19,7 +19,7 @@ import numpy as np
 import shapely
 
 from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
-from planopt.coverage.control.receding import MoveLimits, plan_moves
+from planopt.coverage.control.movers import MoveLimits, plan_moves
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.region import convex_region
 from planopt.problems import load_system

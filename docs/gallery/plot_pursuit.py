@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from planopt.problems import load_system
-from planopt.pursuit.knowledge import Track, snapshot
+from planopt.pursuit.records import Track, snapshot
 from planopt.pursuit.service import SnapshotService
 from planopt.report import animate_pursuit, draw_design, draw_knowledge, draw_pursuit, draw_view
 

@@ -14,18 +14,65 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.coverage.cost import UNIFORM, coverage
-from planopt.coverage.density import Density
-from planopt.coverage.geodesic import GeodesicRegion, geodesic_region, nearest_place
-from planopt.coverage.geodesic_cells import (
+from planopt.coverage.density import UNIFORM, Density
+from planopt.coverage.geodesic import (
+    GeodesicRegion,
     geodesic_cells,
     geodesic_distances_m,
     geodesic_paths,
+    geodesic_region,
     geodesic_targets,
+    nearest_place,
 )
 from planopt.coverage.network import Network
 from planopt.coverage.region import ConvexRegion, convex_region
-from planopt.coverage.voronoi import agent_neighbours, merge_coincident, voronoi_cells
+from planopt.coverage.voronoi import (
+    Cells,
+    agent_neighbours,
+    cell_boundary,
+    merge_coincident,
+    region_boundary,
+    voronoi_cells,
+)
+
+EMPTY = 1e-12
+"""A cell with less than this share of the mass is empty: its centroid would be rounding error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """The coverage cost of a region, and the place where each agent should be."""
+
+    cost: float  # The coverage cost H, in m^4 for the uniform density of 1 per m^2
+    mass: NDArray[np.float64]  # (n,) mass of each agent's cell
+    # (n, 2) centroid of each agent's cell; the agent's own place if the cell has no mass
+    centroids_m: NDArray[np.float64]
+    # (n, 2) derivative of H by each agent's place, 2 M (p - C). Agents at one place share the
+    # derivative of the place in equal parts.
+    gradient: NDArray[np.float64]
+
+
+def coverage(
+    cells: Cells, density: Density = UNIFORM, sensing_range_m: float | None = None
+) -> Coverage:
+    """Evaluate the coverage cost, its gradient and the centroids of all cells.
+
+    Exact to rounding for the uniform density and for rasters; other densities are integrated by
+    Gauss quadrature.
+    """
+    moments = density.moments(cell_boundary(cells, sensing_range_m))
+    cost = float(moments.second.sum())
+    if sensing_range_m is not None:
+        mass = float(density.moments(region_boundary(cells.region)).mass[0])
+        cost += sensing_range_m**2 * max(mass - float(moments.mass.sum()), 0.0)
+    empty = ~(moments.mass > EMPTY * moments.mass.sum())
+    offset = moments.first / np.where(empty, 1.0, moments.mass)[:, None]
+    offset[empty] = 0.0
+    which = cells.cell_of
+    share = -2.0 * moments.first / cells.multiplicity[:, None]
+    centroids = cells.generators_m + offset
+    return Coverage(cost, moments.mass[which], centroids[which], share[which])
+
 
 DRIVE_NODES = 16
 """Grid squares along the region that agents drive in, before it gets the covered region's nodes."""

@@ -9,10 +9,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.coverage.assignment.demand import HEXAGON
-from planopt.coverage.density import GaussianMixture, UniformDensity
+from planopt.coverage.assignment import HEXAGON
+from planopt.coverage.density import GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.ground import ConvexGround, GeodesicGround, Ground
-from planopt.coverage.raster_density import RasterDensity
 from planopt.errors import InputError
 
 LEAP = 1.7

@@ -12,17 +12,42 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.assignment.demand import Demand, demanded
-from planopt.coverage.assignment.flags import propagate_flags
-from planopt.coverage.assignment.latch import Circumstance, is_due
-from planopt.coverage.assignment.several import NONE, deferred_acceptance, fair_shares
+from planopt.coverage.assignment import (
+    NONE,
+    Demand,
+    deferred_acceptance,
+    demanded,
+    fair_shares,
+    propagate_flags,
+)
 from planopt.coverage.control.laws import Gains, Partition, coverage_aims
 from planopt.coverage.control.movers import Motion, Mover
-from planopt.coverage.counting.tally import Counting, Tally, start_tally, tally_step
-from planopt.coverage.events import Event, Sensing, Watch, signals, watched
+from planopt.coverage.counting import Counting, Tally, start_tally, tally_step
+from planopt.coverage.events import Event, Sensing, Watch, event_places, signals, watched
 from planopt.coverage.ground import Ground, neighbour_network
-from planopt.coverage.localisation.ring import event_places
 from planopt.coverage.network import LinkModel, Loss, Network
+from planopt.coverage.region import positive
+
+
+@dataclass(frozen=True)
+class Circumstance:
+    """The events, counts and agents that an assignment was made for."""
+
+    agents: frozenset[int]  # Names of the agents that take part
+    # Estimated place (x, y) in metres of each event, by its name
+    events: dict[str, tuple[float, float]]
+
+
+def is_due(last: Circumstance | None, now: Circumstance, moved_m: float) -> bool:
+    """Return whether an assignment has to be made again."""
+    positive(moved_m, "moved_m", zero=True)
+    if last is None or last.agents != now.agents or last.events.keys() != now.events.keys():
+        return True
+    return any(
+        np.hypot(x - last.events[name][0], y - last.events[name][1]) > moved_m
+        for name, (x, y) in now.events.items()
+    )
+
 
 ABSENT = -2
 """The state of an agent that has not joined yet or has left; `NONE` is that of one that covers."""

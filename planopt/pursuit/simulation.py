@@ -15,10 +15,9 @@ from scipy.optimize import (
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.evaders import Behaviour, Decide, EvaderView
-from planopt.pursuit.knowledge import Track
 from planopt.pursuit.motion import Motion, StraightMotion
 from planopt.pursuit.pursuers import Driver, Policy, PursuerView, Quest
-from planopt.pursuit.records import Record, RecordSource
+from planopt.pursuit.records import Record, RecordSource, Track
 from planopt.pursuit.service import require_count, require_number
 from planopt.pursuit.theorems import Distances
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.pursuit.design import DesignTask
-from planopt.pursuit.knowledge import Snapshot, Track, mote_centres_m, snapshot
+from planopt.pursuit.records import Snapshot, Track, mote_centres_m, snapshot
 from planopt.pursuit.service import SnapshotService
 from planopt.pursuit.simulation import Pursuit, Use
 from planopt.report.animation import animate

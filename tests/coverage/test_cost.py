@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 from scattered import scattered
 from scipy.spatial import KDTree
 
-from planopt.coverage.cost import UNIFORM, coverage
 from planopt.coverage.density import (
+    UNIFORM,
     CallableDensity,
     Density,
     GaussianMixture,
+    RasterDensity,
     UniformDensity,
     checked_mass,
 )
-from planopt.coverage.raster_density import RasterDensity
+from planopt.coverage.ground import coverage
 from planopt.coverage.region import ConvexRegion, convex_region
 from planopt.coverage.voronoi import voronoi_cells
 from planopt.errors import InputError

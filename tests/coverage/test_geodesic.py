@@ -10,11 +10,15 @@ import shapely
 from numpy.typing import NDArray
 from scattered import scattered
 
-from planopt.coverage.cost import coverage
 from planopt.coverage.density import CallableDensity
-from planopt.coverage.geodesic import GeodesicRegion, geodesic_region
-from planopt.coverage.geodesic_cells import geodesic_cells, geodesic_distances_m, geodesic_targets
-from planopt.coverage.ground import geodesic_ground
+from planopt.coverage.geodesic import (
+    GeodesicRegion,
+    geodesic_cells,
+    geodesic_distances_m,
+    geodesic_region,
+    geodesic_targets,
+)
+from planopt.coverage.ground import coverage, geodesic_ground
 from planopt.coverage.region import ConvexRegion
 from planopt.coverage.voronoi import voronoi_cells
 from planopt.errors import InputError

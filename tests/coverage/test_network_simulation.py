@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 from scattered import scattered
 
-from planopt.coverage.assignment.demand import Demand
-from planopt.coverage.assignment.latch import relatch
-from planopt.coverage.assignment.several import optimal_assignment
+from planopt.coverage.assignment import Demand, optimal_assignment
 from planopt.coverage.control.laws import Gains
 from planopt.coverage.control.movers import LawMover, RecedingMover
-from planopt.coverage.counting.tally import Counting
+from planopt.coverage.counting import Counting
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import MoveLimits
-from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor
+from planopt.coverage.localisation import best_distance_m, diffusion_sensor
 from planopt.coverage.network import LinkModel
 from planopt.coverage.region import convex_region
 from planopt.coverage.simulation import ABSENT, NetworkRun, Scene, simulate_network
@@ -84,7 +82,7 @@ def test_everybody_returns_when_it_ends() -> None:
     assert run.costs[-1] < 1.1 * calm.costs[-1]
 
 
-def test_hysteresis_is_that_of_relatching() -> None:
+def test_hysteresis_bounds_the_changes_of_a_team() -> None:
     """While an event moves, teams change as little as the hysteresis allows."""
     event = Event("plume", (10.0, 20.0), 5.0, math.inf, (1.6, 0.0))
     scene = replace(
@@ -96,11 +94,17 @@ def test_hysteresis_is_that_of_relatching() -> None:
     )
     run = run_of(scene)
     held = np.zeros(16, dtype=np.bool_)
+    first = True
     for step in np.flatnonzero(np.isfinite(run.estimates_m[:, 0, 0])):
         away = np.linalg.norm(run.positions_m[step] - run.estimates_m[step, 0], axis=1)
-        if (run.estimates_m[step] != run.estimates_m[step - 1]).any():
-            held = relatch(held, away, 3, 1.5)
-        assert (held == (run.states[step] == 0)).all()
+        before, held = held, run.states[step] == 0
+        moved = (run.estimates_m[step] != run.estimates_m[step - 1]).any()
+        if first or moved:
+            assert held.sum() == 3 and away[held].max() <= away[~held].min() + 1.5
+        # An agent is only replaced by one that is nearer by more than the hysteresis.
+        for released in away[before & ~held]:
+            assert moved and released > away[held & ~before].min() + 1.5
+        first = False
     eager = run_of(replace(scene, hysteresis_m=0.0))
     changes = [
         int((np.diff((one.states == 0).astype(int), axis=0) == 1).sum()) for one in (run, eager)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import shapely
 
-from planopt.coverage.density import CallableDensity, GaussianMixture, UniformDensity
+from planopt.coverage.density import CallableDensity, GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.ground import ConvexGround, geodesic_ground
 from planopt.coverage.optima import best_deployment, cost_bound, draw_start, settle
-from planopt.coverage.raster_density import RasterDensity
 from planopt.coverage.region import ConvexRegion, convex_region
 from planopt.errors import InputError
 from planopt.world.raster import Raster

@@ -9,8 +9,8 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
+from planopt.coverage.control.movers import plan_moves, stopping_ways
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.control.receding import plan_moves, stopping_ways
 from planopt.coverage.ground import ConvexGround, geodesic_ground
 from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
 from planopt.coverage.region import ConvexRegion

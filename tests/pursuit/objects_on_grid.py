@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from planopt.pursuit.knowledge import Track
+from planopt.pursuit.records import Track
 
 
 def walk(service, speed_m_s, steps, seed):

@@ -20,9 +20,8 @@ from planopt.pursuit.design import (
     sharp_design,
     slot_limits_s,
 )
-from planopt.pursuit.flooding import Flooding, simulate_flooding
 from planopt.pursuit.guarantees import Chase, guarantees
-from planopt.pursuit.network import MoteNetwork
+from planopt.pursuit.network import Flooding, MoteNetwork, simulate_flooding
 from planopt.pursuit.programmes import least_energy_slot_s, relaxed_design, sharp_slot_s
 from planopt.pursuit.service import SnapshotService, relative_error
 from planopt.pursuit.theorems import Theorem

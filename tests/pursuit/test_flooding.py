@@ -4,13 +4,21 @@ import numpy as np
 import pytest
 
 from planopt.errors import InputError
-from planopt.pursuit.flooding import (
+from planopt.pursuit.network import (
     Flooding,
-    flood_blocks_per_round,
     mean_blocks_per_frame,
     simulate_flooding,
 )
 from planopt.pursuit.service import SnapshotService
+
+
+def flood_blocks_per_round(service, border_relays):
+    """Blocks that one round of each level floods, as cells at edges have fewer neighbours."""
+    cell = 1 << np.arange(service.levels + 1)
+    along = 3 * service.motes_per_side - 2 * cell
+    if not border_relays:
+        along = along - 2 * (service.motes_per_side // cell) + 2
+    return along * along
 
 
 def grid(levels, **changes):

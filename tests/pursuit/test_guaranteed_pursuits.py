@@ -1,17 +1,14 @@
 """Simulated pursuits against the guarantees: every stage below its bound, every capture in time."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
+from adversary import AdversarialRecords
 from pursuit_scene import pursue
 
-from planopt.errors import InputError
-from planopt.pursuit.adversary import AdversarialRecords, find_escape
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, contraction, guarantees
 from planopt.pursuit.pursuers import DriveToReport
-from planopt.pursuit.records import Record, SnapshotRecords
+from planopt.pursuit.records import SnapshotRecords
 from planopt.pursuit.service import ServiceBounds, SnapshotService
 from planopt.pursuit.theorems import Theorem
 
@@ -155,49 +152,3 @@ def test_rule_r_is_needed():
         (False, True): "step_limit",
         (False, False): "step_limit",
     }
-
-
-@dataclass(frozen=True)
-class EscapeRecords:
-    """Exact times, and errors at an angle to the line of sight."""
-
-    relative_error: float
-    angle_rad: float
-
-    def record(self, track, place_m, time_s, last):
-        """Where the evader is, off by a share of its distance."""
-        here = track.at(np.array(time_s))
-        cosine, sine = np.cos(self.angle_rad), np.sin(self.angle_rad)
-        turned = np.array([[cosine, -sine], [sine, cosine]]) @ (here - place_m)
-        off = self.relative_error * turned
-        return Record(time_s, here + off, float(np.linalg.norm(off)))
-
-
-@pytest.mark.parametrize(("speed_ratio", "error"), [(1.2, 0.2), (1.5, 0.25), (2.0, 0.35)])
-def test_escape(speed_ratio, error):
-    """Where a > 1 an evader that runs from the reported place is never caught, without any age."""
-    assert contraction(speed_ratio, error) > 1.0
-    escape = find_escape(speed_ratio, error)
-    assert escape.growth >= 1.0 - 1e-9
-    pursuit = pursue(
-        EscapeRecords(error, escape.angle_rad),
-        Fleeing(from_aims=True),
-        0,
-        speeds=(1.0, speed_ratio),
-        distance_m=60.0,
-        radius_m=0.99 * escape.nearest_share * 60.0,
-        step_s=0.05,
-        max_steps=12_000,
-    )
-    assert pursuit.outcome == "step_limit"
-    away_m = np.array([use.distance_m for use in pursuit.uses])
-    ratios = away_m[1:] / away_m[:-1]
-    assert len(ratios) > 10
-    # A stage that ends between two steps waits for the next one, which only helps the evader.
-    assert (ratios >= escape.growth - 1e-6).all() and ratios.min() < escape.growth + 0.03
-
-
-def test_no_escape_where_a_is_below_one():
-    """The inequality that fails is named."""
-    with pytest.raises(InputError, match=r"1 below a: 1 < 0\.65 fails by 0\.35"):
-        find_escape(2.0, 0.1)

@@ -5,7 +5,7 @@ import pytest
 from objects_on_grid import walk
 
 from planopt.errors import InputError
-from planopt.pursuit.knowledge import Track, mote_centres_m, snapshot
+from planopt.pursuit.records import Track, mote_centres_m, snapshot
 from planopt.pursuit.service import SnapshotService
 
 SERVICES = [

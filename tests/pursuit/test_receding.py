@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 from planopt.errors import InputError
 from planopt.pursuit.evaders import Wandering
-from planopt.pursuit.receding import Estimate, RecedingHorizon, predicted, updated
+from planopt.pursuit.pursuers import Estimate, RecedingHorizon, predicted, updated
 from planopt.pursuit.records import Record
 
 

@@ -84,18 +84,6 @@ def _apart(
     return moved
 
 
-def law_velocities(
-    agents_m: NDArray[np.float64],
-    targets_m: NDArray[np.float64],
-    responds: NDArray[np.bool_],  # (n,) whether an agent responds to an event
-    gains: Gains,
-) -> NDArray[np.float64]:
-    """Return the velocities of the laws, ``-k (p - target)``; (n, d) in m/s."""
-    # Shapes: agents_m, targets_m (n, d).
-    gain = np.where(responds, gains.event_per_s, gains.coverage_per_s)
-    return gain[:, None] * (targets_m - agents_m)
-
-
 def law_moves(
     agents_m: NDArray[np.float64],
     targets_m: NDArray[np.float64],

@@ -19,8 +19,7 @@ from scipy.spatial import KDTree
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.coverage.control.safe_sets import SPARE, SafeSets, half_planes, joined
-from planopt.coverage.limits import LinkLaw, RadioLimits
-from planopt.coverage.station_map import StationMap, line_distances_m
+from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, line_distances_m
 
 LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
 """Lengths of links at which laws are evaluated; a link counts as long as the next one."""

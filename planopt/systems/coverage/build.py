@@ -13,22 +13,20 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from planopt.coverage.assignment.demand import LEAST_ON_RING, Demand, demanded
+from planopt.coverage.assignment import LEAST_ON_RING, Demand, demanded
 from planopt.coverage.control.laws import Gains
 from planopt.coverage.control.movers import LawMover, Mover, RecedingMover
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.counting.tally import Counting
-from planopt.coverage.density import Density, checked_mass
+from planopt.coverage.counting import Counting
+from planopt.coverage.density import Density, RasterDensity, checked_mass
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.geodesic import MAX_NODES
 from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
-from planopt.coverage.limits import MoveLimits, RadioLimits
-from planopt.coverage.localisation.sensor import best_distance_m, diffusion_sensor
+from planopt.coverage.limits import MoveLimits, RadioLimits, StationMap
+from planopt.coverage.localisation import best_distance_m, diffusion_sensor
 from planopt.coverage.network import LinkModel
-from planopt.coverage.raster_density import RasterDensity
 from planopt.coverage.region import checked_polygon, convex_region
 from planopt.coverage.simulation import Scene
-from planopt.coverage.station_map import StationMap
 from planopt.errors import InputError
 from planopt.problems.world_tables import obstacles_of
 from planopt.systems.coverage.demands import DemandContext

@@ -14,10 +14,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.coverage.assignment.demand import demanded
+from planopt.coverage.assignment import demanded
 from planopt.coverage.control.laws import Gains, coverage_aims
 from planopt.coverage.control.movers import Motion
-from planopt.coverage.localisation.ring import event_places
+from planopt.coverage.events import event_places
 from planopt.coverage.optima import cost_bound
 from planopt.coverage.simulation import ABSENT, NetworkRun, residual_m
 from planopt.coverage.verify import verify_moves

@@ -7,14 +7,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from planopt.coverage.assignment.demand import (
+from planopt.coverage.assignment import (
     Demand,
     accuracy_demand,
     capped_demand,
     table_demand,
     trade_off_demand,
 )
-from planopt.coverage.localisation.sensor import EventSensor
+from planopt.coverage.localisation import EventSensor
 from planopt.errors import InputError
 from planopt.problems.tables import SMALLEST, Metres, Table
 

@@ -21,8 +21,7 @@ from planopt.channel import (
     read_log,
 )
 from planopt.coverage.ground import Ground
-from planopt.coverage.limits import LinkLaw, RadioLimits
-from planopt.coverage.station_map import StationMap, station_map
+from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, station_map
 from planopt.errors import InputError
 from planopt.problems.tables import FileName, Metres, Pair, Table
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.assignment.several import NONE
+from planopt.coverage.assignment import NONE
 from planopt.coverage.control.laws import Gains
 from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.simulation import ABSENT, NetworkRun

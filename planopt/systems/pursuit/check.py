@@ -16,8 +16,7 @@ from planopt.files.tables import Data, comparable, read_table
 from planopt.files.typed_json import whole_number
 from planopt.problems.systems import SystemProblem
 from planopt.pursuit.certificate import Claim, verify_guarantees
-from planopt.pursuit.knowledge import Track
-from planopt.pursuit.records import Record
+from planopt.pursuit.records import Record, Track
 from planopt.pursuit.simulation import Pursuit, Use
 from planopt.pursuit.theorems import Distances, Theorem
 from planopt.pursuit.verify import PursuitData, PursuitLog, Reports, Robot, Service, verify_pursuit

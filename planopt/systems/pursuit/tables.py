@@ -20,8 +20,7 @@ from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, Guarantee, guarantees, guarantees_among_obstacles
 from planopt.pursuit.motion import Motion, StraightMotion, UnicycleMotion
-from planopt.pursuit.pursuers import DriveToReport, Policy
-from planopt.pursuit.receding import RecedingHorizon
+from planopt.pursuit.pursuers import DriveToReport, Policy, RecedingHorizon
 from planopt.pursuit.records import SnapshotRecords, draw_lost_rounds
 from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene

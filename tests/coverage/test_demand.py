@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planopt.coverage.assignment.demand import (
+from planopt.coverage.assignment import (
     Demand,
     accuracy_demand,
     capped_demand,
@@ -16,7 +16,7 @@ from planopt.coverage.assignment.demand import (
     table_demand,
     trade_off_demand,
 )
-from planopt.coverage.localisation.sensor import diffusion_sensor
+from planopt.coverage.localisation import diffusion_sensor
 from planopt.errors import InputError
 
 

@@ -11,14 +11,15 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from planopt.coverage.control.cone_programmes import Programmes, solve_programmes
 from planopt.coverage.control.laws import Gains, law_moves
+from planopt.coverage.control.movers import MoveLimits, plan_moves
 from planopt.coverage.control.programme import (
     Inertia,
+    Programmes,
     saturated_paths,
     solve_programme,
+    solve_programmes,
 )
-from planopt.coverage.control.receding import MoveLimits, plan_moves
 from planopt.coverage.control.safe_sets import SafeSets, ground_sets, half_planes
 from planopt.coverage.ground import ConvexGround, GeodesicGround, geodesic_ground
 from planopt.coverage.region import ConvexRegion

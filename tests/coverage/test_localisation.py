@@ -9,25 +9,26 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from planopt.coverage.counting.consensus import average_round
-from planopt.coverage.localisation.estimate import Drift, EventEstimate, locate_events
-from planopt.coverage.localisation.readings import Readings, no_readings, pooled, single_readings
-from planopt.coverage.localisation.ring import (
+from planopt.coverage.events import (
     cramer_rao_m2,
     fisher_information,
-    fused,
     packed_places,
     ring_angles,
     ring_places,
 )
-from planopt.coverage.localisation.sensor import (
+from planopt.coverage.localisation import (
+    Drift,
     EventSensor,
+    Readings,
     best_distance_m,
     diffusion_sensor,
+    locate_events,
     measure,
+    no_readings,
+    pooled,
     sensitivity,
+    single_readings,
 )
-from planopt.coverage.network import Network
 from planopt.coverage.region import ConvexRegion, convex_region
 from planopt.errors import InputError
 
@@ -323,28 +324,6 @@ def test_pooling_keeps_what_repeats_tell() -> None:
     assert one.positions_m == pytest.approx(other.positions_m, abs=1e-7)
     assert one.covariance_m2 == pytest.approx(other.covariance_m2, rel=1e-6)
     assert not len(pooled([]).signal)
-
-
-def test_fusing_estimates() -> None:
-    """Agents' own estimates join to nearly the joint one, also when averaged over a network."""
-    generator = np.random.default_rng(10)
-    logs = [drawn(SENSOR, EVENT + generator.uniform(-2.0, 2.0, (6, 2)), 400, k) for k in range(4)]
-    found = [locate_events(SENSOR, log, FIELD) for log in logs]
-    places = np.array([one.positions_m[0] for one in found])
-    informations = np.array([np.linalg.inv(one.covariance_m2) for one in found])
-    place, total = fused(places, informations)
-    joint: EventEstimate = locate_events(SENSOR, pooled(logs), FIELD)
-    assert place == pytest.approx(joint.positions_m[0], abs=2e-3)
-    assert np.linalg.inv(total) == pytest.approx(joint.covariance_m2, rel=0.05)
-    pulls = np.einsum("kij,kj->ki", informations, places)
-    held = np.concatenate((informations.reshape(4, 4), pulls), axis=1)
-    ring = Network(4, np.array([[0, 1], [1, 2], [2, 3], [0, 3]]))
-    for _ in range(100):
-        held = average_round(held, ring)
-    for own in held:
-        assert np.linalg.solve(own[:4].reshape(2, 2), own[4:]) == pytest.approx(place)
-    with pytest.raises(InputError):
-        fused(places[:1], np.zeros((1, 2, 2)))
 
 
 def test_bad_input(square: ConvexRegion) -> None:

@@ -1,38 +1,97 @@
-"""The count that a network keeps while it works: some rounds of a method in every step.
+"""Counting: how the agents of a network estimate their own number, some rounds in every step.
 
-Methods with a common start are restarted in epochs, and an estimate holds until the next epoch has
-ended; the running count never restarts.
+By averaging from a leader, which holds 1 and all others 0, all values tend to 1 / n. By minima
+every agent draws exponential numbers, and all learn the smallest of each: the minimum of n is n
+times smaller than one of them. There is no leader, and lost or repeated messages do no harm. Both
+restart in epochs, and an estimate holds until the next epoch has ended.
 
-By minima every agent draws numbers, and all learn the smallest of each: the minimum of n
-exponential variables is n times smaller than one of them. No leader, no identities; lost and
-repeated messages do no harm. The estimate is random, with an exact confidence interval.
-
-The running count follows agents that join and leave. Every agent averages with its neighbours and
-adds a little in each round; the leader takes away as much of its own value.
-``x <- W x + eps (1 - x_leader e_leader)`` comes to rest only where the leader holds n exactly, from
-wherever it starts, and all others hold a little more.
+The running count never restarts and follows agents that join and leave: every agent averages with
+its neighbours and adds a little in each round, and the leader subtracts as much of its own value.
+``x <- W x + eps (1 - x_leader e_leader)`` rests only where the leader holds n exactly, and all
+others a little more.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.linalg import spsolve  # pyright: ignore[reportUnknownVariableType]
-from scipy.special import gammaincinv  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.coverage.counting.consensus import (
-    Count,
-    average_round,
-    disagreement,
-    elect_leader,
-    inverted,
-)
-from planopt.coverage.network import Loss, Network, gets_through, is_connected
+from planopt.coverage.network import Loss, Network, gets_through
 from planopt.errors import InputError
+
+
+@dataclass(frozen=True)
+class Election:
+    """The outcome of choosing a leader."""
+
+    leader: int  # Number of the agent with the largest identity
+    rounds: int  # Rounds until every agent knew it
+    # Transmissions over single links; an agent sends when it has heard of a larger identity
+    messages: int
+
+
+def elect_leader(network: Network, identities: NDArray[np.intp] | None = None) -> Election:
+    """Choose the agent with the largest identity, by passing on the largest one heard of."""
+    # Shapes: identities (n,).
+    n = network.count
+    best = np.arange(n) if identities is None else np.asarray(identities)
+    if best.shape != (n,) or len(np.unique(best)) != n:
+        raise InputError("identities are distinct numbers, one for each agent", key="identities")
+    leader = int(best.argmax())
+    sender, receiver = network.directed
+    talking, rounds, messages = np.ones(n, dtype=np.bool_), 0, 0
+    while True:
+        sent = talking[sender]
+        messages += int(sent.sum())
+        after = best.copy()
+        np.maximum.at(after, receiver[sent], best[sender[sent]])
+        talking = after > best
+        if not talking.any():
+            break
+        best, rounds = after, rounds + 1
+    if (best != best[leader]).any():
+        raise InputError("the network is not connected", key="links")
+    return Election(leader, rounds, messages)
+
+
+def link_weights(network: Network) -> NDArray[np.float64]:
+    """Return the Metropolis weight of each link, ``1 / (1 + max(deg_i, deg_j))``; (e,)."""
+    return 1.0 / (1.0 + network.degrees[network.links].max(axis=1, initial=0))
+
+
+def average_round(
+    values: NDArray[np.float64],  # (n,) or (n, k) what agents hold
+    network: Network,
+    *,
+    loss: Loss = 0.0,
+    generator: np.random.Generator | None = None,
+) -> NDArray[np.float64]:
+    """Let every agent average with its neighbours once.
+
+    A link that loses a message is left out in both directions, as agents find out by acknowledging
+    each other's messages: then the sum of all values stays the same.
+    """
+    links, weights = network.links, link_weights(network)
+    if np.any(loss):
+        kept = gets_through(len(links), loss, generator)
+        links, weights = links[kept], weights[kept]
+    first, second = links[:, 0], links[:, 1]
+    flow = (values[second] - values[first]) * (weights if values.ndim == 1 else weights[:, None])
+    after = values.copy()
+    np.add.at(after, first, flow)
+    np.add.at(after, second, -flow)
+    return after
+
+
+def inverted(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return counts from values near 1 / n; infinite where a value is not positive; (n,)."""
+    counts = np.full(values.shape, np.inf)
+    heard = values > 0.0
+    counts[heard] = 1.0 / values[heard]
+    return counts
 
 
 def running_round(
@@ -52,34 +111,6 @@ def running_round(
     after = average_round(values, network, loss=loss, generator=generator) + innovation
     after[leader] -= innovation * values[leader]
     return after
-
-
-def running_limit(network: Network, leader: int, innovation: float) -> NDArray[np.float64]:
-    """Return the counts ``(n,)`` at which updates without losses come to rest.
-
-    The leader's is n, the others' are larger by at most innovation times a number of the network.
-    """
-    every = np.arange(network.count)
-    matrix = disagreement(network, np.where(every == leader, innovation, 0.0))
-    return _solved(network, matrix, np.full(network.count, innovation))
-
-
-def largest_innovation(network: Network, leader: int) -> float:
-    """Return the innovation below which every agent's count at rest rounds to n."""
-    n = network.count
-    if n == 1:
-        return 1.0
-    # At rest with innovation eps agent i holds n + eps y_i, with y_leader = 0.
-    others = np.arange(n) != leader
-    grounded = cast("csr_array", disagreement(network, np.zeros(n))[others][:, others])
-    return min(0.5 / float(_solved(network, grounded, np.ones(n - 1)).max()), 1.0)
-
-
-def _solved(network: Network, matrix: csr_array, right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Solution of a sparse system that a connected network has."""
-    if not is_connected(network):
-        raise InputError("the network is not connected", key="links")
-    return np.asarray(spsolve(matrix, right), dtype=np.float64)
 
 
 LEAST_DRAWS = 3
@@ -116,41 +147,9 @@ def minima_round(
     return Minima(after)
 
 
-def count_by_minima(
-    network: Network,
-    draws: int,
-    rounds: int,
-    generator: np.random.Generator,
-    *,
-    loss: Loss = 0.0,
-) -> Count:
-    """Count agents by the minima of exponential numbers."""
-    if rounds < 0:
-        raise InputError(f"{rounds} rounds", key="rounds")
-    minima = draw_minima(network.count, draws, generator)
-    for _ in range(rounds):
-        minima = minima_round(minima, network, loss=loss, generator=generator)
-    return Count(minima_estimates(minima), rounds, 2 * rounds * len(network.links))
-
-
 def minima_estimates(minima: Minima) -> NDArray[np.float64]:
     """Return each agent's unbiased estimate ``(m - 1) / sum of minima``; (n,)."""
     return (minima.values.shape[1] - 1) / minima.values.sum(axis=1)
-
-
-def count_interval(
-    estimates: NDArray[np.float64], draws: int, confidence: float = 0.95
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the exact confidence interval of counts.
-
-    n times the sum of m minima has the gamma distribution of shape m.
-    """
-    # Shapes: estimates (n,); returns (n,).
-    if not 0.0 < confidence < 1.0:
-        raise InputError(f"{confidence!r} is no probability", key="confidence")
-    tail = 0.5 * (1.0 - confidence)
-    low, high = (float(gammaincinv(draws, p)) / (draws - 1) for p in (tail, 1.0 - tail))
-    return estimates * low, estimates * high
 
 
 Method = Literal["known", "leader", "minima", "running"]
@@ -166,7 +165,6 @@ class Counting:
     epoch_rounds: int = 600  # Rounds of an epoch, and of the running count before the first step
     draws: int = 400  # Numbers that each agent draws, for minima
     # Of the running count: smaller ones leave all agents nearer to the number, and follow slower
-    # (:func:`planopt.coverage.counting.tally.largest_innovation`)
     innovation: float = 0.01
 
     def __post_init__(self) -> None:

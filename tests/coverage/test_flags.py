@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scattered import scattered
 
-from planopt.coverage.assignment.flags import (
+from planopt.coverage.assignment import (
     flag_round,
     flags_of,
     propagate_flags,

@@ -7,13 +7,12 @@ import pytest
 import shapely
 from scattered import scattered
 
-from planopt.coverage.control.laws import Gains, coverage_aims, law_moves, law_velocities
-from planopt.coverage.cost import coverage
-from planopt.coverage.geodesic import geodesic_region
-from planopt.coverage.geodesic_cells import geodesic_distances_m
+from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
+from planopt.coverage.geodesic import geodesic_distances_m, geodesic_region
 from planopt.coverage.ground import (
     ConvexGround,
     GeodesicGround,
+    coverage,
     geodesic_ground,
     neighbour_network,
 )
@@ -38,7 +37,7 @@ def test_velocity_is_the_gradient_over_twice_the_mass(hexagon: ConvexRegion) -> 
     nobody = np.zeros(12, dtype=np.bool_)
     aims = coverage_aims(ConvexGround(hexagon), agents, nobody)
     found = coverage(voronoi_cells(hexagon, agents))
-    velocity = law_velocities(agents, aims.targets_m, nobody, Gains(1.0, 0.3))
+    velocity = (law_moves(agents, aims.targets_m, nobody, Gains(1.0, 0.3), 0.5) - agents) / 0.5
     assert velocity == pytest.approx(-0.3 * found.gradient / (2.0 * found.mass[:, None]))
 
 

@@ -8,8 +8,14 @@ import shapely
 
 from planopt.channel import ChannelParameters, Station, condition, measure, model_truth
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
-from planopt.coverage.station_map import StationMap, line_distances_m, station_map
+from planopt.coverage.limits import (
+    LinkLaw,
+    MoveLimits,
+    RadioLimits,
+    StationMap,
+    line_distances_m,
+    station_map,
+)
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
 

@@ -1,1 +1,0 @@
-"""The agents that respond to an event: how many, and which."""

@@ -1,1 +1,0 @@
-"""Counting: agents find over their links how many they are."""

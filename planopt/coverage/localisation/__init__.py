@@ -1,1 +1,0 @@
-"""Localisation of an event from the strength of its signal at the agents."""

@@ -26,8 +26,8 @@ from planopt.planning.programme.pivot import Ahead, find_pivot
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.lattice_search import retime
 from planopt.planning.search.start_search import Start
+from planopt.planning.search.taut_way import retime
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
 from planopt.planning.worth.situation import Situation

@@ -23,7 +23,7 @@ from planopt.planning.programme.path_polish import PathTask, Polished, polish_pa
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.lattice_search import retime
+from planopt.planning.search.taut_way import retime
 from planopt.planning.tolerances import (
     MARGIN_PAD_DB,
     STANDSTILL_M,

@@ -100,12 +100,12 @@ def test_without_time_one_guide_is_followed(monkeypatch):
     """A rule that binds is searched for under several guides; there is time for one."""
     made: list[None] = []
 
-    class Counted(search_module.RewardSearch):
+    class Counted(search_module.LatticeSearch):
         def __init__(self, *arguments):
             made.append(None)
             super().__init__(*arguments)
 
-    monkeypatch.setattr(search_module, "RewardSearch", Counted)
+    monkeypatch.setattr(search_module, "LatticeSearch", Counted)
     rule = replace(TERMS.constraints.rule, connectivity="joint")
     joint = replace(TERMS, constraints=replace(TERMS.constraints, p_min=0.99999, rule=rule))
     terms_plan(joint)

@@ -23,9 +23,12 @@ from planopt.planning.baselines.baseline import held, released
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.scene import build_ground
+from planopt.planning.search.lattice_search import LatticeSearch, MoveValues
+from planopt.planning.search.moving_moves import Window, move_table
 from planopt.planning.worth.situation import Situation
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.targets.sensor import sensing_information
+from planopt.world.lattice import MOVES
 from planopt.world.road_map import RoadMap
 
 ROUNDS = 5
@@ -147,16 +150,17 @@ def _paths(
 def best_nodes(road_map: RoadMap, first: int, rewards: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return the nodes after each step of the walk of the largest sum of rewards; ``(T,)``."""
     # Shapes: rewards (T, n).
-    count = len(road_map.nodes_m)
-    value = np.full(count + 1, -np.inf)
-    value[first] = 0.0
-    came = np.empty(rewards.shape, dtype=np.intp)
-    every = np.arange(count)
-    for step, reward in enumerate(rewards):
-        came[step] = road_map.sources[every, value[road_map.sources].argmax(axis=1)]
-        value[:count] = value[came[step]] + reward
-    nodes = np.empty(len(rewards), dtype=np.intp)
-    nodes[-1] = int(value[:count].argmax())
-    for step in range(len(rewards) - 1, 0, -1):
-        nodes[step - 1] = came[step, nodes[step]]
-    return nodes
+    rows, columns, lattice = road_map.rows, road_map.columns, road_map.lattice
+
+    def reward(stage: int, window: Window) -> NDArray[np.float64]:
+        grid = np.full(lattice.shape, -np.inf)
+        grid[rows, columns] = rewards[stage - 1]
+        return grid[window]
+
+    nodes = road_map.sources[first]
+    nodes = nodes[nodes < len(rows)]
+    moves = MoveValues(move_table(lattice), np.zeros(len(MOVES)))
+    ends = np.stack([rows[nodes], columns[nodes]], axis=1)
+    found = LatticeSearch(moves, ends, np.zeros(len(nodes)), len(rewards))(reward)
+    path = found.path_to(found.best_ends(1, 0)[0])
+    return road_map.number[path[:, 0], path[:, 1]]

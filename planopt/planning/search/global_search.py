@@ -20,8 +20,8 @@ from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_
 from planopt.planning.history import History
 from planopt.planning.roads import node_at
 from planopt.planning.scene import Scene, first_moves
-from planopt.planning.search.lattice_search import search_lattice
-from planopt.planning.search.moving_moves import first_steps_apart
+from planopt.planning.search.lattice_search import search_cheapest
+from planopt.planning.search.moving_moves import first_steps_apart, move_table
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.search.timed_search import (
     TimedCosts,
@@ -100,6 +100,7 @@ class GlobalSearch:
             and not problem.workspace.moving
         )
         self._here_m = np.inf
+        self._table = move_table(scene.road_map.lattice)
 
     def find_start(self, situation: Situation) -> GlobalStart | None:
         """Search from where the robot is; None if no node is in reach."""
@@ -329,8 +330,9 @@ class GlobalSearch:
         nodes: NDArray[np.intp] | None = None
         for _ in range(CORRECTION_ROUNDS):
             surcharge = self._rate * np.concatenate([self._metre_cost() - 1.0, here])
-            found = search_lattice(
+            found = search_cheapest(
                 scene.road_map,
+                self._table,
                 first_nodes,
                 first_lengths,
                 problem.planner.horizon,

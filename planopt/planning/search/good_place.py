@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.search.lattice_search import retime
+from planopt.planning.search.taut_way import retime
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
 from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M

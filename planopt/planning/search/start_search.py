@@ -19,15 +19,14 @@ from planopt.planning.budget import UNLIMITED, Budget
 from planopt.planning.programme.goal_value import GoalCharge
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.coupled_starts import CoupledStarts
+from planopt.planning.search.lattice_search import LatticeSearch, MoveValues
 from planopt.planning.search.moving_moves import (
-    REACH,
     MovingMoves,
     Window,
     first_steps_apart,
     move_table,
 )
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.reward_lattice import LatticeValues, RewardSearch
 from planopt.planning.search.tried_places import TriedPlaces
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
@@ -40,7 +39,6 @@ from planopt.planning.worth.rule_rows import Guide, find_guided
 from planopt.planning.worth.situation import Situation, bends_starts, shares_places
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
-from planopt.world.lattice import MOVES
 from planopt.world.lattice_size import LONGEST_MOVE
 from planopt.world.moving_obstacle import ways_gap_m
 
@@ -140,59 +138,6 @@ def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.
     if shares_places(problem):
         value[lengths_m == 0.0] = -np.inf
     return value
-
-
-def best_ends(found: LatticeValues, count: int, apart: int) -> list[tuple[int, int]]:
-    """The nodes (iy, ix) of the highest values after the last step, best first."""
-    left = found.values[-1].copy()
-    top, beside = (part.start - REACH for part in found.windows[-1])
-    ends: list[tuple[int, int]] = []
-    while len(ends) < count:
-        row, column = (int(i) for i in np.unravel_index(int(np.argmax(left)), left.shape))
-        if not np.isfinite(left[row, column]):
-            break
-        ends.append((row + top, column + beside))
-        left[
-            max(row - apart, 0) : row + apart + 1, max(column - apart, 0) : column + apart + 1
-        ] = -np.inf
-    return ends
-
-
-MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
-"""(dx, dy) of each move."""
-
-
-def path_to(found: LatticeValues, end: tuple[int, int]) -> NDArray[np.intp]:
-    """Nodes (N, 2) as (iy, ix) of the best path that ends at `end`."""
-    nodes = [end]
-    for stage in range(len(found.values) - 2, -1, -1):
-        blocked = None
-        if found.moving is not None:
-            row, column = np.array(nodes[-1]).reshape(2, 1)
-            blocked = found.moving.blocked(stage + 1, row, column)[:, 0]
-        nodes.append(_best_source(found, stage, nodes[-1], blocked))
-    return np.array(nodes[::-1], dtype=np.intp)
-
-
-def _best_source(
-    found: LatticeValues, stage: int, node: tuple[int, int], blocked: NDArray[np.bool_] | None
-) -> tuple[int, int]:
-    """Return which of the 21 nodes (iy, ix) its best value came from, by a move not `blocked`."""
-    # One by one: for so few, arrays cost several times as much.
-    (rows, columns), value, closed = found.windows[stage], found.values[stage], found.table.closed
-    height, width = value.shape
-    best, source = -np.inf, node
-    for move, (dx, dy) in enumerate(MOVES_BY_NUMBER):
-        if blocked is not None and blocked[move]:
-            continue
-        row, column = node[0] - dy + REACH, node[1] - dx + REACH
-        inside_row, inside_column = row - rows.start, column - columns.start
-        if 0 <= inside_row < height and 0 <= inside_column < width:
-            arriving = value.item(inside_row, inside_column) + closed.item(move, row, column)
-            arriving += found.move_value.item(move)
-            if arriving > best:
-                best, source = arriving, (row - REACH, column - REACH)
-    return source
 
 
 STARTS = 2
@@ -358,18 +303,13 @@ class StartSearch:
         first_value = move_values(self._problem, lengths)
         rewards = StageRewards(situation, self._field, guide)
         paths: list[NDArray[np.intp]] = []
-        search = RewardSearch(
-            self._table,
-            first,
-            first_value,
-            self._move_values,
-            self._problem.planner.horizon,
-            MovingMoves(road_map.lattice, moving) if len(moving) else None,
-        )
+        in_step = MovingMoves(road_map.lattice, moving) if len(moving) else None
+        moves = MoveValues(self._table, self._move_values, moving=in_step)
+        search = LatticeSearch(moves, first, first_value, self._problem.planner.horizon)
         for _ in range(CORRECTIONS + 1):
             found = search(rewards)
             apart = int(ENDS_APART_STEPS * LONGEST_MOVE)
-            paths = [path_to(found, end) for end in best_ends(found, ends, apart)]
+            paths = [found.path_to(end) for end in found.best_ends(ends, apart)]
             if not paths or budget.searched or not self._loses(rewards, paths[0], guide):
                 break
         return [self._field.places_m(path) for path in paths]

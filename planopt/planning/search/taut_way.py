@@ -1,4 +1,9 @@
-"""Shortest ways on the lattice, pulled taut: from turn to turn, each in sight of the next."""
+"""Paths along the lattice, pulled taut and timed.
+
+A lattice path moves at the speeds that its moves happen to have. Separating lines belong to
+segments, so a path that passes a corner a step late keeps its refinement late too. Sampled again at
+cruising speed (:func:`retime`) it passes the corner in time.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +17,7 @@ from planopt.planning.scene import Ground, first_moves
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
+from planopt.world.lattice import REACH_TOLERANCE_M
 from planopt.world.road_map import Ways, shortest_ways, way_from
 
 STRAIGHT_SHARE = 1e-9
@@ -75,3 +81,30 @@ def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.
         steps = math.ceil(float(np.linalg.norm(end - start)) / longest_m)
         stops.append(start + (end - start) * (np.arange(1, steps + 1) / steps)[:, None])
     return np.concatenate(stops)
+
+
+def retime(
+    start_m: NDArray[np.float64],  # (2,) where the robot is
+    path_m: NDArray[np.float64],  # (N, 2) its path; where it stands still at its end it has arrived
+    beyond_m: NDArray[np.float64],  # (b, 2)
+    step_m: float,
+) -> NDArray[np.float64]:
+    """Sample the way of a path anew, N places `step_m` apart."""
+    # Shapes: returns (N, 2).
+    horizon = len(path_m)
+    arrived = horizon > 1 and bool((path_m[-1] == path_m[-2]).all())
+    way = np.vstack([start_m, path_m] if arrived else [start_m, path_m, beyond_m])
+    lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    way = way[np.concatenate([[True], lengths > 0.0])]
+    travelled = np.concatenate([[0.0], lengths[lengths > 0.0].cumsum()])
+    total = float(travelled[-1])
+    if total == 0.0:
+        return path_m
+    # A lattice path of n longest moves is n steps long but for rounding, and takes n steps.
+    steps = max(int(np.ceil((total - REACH_TOLERANCE_M) / step_m)), 1)
+    if steps <= horizon:
+        step_m = total / steps
+    stops = np.minimum(step_m * np.arange(1, horizon + 1), total)
+    return np.stack(
+        [np.interp(stops, travelled, way[:, 0]), np.interp(stops, travelled, way[:, 1])], axis=1
+    )

@@ -9,7 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scenes import small_road_map
 
-from planopt.planning.search.lattice_search import search_lattice
+from planopt.planning.search.lattice_search import search_cheapest
+from planopt.planning.search.moving_moves import move_table
 from planopt.world.lattice import MOVES, Lattice
 from planopt.world.road_map import build_road_map, shortest_ways
 
@@ -72,8 +73,9 @@ def brute_force(road_map, first_nodes, first_lengths, horizon, goal, penalty, te
 
 def search(road_map, first_nodes, first_lengths, horizon, goal, penalty, terminal):
     """The search with the cost of this file."""
-    return search_lattice(
+    return search_cheapest(
         road_map,
+        move_table(road_map.lattice),
         np.asarray(first_nodes, dtype=np.intp),
         np.asarray(first_lengths, dtype=float),
         horizon,

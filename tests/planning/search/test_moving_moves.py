@@ -9,10 +9,8 @@ import pytest
 from scenes import WALL, good_everywhere, search_of, small_problem
 
 from planopt.planning.scene import build_ground, first_moves
-from planopt.planning.search.lattice_search import search_lattice
+from planopt.planning.search.lattice_search import LatticeSearch, MoveValues, search_cheapest
 from planopt.planning.search.moving_moves import MovingMoves, move_table, steps_apart
-from planopt.planning.search.reward_lattice import search_rewards
-from planopt.planning.search.start_search import best_ends, path_to
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES
 from planopt.world.moving_obstacle import (
@@ -37,15 +35,10 @@ def searched(horizon, discs, move_value, seed=0):
     ends = road_map.nodes_m[nodes]
     nodes = nodes[steps_apart(discs, 0, np.broadcast_to(AT, ends.shape), ends)]
     first = np.stack([road_map.rows[nodes], road_map.columns[nodes]], axis=1)
-    found = search_rewards(
-        move_table(lattice),
-        first,
-        np.zeros(len(first)),
-        move_value,
-        horizon,
-        lambda k, window: rewards[k - 1][window],
-        MovingMoves(lattice, discs) if len(discs) else None,
-    )
+    moving = MovingMoves(lattice, discs) if len(discs) else None
+    moves = MoveValues(move_table(lattice), move_value, moving=moving)
+    search = LatticeSearch(moves, first, np.zeros(len(first)), horizon)
+    found = search(lambda k, window: rewards[k - 1][window])
     return found, rewards, road_map, nodes
 
 
@@ -89,7 +82,7 @@ def test_paths_keep_apart_and_are_worth_their_value(seed, cost):
     discs = discs_of(CART, VAN, horizon=horizon)
     move_value = np.full(len(MOVES), -cost)
     found, rewards, road_map, _ = searched(horizon, discs, move_value, seed)
-    path = path_to(found, best_ends(found, 1, 0)[0])
+    path = found.path_to(found.best_ends(1, 0)[0])
     gained = rewards[np.arange(horizon), path[:, 0], path[:, 1]].sum() - cost * (horizon - 1)
     assert gained == pytest.approx(found.values[-1].max())
     places = road_map.nodes_m[road_map.number[path[:, 0], path[:, 1]]]
@@ -129,9 +122,9 @@ def test_cheapest_path_to_a_goal_against_enumeration_by_stages(horizon):
     nodes, lengths = nodes[kept], lengths[kept]
     terminal = scene.ways.cost_m
     none = np.zeros(len(road_map.nodes_m))
-    found = search_lattice(
-        road_map, nodes, lengths, horizon, 1.0, 0.1, scene.goal_node, none, terminal, None, discs
-    )
+    steps = nodes, lengths, horizon, 1.0, 0.1
+    table, goal = move_table(road_map.lattice), scene.goal_node
+    found = search_cheapest(road_map, table, *steps, goal, none, terminal, None, discs)
     assert found is not None
     cost = dict(zip(nodes.tolist(), (1.0 + 0.1 * lengths**2).tolist(), strict=True))
     for k in range(1, horizon):

@@ -9,9 +9,8 @@ import pytest
 from scenes import CUP, WALL, small_problem
 
 from planopt.planning.scene import build_ground, first_moves
+from planopt.planning.search.lattice_search import LatticeSearch, MoveValues
 from planopt.planning.search.moving_moves import REACH, move_table
-from planopt.planning.search.reward_lattice import search_rewards
-from planopt.planning.search.start_search import best_ends, path_to
 from planopt.world.lattice import MOVES
 
 
@@ -25,14 +24,9 @@ def searched(polygon, horizon, start=(10.3, 10.2), seed=0, move_value=None):
     nodes, _ = first_moves(ground, problem, np.asarray(start))
     first = np.stack([ground.road_map.rows[nodes], ground.road_map.columns[nodes]], axis=1)
     worth = np.zeros(len(MOVES)) if move_value is None else move_value
-    found = search_rewards(
-        move_table(lattice),
-        first,
-        np.zeros(len(first)),
-        worth,
-        horizon,
-        lambda k, window: rewards[k - 1][window],
-    )
+    moves = MoveValues(move_table(lattice), worth)
+    search = LatticeSearch(moves, first, np.zeros(len(first)), horizon)
+    found = search(lambda k, window: rewards[k - 1][window])
     return found, rewards, ground, nodes
 
 
@@ -55,14 +49,14 @@ def test_value_is_that_of_a_search_by_nodes(polygon, horizon, cost):
     move_value = -cost * np.random.default_rng(5).random(len(MOVES))
     found, rewards, ground, nodes = searched(polygon, horizon, move_value=move_value)
     expected = value_by_nodes(rewards, ground, nodes, move_value)
-    (end,) = best_ends(found, 1, 0)
+    (end,) = found.best_ends(1, 0)
     by_node = np.full(ground.road_map.lattice.shape, -np.inf)
     by_node[ground.road_map.rows, ground.road_map.columns] = expected
     rows, columns = (slice(part.start - REACH, part.stop - REACH) for part in found.windows[-1])
     np.testing.assert_allclose(found.values[-1], by_node[rows, columns], atol=1e-12)
     by_node[rows, columns] = -np.inf
     assert not np.isfinite(by_node).any()
-    path = path_to(found, end)
+    path = found.path_to(end)
     gained = rewards[np.arange(horizon), path[:, 0], path[:, 1]].sum()
     moves = np.diff(path, axis=0)[:, ::-1]
     gained += sum(move_value[(np.asarray(MOVES) == move).all(axis=1)].item() for move in moves)
@@ -97,10 +91,10 @@ def test_value_is_that_of_enumeration():
 def test_rewards_that_forbid_everything_leave_no_end():
     """No finite value, no end."""
     found, rewards, _, _ = searched(WALL, 4)
-    assert len(best_ends(found, 1, 0)) == 1
+    assert len(found.best_ends(1, 0)) == 1
     assert rewards.shape[0] == 4
     nothing, *_ = searched(WALL, 4, move_value=np.full(len(MOVES), -np.inf))
-    assert best_ends(nothing, 1, 0) == []
+    assert nothing.best_ends(1, 0) == []
 
 
 def test_ends_are_the_best_that_are_far_enough_from_better_ones():
@@ -113,6 +107,6 @@ def test_ends_are_the_best_that_are_far_enough_from_better_ones():
         row, column = np.unravel_index(index, value.shape)
         if all(max(abs(row - r), abs(column - c)) > 3 for r, c in expected):
             expected.append((row, column))
-    ends = best_ends(found, 4, 3)
+    ends = found.best_ends(4, 3)
     assert ends == [(row + top, column + left) for row, column in expected[:4]]
-    assert len(best_ends(found, value.size, 0)) == np.isfinite(value).sum()
+    assert len(found.best_ends(value.size, 0)) == np.isfinite(value).sum()

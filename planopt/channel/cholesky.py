@@ -13,7 +13,7 @@ from planopt.errors import InputError
 FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
     ("potrf", "potri", "trtri", "trtrs"), dtype=np.float64
 )
-SOLVE, MULTIPLY = get_blas_funcs(("trsm", "trmm"), dtype=np.float64)
+SOLVE, MULTIPLY, SYMMETRIC = get_blas_funcs(("trsm", "trmm", "symm"), dtype=np.float64)
 
 INVERTED_ROWS = 64
 """Of more rows the inverse of a factor is made of those of its halves: LAPACK's own took 2.5 times
@@ -123,6 +123,23 @@ def _halved_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
 def solve_upper(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """L'^-1 `right`, for `right` (n,) or (n, m)."""
     return solve_triangular(lower, right, lower=True, trans=1, check_finite=False)
+
+
+def half_inverse(matrix: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    """Log |matrix|, and the upper half of its inverse with zeros below; `matrix` is overwritten."""
+    lower, info = FACTOR(matrix.T, lower=True, clean=True, overwrite_a=True)
+    if info != 0:
+        raise AssertionError("a covariance with a nugget is positive definite")
+    determinant = log_determinant(lower)
+    half, _ = INVERT(lower, lower=True, overwrite_c=True)
+    return determinant, half.T
+
+
+def symmetric_product(
+    half: NDArray[np.float64], columns: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Product of a symmetric matrix, of which `half` is the upper half, and `columns` (n, m)."""
+    return SYMMETRIC(1.0, half.T, columns, lower=1)
 
 
 def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -22,10 +22,13 @@ from numpy.typing import NDArray
 
 from planopt.channel.estimation.channel_fit import MIN_NUGGET_SHARE
 from planopt.channel.estimation.least_squares import examine
+from planopt.channel.estimation.likelihood import (
+    LikelihoodData,
+    likelihood_data,
+    profiled_log_likelihood,
+)
 from planopt.channel.estimation.likelihood_climb import thinned
-from planopt.channel.estimation.likelihood_data import LikelihoodData, likelihood_data
 from planopt.channel.estimation.reml import MOST_DENSE
-from planopt.channel.estimation.restricted_likelihood import profiled_log_likelihood
 from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.one_thread import one_blas_thread
@@ -137,14 +140,17 @@ def marginalise(
         return MarginalPosterior(
             (condition(parameters, measurements, exact_limit=exact_limit),), np.ones(1)
         )
-    data = _exact_data(measurements, parameters, allows.n_pl_reason is None)
+    exact = _exact_part(measurements)
+    every = np.ones(len(exact), dtype=np.bool_)
+    model = mean_model(exact.positions_m, every, parameters.station, allows.n_pl_reason is None)
+    data = likelihood_data(model, exact, parameters)
     low, high = allows.decorrelation_bounds_m
     top = math.log((1.0 - MIN_NUGGET_SHARE) / MIN_NUGGET_SHARE)
     box = np.array([[-top, top], [math.log(low), math.log(high)]])
     # The likelihood's alpha has what rounding adds in it, which `condition` adds again.
-    rounding = float(rounded_variance_db2(data.width_db).mean())
+    rounding = float(rounded_variance_db2(exact.resolution_db).mean())
     centre = np.clip(_coordinates(parameters, rounding), box[:, 0], box[:, 1])
-    freedom = data.exact - data.flat_columns().shape[1]
+    freedom = len(exact) - data.flat_columns().shape[1]
     points = _design(data, centre, box)
     found = [_likelihood(data, point) for point in points]
     logs = np.array([log for log, _ in found])
@@ -176,16 +182,11 @@ def marginalise(
     return MarginalPosterior(tuple(components), weights[kept] / weights[kept].sum())
 
 
-def _exact_data(
-    measurements: Measurements, parameters: ChannelParameters, n_pl_identifiable: bool
-) -> LikelihoodData:
-    """The uncensored measurements, at most `MOST_DENSE`, as the likelihood needs them."""
+def _exact_part(measurements: Measurements) -> Measurements:
+    """The uncensored measurements, at most `MOST_DENSE` of them."""
     measurements = measurements.by_place()
     rows = np.flatnonzero(~measurements.censored)
-    rows = rows[thinned(len(rows), MOST_DENSE)]
-    exact = measurements.take(rows)
-    model = mean_model(exact.positions_m, ~exact.censored, parameters.station, n_pl_identifiable)
-    return likelihood_data(model, exact, parameters)
+    return measurements.take(rows[thinned(len(rows), MOST_DENSE)])
 
 
 def _design(

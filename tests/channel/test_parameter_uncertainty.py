@@ -8,8 +8,7 @@ from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.least_squares import examine
-from planopt.channel.estimation.likelihood_data import likelihood_data
-from planopt.channel.estimation.restricted_likelihood import evaluate
+from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise
 from planopt.channel.parameters import ChannelParameters, Station, mean_model
@@ -38,7 +37,7 @@ def test_against_quadrature():
         for beta in np.geomspace(low, high, 10):
             for alpha in np.geomspace(3.0, 200.0, 14):
                 at = (share * alpha, (1.0 - share) * alpha, beta)
-                logs.append(evaluate(likelihood, at).log_likelihood)
+                logs.append(RestrictedLikelihood(likelihood).at(at).log_likelihood)
                 component = replace(
                     FIG_3,
                     shadow_std_db=np.sqrt(at[0]),

@@ -9,9 +9,8 @@ from simulated_channel import simulated
 
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.likelihood_data import likelihood_data
+from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
 from planopt.channel.estimation.reml import reml_fit
-from planopt.channel.estimation.restricted_likelihood import evaluate
 from planopt.channel.gaussian_sites import FINE_STEP, needs_site
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
@@ -160,7 +159,7 @@ def test_the_refit_with_intervals_is_an_optimum():
             estimate.decorrelation_m,
         ]
     )
-    assert evaluate(data, tuple(top)).log_likelihood == pytest.approx(
+    assert RestrictedLikelihood(data).at(tuple(top)).log_likelihood == pytest.approx(
         found.best.log_likelihood, abs=1e-6
     )
     ranges = (bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m)
@@ -168,7 +167,10 @@ def test_the_refit_with_intervals_is_an_optimum():
         for factor in (0.8, 1.25):
             moved = top.copy()
             moved[i] = np.clip(factor * moved[i], low, high)
-            assert evaluate(data, tuple(moved)).log_likelihood < found.best.log_likelihood + 1e-6
+            assert (
+                RestrictedLikelihood(data).at(tuple(moved)).log_likelihood
+                < found.best.log_likelihood + 1e-6
+            )
 
 
 def test_fine_steps_cost_nothing():

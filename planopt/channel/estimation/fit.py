@@ -43,7 +43,7 @@ from planopt.channel.estimation.lemma1 import (
     lemma1_fit,
     printed_bins,
 )
-from planopt.channel.estimation.likelihood_data import Covariance
+from planopt.channel.estimation.likelihood import Covariance
 from planopt.channel.estimation.reml import MOST_DENSE, RemlFit, reml_fit
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.offsets import ReceiverOffset, receiver_offsets

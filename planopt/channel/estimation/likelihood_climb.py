@@ -22,16 +22,12 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.block_likelihood import BlockData, BlockLikelihood, exact_part
 from planopt.channel.estimation.channel_fit import CovarianceBounds
-from planopt.channel.estimation.likelihood_data import (
+from planopt.channel.estimation.likelihood import (
     Covariance,
-    Evaluated,
-    Likelihood,
+    Evaluation,
     LikelihoodData,
-)
-from planopt.channel.estimation.restricted_likelihood import (
-    DenseLikelihood,
+    RestrictedLikelihood,
     profiled_log_likelihood,
 )
 
@@ -146,14 +142,14 @@ FLAT = 1e-6
 NEARLY_AS_LIKELY = 2.0
 """Optima whose log L is lower by no more than this are kept beside the best."""
 
-Top = tuple[NDArray[np.float64], Evaluated]
+Top = tuple[NDArray[np.float64], Evaluation]
 """A point in logarithms, and the likelihood there."""
 
 
 class LikelihoodClimb:
     """Climbs of one likelihood, to its optima within `fine`."""
 
-    def __init__(self, likelihood: Likelihood, fine: float = FINE) -> None:
+    def __init__(self, likelihood: RestrictedLikelihood, fine: float = FINE) -> None:
         self._likelihood = likelihood
         self._fine = fine
         self._top: Top | None = None
@@ -267,12 +263,15 @@ def dense_starts(
     data: LikelihoodData, bounds: CovarianceBounds, box: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
     """Points in logarithms to climb from: the best of a grid, followed on a sample of many."""
-    sample = data.gaussian(thinned(data.exact, START_MEASUREMENTS))
+    rows = np.flatnonzero(data.gaussian)
+    taken = np.zeros(len(data.values_db), dtype=np.bool_)
+    taken[rows[thinned(len(rows), START_MEASUREMENTS)]] = True
+    sample = data.part(taken)
     starts = _grid_starts(sample, bounds)
-    if len(data.power_db) <= START_MEASUREMENTS:
+    if len(data.values_db) <= START_MEASUREMENTS:
         return starts
     # Basins are told apart on the sample: the whole is climbed once for each.
-    climb = LikelihoodClimb(DenseLikelihood(sample))
+    climb = LikelihoodClimb(RestrictedLikelihood(sample))
     tops = climb.distinct(climb.to_top(start, box, ROUGH) for start in starts)
     return [logs for logs, _ in tops]
 
@@ -300,16 +299,20 @@ def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[NDArr
 
 
 def block_starts(
-    data: BlockData, likelihood: Likelihood, box: NDArray[np.float64]
+    likelihood: RestrictedLikelihood, box: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
     """Local maxima over beta of a sample's likelihood, the other two maximised at each beta.
 
     A maximum of the whole need not be one of the sample: to either side of the best one the whole
     is asked which way it rises, and where that is away from there, that is a start too.
     """
-    whole = LikelihoodClimb(likelihood)
-    sample = exact_part(data, START_BLOCKS)
-    climb = LikelihoodClimb(BlockLikelihood(sample))
+    data, whole = likelihood.data, LikelihoodClimb(likelihood)
+    taken = np.zeros(len(data.values_db), dtype=np.bool_)
+    # The first blocks are spread over all places.
+    for window in data.windows[:START_BLOCKS]:
+        taken[window.own] = True
+    sample = data.part(taken & data.gaussian)
+    climb = LikelihoodClimb(RestrictedLikelihood(sample))
     fitted, *_ = np.linalg.lstsq(sample.columns, sample.values_db, rcond=None)
     variance = float(np.mean((sample.values_db - sample.columns @ fitted) ** 2))
     low, high = (float(end) for end in box[2])

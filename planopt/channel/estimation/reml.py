@@ -3,7 +3,7 @@
 The default fit: unlike Lemma 1 of [GM11] it has no selection bias, weighs every pair rightly, and
 takes censored measurements for what they are. Up to `MOST_DENSE` measurements the likelihood is
 exact, from one factor; beyond, it is that of blocks
-(:mod:`planopt.channel.estimation.block_likelihood`), whose cost grows with their number alone.
+(:mod:`planopt.channel.estimation.likelihood`), whose cost is proportional to their number.
 """
 
 from __future__ import annotations
@@ -14,12 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.estimation.block_likelihood import BlockLikelihood, block_data
 from planopt.channel.estimation.channel_fit import (
     BOUND_TOLERANCE,
     CovarianceBounds,
     CovarianceFit,
     at_bound,
+)
+from planopt.channel.estimation.likelihood import (
+    Covariance,
+    RestrictedLikelihood,
+    likelihood_data,
 )
 from planopt.channel.estimation.likelihood_climb import (
     FINE,
@@ -30,8 +34,6 @@ from planopt.channel.estimation.likelihood_climb import (
     dense_starts,
     variances,
 )
-from planopt.channel.estimation.likelihood_data import Covariance, Likelihood, likelihood_data
-from planopt.channel.estimation.restricted_likelihood import DenseLikelihood
 from planopt.channel.gaussian_sites import needs_site
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, MeanModel
@@ -76,14 +78,11 @@ def reml_fit(
 ) -> RemlFit:
     """Maximise the restricted likelihood within `bounds`."""
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
-    likelihood: Likelihood
-    if len(measurements) <= MOST_DENSE:
-        data = likelihood_data(model, measurements, known)
-        likelihood, fine, starts = DenseLikelihood(data), FINE, dense_starts(data, bounds, box)
-    else:
-        blocks = block_data(model, measurements, known, bounds.decorrelation_m)
-        likelihood, fine = BlockLikelihood(blocks), BLOCK_FINE
-        starts = block_starts(blocks, likelihood, box)
+    whole = len(measurements) <= MOST_DENSE
+    blocks, fine = (None, FINE) if whole else (bounds.decorrelation_m, BLOCK_FINE)
+    data = likelihood_data(model, measurements, known, None, blocks)
+    likelihood = RestrictedLikelihood(data)
+    starts = dense_starts(data, bounds, box) if whole else block_starts(likelihood, box)
     climb = LikelihoodClimb(likelihood, fine)
     modes = climb.modes(starts, box)
     further = beyond_best(climb, modes[0], box)
@@ -92,13 +91,8 @@ def reml_fit(
     as_interval = needs_site(measurements, math.exp(modes[0][0][1]))
     if as_interval.sum() > measurements.censored.sum():
         # Chosen once, from the fit with Sheppard's correction: the likelihood stays smooth.
-        likelihood = (
-            DenseLikelihood(likelihood_data(model, measurements, known, as_interval))
-            if len(measurements) <= MOST_DENSE
-            else BlockLikelihood(
-                block_data(model, measurements, known, bounds.decorrelation_m, as_interval)
-            )
-        )
+        data = likelihood_data(model, measurements, known, as_interval, blocks)
+        likelihood = RestrictedLikelihood(data)
         climb = LikelihoodClimb(likelihood, fine)
         modes = climb.modes([logs for logs, _ in modes], box)
     best, *others = (_mode(top) for top in modes)
@@ -119,7 +113,9 @@ def _mode(top: Top) -> Mode:
     return Mode(variances(logs), at.coefficients, at.coefficient_covariance, at.log_likelihood)
 
 
-def _covariance_fit(likelihood: Likelihood, top: Top, box: NDArray[np.float64]) -> CovarianceFit:
+def _covariance_fit(
+    likelihood: RestrictedLikelihood, top: Top, box: NDArray[np.float64]
+) -> CovarianceFit:
     """Standard errors and warnings at the optimum."""
     logs, at = top
     shadow, nugget, beta = covariance = variances(logs)

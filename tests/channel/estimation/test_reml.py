@@ -8,10 +8,9 @@ from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.least_squares import examine
+from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
 from planopt.channel.estimation.likelihood_climb import START_MEASUREMENTS, thinned
-from planopt.channel.estimation.likelihood_data import likelihood_data
 from planopt.channel.estimation.reml import reml_fit
-from planopt.channel.estimation.restricted_likelihood import evaluate
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station, mean_model
 
@@ -40,15 +39,14 @@ def test_nothing_on_a_grid_is_more_likely(count, share):
         for limits in (bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m)
     ]
     values = [
-        evaluate(data, (xi2, om2, beta)).log_likelihood
+        RestrictedLikelihood(data).at((xi2, om2, beta)).log_likelihood
         for xi2 in grids[0]
         for om2 in grids[1]
         for beta in grids[2]
     ]
     assert found.best.log_likelihood >= max(values) - 1e-6
     estimate = found.covariance
-    at = evaluate(
-        data,
+    at = RestrictedLikelihood(data).at(
         (
             estimate.shadow_variance_db2,
             estimate.multipath_variance_db2,

@@ -1,0 +1,643 @@
+"""The restricted likelihood of xi^2, omega^2 and beta, with gradient: of few and of many.
+
+With V = xi^2 exp(-d / beta) + noise and the columns C = [y, X] all that is needed are log |V|,
+C' V^-1 C and their derivatives. X has the columns of the mean, under a flat prior, and the
+indicators of the receivers but number 0, whose coefficients have a normal one. With S the
+covariance of the coefficients, P = V^-1 - V^-1 X S X' V^-1 and y about a fixed line (equations 2.6
+and 2.7):
+
+    log L = -(log |V| - log |S| + y' P y + (n - p) log 2 pi) / 2
+    dlog L = -(tr(P dV) - y' P dV P y) / 2
+
+Few measurements are one window, whose inverse covariance gives everything. For many, Vecchia's
+approximation is the product over blocks of the density of a block given measurements next to it
+that come before it (:mod:`planopt.channel.nearest.windows`). With L the Cholesky factor of a
+window's covariance, those next to the block first, A the last rows of L^-1, the block's,
+D = A dV L'^-1, split into the columns of those next to it and of the block's own, and z = L^-1 C
+split likewise,
+
+    log |V| = sum 2 log diag(L)_own        C' V^-1 C = sum (A C)' (A C)
+    dlog |V| = sum tr D_own        d(C' V^-1 C) = -sum (T + T'), T = z_own' (D_beside z_beside
+                                                                       + D_own z_own / 2)
+
+and the expected information is ``sum (<D_own, D_own> / 2 + <D_beside, D_beside>)`` (Guinness,
+Statistics and Computing 31, 2021).
+
+A measurement that was rounded finely has omega^2 + r^2 / 12 on the diagonal. Censored and coarsely
+rounded ones are Gaussian sites of expectation propagation (EP); log L is then EP's log probability
+of the intervals together with the Gaussian measurements, less log r of each rounded one, so that it
+tends to the density of the exact power. At EP's fixed point the sites do not move the value to
+first order, so the gradient is the one above with sites as measurements, plus the direct effect of
+omega^2 on the intervals. In one window the sites are joint, theta integrated out; in several they
+are matched window by window (:mod:`planopt.channel.nearest.window_sites`) about the current mean.
+
+Position errors lengthen the distances, age multiplies the correlation, and errors of path loss add
+to the diagonal (:mod:`planopt.channel.measurement_covariance`): none changes the derivatives' form.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.cholesky import (
+    factor_and_inverse,
+    factor_and_whitened,
+    half_inverse,
+    log_determinant,
+    lower_factor,
+    solve_lower,
+    symmetric_product,
+)
+from planopt.channel.estimation.least_squares import receiver_columns
+from planopt.channel.gaussian_sites import (
+    Intervals,
+    IntervalSites,
+    LatentPrior,
+    interval_sites,
+    intervals,
+    rounded_variance_db2,
+)
+from planopt.channel.measurement_covariance import (
+    RECEIVER_OFFSET_STD_DB,
+    Origins,
+    ageing,
+    measured_origins,
+    measured_path_loss_variance_db2,
+    own_distance_m,
+)
+from planopt.channel.measurements import Measurements
+from planopt.channel.nearest.window_sites import (
+    SITE_BESIDE,
+    IntervalRows,
+    WindowSites,
+    window_sites,
+)
+from planopt.channel.nearest.windows import (
+    BESIDE,
+    BLOCK,
+    Window,
+    earlier_windows,
+    place_blocks,
+    surrounding_windows,
+)
+from planopt.channel.parameters import ChannelParameters, MeanModel
+
+Covariance = tuple[float, float, float]
+"""xi^2 (dB^2), omega^2 (dB^2), beta (m)."""
+
+LEAST_FREEDOM = 3
+"""Starts and weights leave offsets out where fewer measurements would be left over."""
+
+RANK_TOLERANCE = 1e-9
+"""Columns below this share of the largest singular value add nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodData:
+    """Measurements in windows: one of all, or blocks from coarse to fine with earlier ones."""
+
+    known: ChannelParameters  # What is not estimated: the forgetting time, and the station
+    # Of n measurements, every receiver's offset known: offsets are coefficients here
+    origins: Origins
+    # (n, q): the mean model's p columns, then the indicators of the receivers but number 0
+    columns: NDArray[np.float64]
+    prior_precision: NDArray[np.float64]  # (q,) of the coefficients: 0, flat, for the first p
+    line: NDArray[np.float64]  # (p,) coefficients that powers are counted from
+    values_db: NDArray[np.float64]  # (n,) powers less the mean model's offset and the line
+    # (n,) variance beyond omega^2: of rounding, and of path loss by errors of position
+    fixed_db2: NDArray[np.float64]
+    # (n,): which are not intervals to the likelihood, and which are not censored
+    gaussian: NDArray[np.bool_]
+    measured: NDArray[np.bool_]
+    intervals: IntervalRows | None  # Those that are; None where there are none
+    log_steps: float  # Sum of the logarithms of the steps that coarse ones were rounded to
+    windows: tuple[Window, ...]
+    distances_m: tuple[NDArray[np.float64], ...]  # Within each window, position errors included
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether one window has all."""
+        return len(self.windows) == 1
+
+    def part(self, taken: NDArray[np.bool_]) -> LikelihoodData:
+        """Return the data of some Gaussian measurements; windows without any are left out."""
+        number = np.cumsum(taken) - 1
+        windows = [
+            Window(number[one.beside[taken[one.beside]]], number[one.own[taken[one.own]]])
+            for one in self.windows
+        ]
+        kept = tuple(window for window in windows if len(window.own))
+        origins, every = self.origins.at(np.flatnonzero(taken)), np.ones(int(taken.sum()), np.bool_)
+        return replace(
+            self,
+            origins=origins,
+            columns=self.columns[taken],
+            values_db=self.values_db[taken],
+            fixed_db2=self.fixed_db2[taken],
+            gaussian=every,
+            measured=every,
+            intervals=None,
+            log_steps=0.0,
+            windows=kept,
+            distances_m=_distances_m(origins, kept),
+        )
+
+    def flat_columns(self) -> NDArray[np.float64]:
+        """The mean's columns, and a basis of what receivers' offsets add to them; ``(n, k)``.
+
+        For offsets under a flat prior. Where too few measurements would be left, or there are no
+        offsets, the mean's alone.
+        """
+        mean = self.columns[:, : len(self.line)]
+        if self.columns.shape[1] == len(self.line):
+            return mean
+        basis, spread, _ = np.linalg.svd(self.columns, full_matrices=False)
+        basis = basis[:, spread > RANK_TOLERANCE * spread[0]]
+        return basis if len(basis) - basis.shape[1] >= LEAST_FREEDOM else mean
+
+    def correlation(self, window: int, decorrelation_m: float) -> NDArray[np.float64]:
+        """exp(-d / beta) by the factor of age, within a window."""
+        correlation = np.exp(self.distances_m[window] * (-1.0 / decorrelation_m))
+        if self.origins.time_s is not None:
+            times = self.origins.time_s[self.windows[window].rows]
+            correlation *= ageing(times[:, None], times, self.known)
+        return correlation
+
+
+def likelihood_data(
+    model: MeanModel,
+    measurements: Measurements,
+    known: ChannelParameters,
+    as_interval: NDArray[np.bool_] | None = None,  # (n,); None for the censored ones
+    block_decorrelation_m: tuple[float, float] | None = None,
+) -> LikelihoodData:
+    """Prepare measurements as one window, or in blocks for a range of decorrelation distances."""
+    chosen = measurements.censored if as_interval is None else as_interval
+    origins = measured_origins(measurements, known).without_offsets()
+    displaced = measured_path_loss_variance_db2(measurements, known)
+    receivers = receiver_columns(measurements)
+    bands, rows = intervals(measurements), np.flatnonzero(chosen)
+    around: tuple[Window, ...] = ()
+    if block_decorrelation_m is None:
+        windows = (Window(np.zeros(0, dtype=np.intp), np.arange(len(measurements))),)
+    else:
+        coordinates = origins.positions_m
+        if origins.time_s is not None:
+            apart_m = math.sqrt(math.prod(block_decorrelation_m)) / known.forgetting_s
+            coordinates = np.column_stack([coordinates, apart_m * origins.time_s])
+        blocks = place_blocks(coordinates, BLOCK)
+        windows = earlier_windows(coordinates, blocks, BESIDE)
+        with_some = tuple(own for own in blocks if chosen[own].any())
+        around = surrounding_windows(coordinates, with_some, SITE_BESIDE)
+    power, measured = measurements.power_dbm - model.offset_db, ~measurements.censored
+    line = np.linalg.lstsq(model.columns[measured], power[measured], rcond=None)[0]
+    start = model.offset_db + model.columns @ line
+    width = bands.width_db[rows]
+    return LikelihoodData(
+        known,
+        origins,
+        np.column_stack([model.columns, receivers]),
+        np.repeat([0.0, RECEIVER_OFFSET_STD_DB**-2], [len(line), receivers.shape[1]]),
+        np.asarray(line, dtype=np.float64),
+        measurements.power_dbm - start,
+        np.where(chosen, 0.0, rounded_variance_db2(measurements.resolution_db)) + displaced,
+        ~chosen,
+        measured,
+        IntervalRows(
+            rows,
+            Intervals(bands.upper_db[rows] - start[rows], width),
+            displaced[rows],
+            around,
+            _distances_m(origins, around),
+        )
+        if len(rows)
+        else None,
+        float(np.log(width[np.isfinite(width)]).sum()),
+        windows,
+        _distances_m(origins, windows),
+    )
+
+
+def _distances_m(origins: Origins, windows: tuple[Window, ...]) -> tuple[NDArray[np.float64], ...]:
+    return tuple(own_distance_m(origins.at(window.rows)) for window in windows)
+
+
+SITE_TOLERANCE = 1e-4
+"""Of the sites of intervals while climbing: what it costs in log L is far below the accuracy
+required of the optimum, and it saves half of the sweeps."""
+
+MEAN_TOLERANCE = 0.03
+"""Sites are matched again where the mean of an interval moved by more standard errors than this."""
+
+ROUGH_TOLERANCE, ROUGH_SITE_TOLERANCE = 1e-2, 1e-3
+"""Where log L may be off by the first, sites are matched once, to the second."""
+
+DIFFERENCE = 0.3
+"""Step of the differences of the gradient, in standard errors of the logarithms."""
+
+
+@dataclass(frozen=True, eq=False)
+class Precision:
+    """The inverse covariance of all measurements, and what the mean takes from it."""
+
+    half: NDArray[np.float64]  # (n, n) upper half of V^-1, zeros below
+    weights: NDArray[np.float64]  # (n, q) V^-1 X
+    spread: NDArray[np.float64]  # (q, q) S
+
+    def projection(self) -> NDArray[np.float64]:
+        """P, ``(n, n)``."""
+        whole = self.half + np.triu(self.half, 1).T
+        return whole - self.weights @ self.spread @ self.weights.T
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The restricted likelihood at one point."""
+
+    log_likelihood: float  # Log L, constants included
+    gradient: NDArray[np.float64]  # (3,) by xi^2, omega^2, beta
+    # (3, 3) about minus the second derivatives, positive semidefinite, sites as measurements: the
+    # average of observed and expected information y' P dV_i P dV_j P y / 2 where one window has
+    # all, else the expected information
+    information: NDArray[np.float64]
+    coefficients: NDArray[np.float64]  # (p,) of the mean, by generalised least squares
+    coefficient_covariance: NDArray[np.float64]  # (p, p) theirs
+    precision: Precision | None  # Where one window has all
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """Sites and coefficients that were found at a point in logarithms."""
+
+    logs: NDArray[np.float64]
+    log_likelihood: float
+    sites: WindowSites | IntervalSites | None
+    coefficients: NDArray[np.float64]
+
+
+class RestrictedLikelihood:
+    """The likelihood of measurements; sites and mean start from the last point or the best."""
+
+    def __init__(self, data: LikelihoodData) -> None:
+        self.data = data
+        nowhere = _Settled(np.zeros(3), -math.inf, None, np.zeros(data.columns.shape[1]))
+        self._last = self._best = nowhere
+
+    def at(
+        self,
+        covariance: Covariance,
+        tolerance: float = 0.0,
+        site_tolerance: float = SITE_TOLERANCE,
+    ) -> Evaluation:
+        """Evaluate it; log L may be off by about `tolerance` where that is faster."""
+        logs = np.log(covariance)
+        found = (
+            self._whole(covariance, site_tolerance)
+            if self.data.is_whole
+            else self._blocks(covariance, logs, tolerance >= ROUGH_TOLERANCE)
+        )
+        evaluation, sites, coefficients = found
+        self._last = _Settled(logs, evaluation.log_likelihood, sites, coefficients)
+        if self._last.log_likelihood > self._best.log_likelihood:
+            self._best = self._last
+        return evaluation
+
+    def information(self, covariance: Covariance, at: Evaluation) -> NDArray[np.float64]:
+        """Return the information (3, 3) whose inverse has the squared standard errors.
+
+        `at` is the evaluation there. In one window it is the expected information, in several the
+        observed one, by differences of the gradient.
+        """
+        if at.precision is not None:
+            return _expected_information(self.data, covariance, at.precision.projection())
+        scale = np.array(covariance)
+        logs = np.log(scale)
+        steps = DIFFERENCE / (scale * np.sqrt(np.maximum(np.diag(at.information), scale**-2.0)))
+        rows: list[NDArray[np.float64]] = []
+        for axis, step in enumerate(np.diag(steps)):
+            ends = [np.exp(logs + step), np.exp(logs - step)]
+            above, below = (
+                self.at((float(x), float(n), float(b)), ROUGH_TOLERANCE) for x, n, b in ends
+            )
+            slopes = above.gradient * ends[0] - below.gradient * ends[1]
+            rows.append(-slopes / (2.0 * steps[axis]))
+        curvature = np.array(rows)
+        return 0.5 * (curvature + curvature.T) / np.outer(scale, scale)
+
+    def _whole(
+        self, covariance: Covariance, site_tolerance: float
+    ) -> tuple[Evaluation, IntervalSites | None, NDArray[np.float64]]:
+        """Evaluate one window of all, with joint sites."""
+        data, rows = self.data, self.data.intervals
+        shadow, nugget, beta = covariance
+        correlation = data.correlation(0, beta)
+        total = shadow * correlation
+        values, noise = data.values_db, data.fixed_db2 + nugget
+        sites = log_likelihood = None
+        if rows is not None:
+            start = self._last.sites
+            prior, log_gaussian = _interval_prior(data, total, noise)
+            sites = interval_sites(
+                prior,
+                rows.known,
+                nugget,
+                start if isinstance(start, IntervalSites) else None,
+                site_tolerance,
+            )
+            log_likelihood = log_gaussian + sites.log_evidence - data.log_steps
+            values, noise = _with_sites(rows, values, noise, *_as_measurements(sites))
+        total.flat[:: len(total) + 1] += noise
+        columns = np.column_stack([values, data.columns])
+        determinant, half = half_inverse(total)
+        weights = symmetric_product(half, columns)
+        correlation_slope = correlation * data.distances_m[0]
+        correlation_slope *= shadow / beta**2
+        diagonal = np.diag(half)
+        moved = np.stack(
+            [correlation @ weights, weights * data.gaussian[:, None], correlation_slope @ weights]
+        )
+        sums = _Sums(
+            determinant,
+            columns.T @ weights,
+            # Traces of products of symmetric matrices, one of them by its half.
+            np.array(
+                [
+                    2.0 * np.vdot(half, correlation) - diagonal.sum(),
+                    diagonal[data.gaussian].sum(),
+                    2.0 * np.vdot(half, correlation_slope),
+                ]
+            ),
+            -(weights.T @ moved),
+            np.zeros((3, 3)),
+        )
+        coefficients, spread = sums.estimate(data.prior_precision)
+        # Rounded ones tell of omega^2 too: their sites' variances nearly grow as it does.
+        moved[1] = weights * data.measured[:, None]
+        along = moved @ np.concatenate([[1.0], -coefficients])
+        explained = along @ weights[:, 1:]
+        sums.information = 0.5 * (
+            along @ symmetric_product(half, along.T) - explained @ spread @ explained.T
+        )
+        slope = 0.0 if sites is None else sites.evidence_slope
+        precision = Precision(half, weights[:, 1:], spread)
+        evaluation = _evaluation(
+            data, sums, (coefficients, spread), slope, log_likelihood, 0.0, precision
+        )
+        return evaluation, sites, coefficients
+
+    def _blocks(
+        self, covariance: Covariance, logs: NDArray[np.float64], rough: bool
+    ) -> tuple[Evaluation, WindowSites | None, NDArray[np.float64]]:
+        """Evaluate windows, sites and mean in turn until neither moves; once each if `rough`."""
+        data, rows = self.data, self.data.intervals
+        shadow, nugget, beta = covariance
+        start = min((self._last, self._best), key=lambda one: np.abs(one.logs - logs).max())
+        sites = start.sites if isinstance(start.sites, WindowSites) else None
+        coefficients = start.coefficients
+        values, noise = data.values_db, data.fixed_db2 + nugget
+        parameters = replace(
+            data.known,
+            shadow_std_db=math.sqrt(shadow),
+            multipath_std_db=math.sqrt(nugget),
+            decorrelation_m=beta,
+        )
+        while True:
+            if rows is not None:
+                sites = window_sites(
+                    parameters,
+                    data.origins,
+                    (values, noise),
+                    rows,
+                    data.columns @ coefficients,
+                    sites,
+                    ROUGH_SITE_TOLERANCE if rough else SITE_TOLERANCE,
+                )
+                values, noise = _with_sites(
+                    rows, values, noise, sites.values_db, 1.0 / sites.precision
+                )
+            sums = _window_sums(data, covariance, np.column_stack([values, data.columns]), noise)
+            before, (coefficients, spread) = coefficients, sums.estimate(data.prior_precision)
+            if rough or rows is None:
+                break
+            there = data.columns[rows.rows]
+            error = np.sqrt(np.einsum("ij,jk,ik->i", there, spread, there))
+            if (np.abs(there @ (coefficients - before)) <= MEAN_TOLERANCE * error).all():
+                break
+        slope = 0.0 if sites is None else sites.slope
+        log_factor = 0.0 if sites is None else sites.log_factor - data.log_steps
+        evaluation = _evaluation(data, sums, (coefficients, spread), slope, None, log_factor, None)
+        return evaluation, sites, coefficients
+
+
+@dataclass(eq=False)
+class _Sums:
+    """Sums over windows: log |V|, C' V^-1 C, their derivatives, and the information."""
+
+    log_determinant: float
+    products: NDArray[np.float64]
+    log_slopes: NDArray[np.float64]
+    product_slopes: NDArray[np.float64]
+    information: NDArray[np.float64]
+
+    def estimate(
+        self, prior_precision: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Generalised least squares of the coefficients, and their covariance S."""
+        spread = np.asarray(
+            np.linalg.inv(self.products[1:, 1:] + np.diag(prior_precision)), dtype=np.float64
+        )
+        return spread @ self.products[1:, 0], spread
+
+
+def _evaluation(
+    data: LikelihoodData,
+    sums: _Sums,
+    estimate: tuple[NDArray[np.float64], NDArray[np.float64]],  # As of `_Sums.estimate`
+    nugget_slope: float,  # Of the intervals' probability, by omega^2 directly
+    log_likelihood: float | None,  # Where it is known otherwise
+    log_factor: float,  # Log of what turns sites as measurements into intervals
+    precision: Precision | None,
+) -> Evaluation:
+    """Put the sums together."""
+    coefficients, spread = estimate
+    count = len(data.line)
+    if log_likelihood is None:
+        squares = sums.products[0, 0] - float(sums.products[0, 1:] @ coefficients)
+        log_likelihood = log_factor - 0.5 * (
+            sums.log_determinant
+            - float(np.linalg.slogdet(spread)[1])
+            - float(np.log(data.prior_precision[count:]).sum())
+            + squares
+            + (len(data.values_db) - count) * math.log(2.0 * math.pi)
+        )
+    residual = np.concatenate([[1.0], -coefficients])
+    slopes = sums.product_slopes
+    gradient: NDArray[np.float64] = -0.5 * (
+        sums.log_slopes
+        + np.einsum("ij,kij->k", spread, slopes[:, 1:, 1:])
+        + slopes @ residual @ residual
+    )
+    gradient[1] += nugget_slope
+    return Evaluation(
+        log_likelihood,
+        gradient,
+        sums.information,
+        data.line + coefficients[:count],
+        spread[:count, :count],
+        precision,
+    )
+
+
+def _as_measurements(sites: IntervalSites) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    found = sites.as_measurements()
+    return found.values_db, found.noise_variance_db2
+
+
+def _with_sites(
+    rows: IntervalRows,
+    values: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    site_values: NDArray[np.float64],
+    site_noise: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Values and noise (n,) with the sites in place of the intervals."""
+    values, noise = values.copy(), noise.copy()
+    values[rows.rows], noise[rows.rows] = site_values, site_noise + rows.displaced_db2
+    return values, noise
+
+
+def _interval_prior(
+    data: LikelihoodData,
+    latent_db2: NDArray[np.float64],  # (n, n) covariance of shadowing
+    noise_db2: NDArray[np.float64],  # (n,) of the Gaussian measurements
+) -> tuple[LatentPrior, float]:
+    """Return the intervals and theta given the Gaussian measurements, and their log L.
+
+    Where rounded intervals may be needed to determine theta, the log L is at the line: the rest of
+    its integral over theta is in the prior's score and information.
+    """
+    if data.intervals is None:
+        raise AssertionError("there are intervals")
+    rows, exact = data.intervals.rows, np.flatnonzero(data.gaussian)
+    covariance = latent_db2[np.ix_(rows, rows)]
+    covariance.flat[:: len(rows) + 1] += data.intervals.displaced_db2
+    left, mean = data.columns[rows], np.zeros(len(rows))
+    information, score = np.diag(data.prior_precision), np.zeros(len(data.prior_precision))
+    prior_precision = data.prior_precision[len(data.line) :]
+    log_gaussian = 0.5 * float(np.log(prior_precision / (2.0 * math.pi)).sum())
+    if len(exact):
+        total = latent_db2[np.ix_(exact, exact)]
+        total.flat[:: len(exact) + 1] += noise_db2[exact]
+        lower = lower_factor(total)
+        half_columns = solve_lower(lower, data.columns[exact])
+        half_values = solve_lower(lower, data.values_db[exact])
+        half_cross = solve_lower(lower, latent_db2[np.ix_(exact, rows)])
+        mean = half_cross.T @ half_values
+        covariance -= half_cross.T @ half_cross
+        left = left - half_cross.T @ half_columns
+        information = information + half_columns.T @ half_columns
+        score = half_columns.T @ half_values
+        squares = float(half_values @ half_values)
+        log_gaussian -= 0.5 * (
+            log_determinant(lower) + squares + len(exact) * math.log(2.0 * math.pi)
+        )
+    prior = LatentPrior(mean, covariance, left, information, score)
+    if np.isfinite(data.intervals.known.width_db).any():
+        return prior, log_gaussian
+    integrated, log_integral = prior.integrated()
+    return integrated, log_gaussian + log_integral
+
+
+def _window_sums(
+    data: LikelihoodData,
+    covariance: Covariance,
+    columns: NDArray[np.float64],  # (n, q + 1) C
+    noise_db2: NDArray[np.float64],  # (n,), sites as measurements
+) -> _Sums:
+    """Sum over blocks, each given those next to it."""
+    shadow, _, beta = covariance
+    size = columns.shape[1]
+    sums = _Sums(
+        0.0, np.zeros((size, size)), np.zeros(3), np.zeros((3, size, size)), np.zeros((3, 3))
+    )
+    # A rounded one's site has a variance that grows as omega^2, or nearly.
+    coarse = bool((data.measured & ~data.gaussian).any())
+    for number, window in enumerate(data.windows):
+        rows, own, beside = window.rows, len(window.own), len(window.beside)
+        correlation, noise = data.correlation(number, beta), noise_db2[rows]
+        total = shadow * correlation
+        total.flat[:: len(total) + 1] += noise
+        diagonal, inverted = factor_and_inverse(total)
+        last = inverted[beside:]
+        whitened = inverted @ columns[rows]
+        before, here = whitened[:beside], whitened[beside:]
+        sums.log_determinant += 2.0 * float(np.log(diagonal[beside:]).sum())
+        sums.products += here.T @ here
+        correlation *= data.distances_m[number]
+        parts = [last * noise, last * data.gaussian[rows], last @ correlation]
+        if coarse:
+            parts.append(last * data.measured[rows])
+        moved = (np.concatenate(parts) @ inverted.T).reshape(len(parts), own, -1)
+        # The whitened covariance itself is the identity.
+        moved[0] *= -1.0
+        moved[0, np.arange(own), beside + np.arange(own)] += 1.0
+        moved[0] /= shadow
+        moved[2] *= shadow / beta**2
+        within, across = moved[:3, :, beside:], moved[:3, :, :beside]
+        sums.log_slopes += np.trace(within, axis1=1, axis2=2)
+        half = here.T @ (across @ before + 0.5 * (within @ here))
+        sums.product_slopes -= half + half.swapaxes(1, 2)
+        if coarse:
+            moved[1] = moved[3]
+        within *= math.sqrt(0.5)
+        flat = moved[:3].reshape(3, -1)
+        sums.information += flat @ flat.T
+    return sums
+
+
+def _expected_information(
+    data: LikelihoodData, covariance: Covariance, projection: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Expected information of (xi^2, omega^2, beta), tr(P dV_i P dV_j) / 2; (3, 3).
+
+    Intervals count as the Gaussian sites they are replaced by. A rounded one's variance is taken to
+    grow as omega^2; what censored ones tell of omega^2 is left out, so that its error is not
+    understated.
+    """
+    shadow, _, beta = covariance
+    correlation = data.correlation(0, beta)
+    slope = correlation * data.distances_m[0] * (shadow / beta**2)
+    products = [projection @ correlation, projection * data.measured, projection @ slope]
+    return np.array([[0.5 * float(np.vdot(a.T, b)) for b in products] for a in products])
+
+
+def profiled_log_likelihood(
+    data: LikelihoodData, correlated_share: float, decorrelation_m: float
+) -> tuple[float, float]:
+    """Log L with the total variance profiled out, and that variance; of Gaussian measurements.
+
+    Cheap, for starts. Offsets of receivers have a flat prior here, and errors of path loss are left
+    out: a covariance that does not scale with the total cannot be profiled.
+    """
+    count = len(data.values_db)
+    correlation = correlated_share * data.correlation(0, decorrelation_m)
+    np.fill_diagonal(correlation, 1.0)
+    columns = np.column_stack([data.values_db, data.flat_columns()])
+    lower, whitened = factor_and_whitened(correlation, columns)
+    half_values, half_columns = whitened[:, 0], whitened[:, 1:]
+    information = half_columns.T @ half_columns
+    score = half_columns.T @ half_values
+    fitted = np.asarray(np.linalg.solve(information, score), dtype=np.float64)
+    residual = half_values - half_columns @ fitted
+    freedom = count - len(score)
+    variance = max(float(residual @ residual) / freedom, 1e-12)
+    log_likelihood = -0.5 * (
+        log_determinant(lower)
+        + float(np.linalg.slogdet(information)[1])
+        + freedom * (math.log(2.0 * math.pi) + math.log(variance) + 1.0)
+    )
+    return log_likelihood, variance

@@ -14,8 +14,9 @@ import sys
 
 import numpy as np
 
-from planopt.problems import load_system
-from planopt.problems.systems import SystemProblem, system_from_tables
+import planopt
+from planopt.problems import TaskProblem
+from planopt.problems.tasks import problem_from
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, contraction, guarantees
 from planopt.pursuit.motion import StraightMotion
@@ -57,9 +58,9 @@ def horizons(given: argparse.Namespace) -> None:
 
 def varied(
     problem: str, behaviour: dict, turn_rate_rad_s: float | None = None, loss: float = 0.0
-) -> SystemProblem:
+) -> TaskProblem:
     """Return a library problem with another evader, and with another pursuer or network."""
-    library = load_system(problem)
+    library = planopt.load(problem)
     tables = library.tables()
     evader = {**tables["evaders"][0], "behaviour": behaviour}
     pursuer = dict(tables["pursuers"][0])
@@ -69,7 +70,7 @@ def varied(
     if turn_rate_rad_s is not None or loss:
         # Neither a turn on the spot a stage nor lost rounds leave the guarantee that it asks for.
         rules.pop("guarantee", None)
-    found = system_from_tables(
+    return problem_from(
         {
             **tables,
             "evaders": [evader],
@@ -81,8 +82,6 @@ def varied(
         folder=library.file.parent,
         file=None,
     )
-    assert found is not None
-    return found
 
 
 def captures(first_seed: int, runs: int) -> None:

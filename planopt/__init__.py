@@ -2,7 +2,7 @@
 
 Names are imported when they are first used, so that ``import planopt`` costs nothing. The stub
 ``__init__.pyi`` lists them. Others are in :mod:`planopt.channel` (the radio channel),
-:mod:`planopt.objectives` (terms), :mod:`planopt.problems` (ground truth, dynamics, systems) and
+:mod:`planopt.objectives` (terms), :mod:`planopt.problems` (ground truth, dynamics, other tasks) and
 :mod:`planopt.extend` (parts of one's own).
 """
 

@@ -8,15 +8,12 @@ from planopt.errors import InputError as InputError
 from planopt.errors import NoPlanError as NoPlanError
 from planopt.errors import OutputError as OutputError
 from planopt.errors import PlanoptError as PlanoptError
-from planopt.planning.check.check import check as check
 from planopt.planning.explain.explain import explain as explain
 from planopt.planning.live_planner import Planner as Planner
-from planopt.planning.loop.closed_loop import simulate as simulate
 from planopt.planning.plan import Plan as Plan
 from planopt.planning.plan import Verdict as Verdict
 from planopt.planning.results import Run as Run
 from planopt.planning.results import Solution as Solution
-from planopt.planning.solve import solve as solve
 from planopt.problems.base_station import BaseStation as BaseStation
 from planopt.problems.channel_setup import ChannelSetup as ChannelSetup
 from planopt.problems.constraints import ConnectivityRule as ConnectivityRule
@@ -28,7 +25,10 @@ from planopt.problems.settings import PlannerSettings as PlannerSettings
 from planopt.problems.target import Target as Target
 from planopt.studies.compare import compare as compare
 from planopt.studies.comparison import Comparison as Comparison
-from planopt.studies.comparison import load_result as load_result
+from planopt.tasks.calls import check as check
+from planopt.tasks.calls import load_result as load_result
+from planopt.tasks.calls import simulate as simulate
+from planopt.tasks.calls import solve as solve
 from planopt.world.moving_obstacle import MovingObstacle as MovingObstacle
 from planopt.world.obstacle_sources import obstacles_from as obstacles_from
 from planopt.world.workspace import Obstacle as Obstacle

@@ -22,9 +22,8 @@ from planopt.commands.fit import fit
 from planopt.commands.interrupts import stopping
 from planopt.commands.map import map_log
 from planopt.commands.output import print_out, standard_output
+from planopt.commands.planning import simulate, solve
 from planopt.commands.problem_files import init, list_problems, schema, show_problem, validate
-from planopt.commands.simulate import simulate
-from planopt.commands.solve import solve
 from planopt.errors import InputError, OutputError, PlanoptError, require_text
 from planopt.files.whole import strict_text
 

@@ -86,3 +86,8 @@ def _short_array(values: NDArray[Any]) -> str:
     if number.size == 0:
         return f"<{values.shape}, none finite>"
     return f"<{values.shape}, {number.min():.4g} to {number.max():.4g}>"
+
+
+def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
+    """Return a number with its unit; a dash for None."""
+    return "-" if value is None else f"{value:.{digits}g}{unit}"

@@ -3,9 +3,7 @@
 import pkgutil
 import subprocess
 import sys
-from collections.abc import Callable
 from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -66,17 +64,16 @@ def test_a_refusal_is_an_error_of_no_plan() -> None:
     assert error.blocked == ()
 
 
-def test_problems_of_a_system_are_sent_to_their_own_methods() -> None:
-    """Every function that plans motion says so, and shows them in a few lines."""
-    system = planopt.problems.load_system("pursuit_static")
-    actions: list[Callable[[Any], object]] = [
-        planopt.solve,
-        planopt.simulate,
-        planopt.Planner,
-        lambda problem: planopt.Planner(problem, budget_s=0.1),
-    ]
-    for action in actions:
-        with pytest.raises(planopt.InputError, match=r"is a SystemProblem.*methods solve and simu"):
-            action(system)
-    assert len(repr(system).splitlines()) <= 5
-    assert repr(system.simulate()).startswith("pursuit_static: captured")
+def test_problems_of_every_task_are_asked_alike() -> None:
+    """The same functions take them, say what a task has not, and refuse anything else."""
+    pursuit = planopt.load("pursuit_static")
+    assert isinstance(pursuit, planopt.problems.TaskProblem)
+    assert len(repr(pursuit).splitlines()) <= 5
+    assert repr(planopt.simulate(pursuit)).startswith("pursuit_static: captured")
+    with pytest.raises(planopt.InputError, match=r"no solve for.*use simulate"):
+        planopt.solve(pursuit)
+    with pytest.raises(planopt.InputError, match="cost_to_go: is not for the task pursuit"):
+        planopt.simulate(pursuit, cost_to_go="geodesic")
+    for other in ("pursuit_static", None, planopt.Problem):
+        with pytest.raises(planopt.InputError, match="load or make a Problem"):
+            planopt.simulate(other)

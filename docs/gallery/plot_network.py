@@ -18,45 +18,36 @@ from time import process_time
 import numpy as np
 import shapely
 
+import planopt
 from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
 from planopt.coverage.control.movers import MoveLimits, plan_moves
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.region import convex_region
-from planopt.problems import load_system
 from planopt.report import (
-    NetworkPicture,
     animate_network,
     draw_costs,
     draw_network,
     draw_step_times,
 )
-from planopt.systems.coverage.system import drive
+from planopt.tasks.coverage.task import picture
 
-
-def picture(name, driven):
-    """The picture of a run."""
-    content = driven.problem
-    shapes = tuple(each.polygon for each in content.obstacles)
-    return NetworkPicture(name, driven.run, content.ground, shapes, content.events, content.radio)
-
-
-rooms = load_system("coverage_obstacles").simulate(seed=1)
-rooms_figure = draw_network(picture("coverage_obstacles", rooms.result))
+rooms = planopt.simulate(planopt.load("coverage_obstacles"), seed=1)
+rooms_figure = rooms.plot()
 
 # %%
 # A leak appears after 60 s and ends after 180 s. Six agents of forty answer: they count themselves
 # over lossy links, agree on the nearest by passing flags, locate the leak on their way, and return.
-leak = load_system("event_response").simulate(seed=1)
+leak = planopt.simulate(planopt.load("event_response"), seed=1)
 print("\n".join(leak.words))
-leak_figure = draw_network(picture("event_response", leak.result))
+leak_figure = leak.plot()
 moving = Path(tempfile.mkdtemp()) / "leak.gif"
-animate_network(picture("event_response", leak.result), moving)
+animate_network(picture(leak), moving)
 
 # %%
 # Plans against the laws: 20 agents spread from a corner. Without limits of acceleration plans over
 # any horizon are the laws with the speed clipped, one curve. With 0.25 m/s^2 agents are slower, and
 # a plan that sees its braking ahead is ahead of one that sees the next step alone.
-content = load_system("coverage_plain").content
+content = planopt.load("coverage_plain")
 agents = content.given.agents
 limit = {"speed_max_m_s": 2.0}
 runs = {}
@@ -72,21 +63,21 @@ for word, more, planner, horizon in (
     given = content.given.model_copy(
         update={"agents": agents.model_copy(update=limit | more), "control": control}
     )
-    settings = content.given.planner.model_copy(update={"name": planner, "horizon": horizon})
-    driven = drive(replace(content, given=given), settings, 3)
-    runs[word] = driven.run
-    print(f"{word}: mean H {driven.run.costs.mean():.5g}, last {driven.run.costs[-1]:.5g}")
+    changed = replace(content, given=given)
+    run = planopt.simulate(changed, planner=planner, horizon=horizon, seed=3).value
+    runs[word] = run
+    print(f"{word}: mean H {run.costs.mean():.5g}, last {run.costs[-1]:.5g}")
 costs_figure = draw_costs(runs)
 
 # %%
 # Radio. Every agent keeps its way to the base station with probability 0.95, over links of a tree.
 # The laws cover better, and lose the links: crosses mark agents that no way connects well enough.
-radio = load_system("coverage_radio").content
-kept = drive(radio, radio.given.planner, 0)
-by_law = drive(radio, radio.given.planner.model_copy(update={"name": "law"}), 0)
-print(f"H at the end: {kept.run.costs[-1]:.4g} connected, {by_law.run.costs[-1]:.4g} not")
-kept_figure = draw_network(picture("stays connected", kept))
-lost_figure = draw_network(picture("no radio asked for", by_law))
+radio = planopt.load("coverage_radio")
+kept = planopt.simulate(radio)
+by_law = planopt.simulate(radio, planner="law")
+print(f"H at the end: {kept.value.costs[-1]:.4g} connected, {by_law.value.costs[-1]:.4g} not")
+kept_figure = draw_network(replace(picture(kept), name="stays connected"))
+lost_figure = draw_network(replace(picture(by_law), name="without links"))
 
 # %%
 # What a step costs: processor time of the laws, and of plans ten steps ahead for single and double

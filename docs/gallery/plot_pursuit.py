@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planopt.problems import load_system
+import planopt
 from planopt.pursuit.records import Track, snapshot
 from planopt.pursuit.service import SnapshotService
 from planopt.report import animate_pursuit, draw_design, draw_knowledge, draw_pursuit, draw_view
@@ -33,20 +33,20 @@ known = draw_knowledge(snapshot(service, tracks[0], 60.0), tracks[0])
 # %%
 # A pursuit in open space: pursuers drive to the reported place, and ask again there. The report's
 # age grows until then.
-problem = load_system("pursuit_several")
-run = problem.simulate(seed=1)
+problem = planopt.load("pursuit_several")
+run = planopt.simulate(problem, seed=1)
 print("\n".join(run.words))
-driven = draw_pursuit(problem.name, run.result.pursuit)
+driven = draw_pursuit(problem.name, run.value)
 
 # %%
 # The same pursuit step by step: circles are what each pursuer goes by, crosses where that evader
 # was when it was seen.
 moving = Path(tempfile.mkdtemp()) / "pursuit.gif"
-animate_pursuit(problem.name, run.result.pursuit, moving)
+animate_pursuit(problem.name, run.value, moving)
 
 # %%
 # The network of least power whose snapshots guarantee capture within five minutes: power by slot
 # width and bits, what a quantity is worth, and energy against time to capture.
-design = load_system("pursuit_design").solve()
+design = planopt.solve(planopt.load("pursuit_design"))
 print("\n".join(design.words))
-chart = draw_design(design.result.task, design.data)
+chart = draw_design(design.problem.design, design.data)

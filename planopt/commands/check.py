@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from planopt.commands.options import JsonOption
-from planopt.commands.output import apart_in_words, planned_in_words, progress, show
+from planopt.commands.output import progress, show
 
 REJECTED = 3
 
@@ -21,13 +21,14 @@ def check(
 ) -> int:
     """Audit saved results from their files alone. Exit code 0 agrees, 3 rejects."""
     from planopt.planning.certificate import excused_in_words, excused_steps
-    from planopt.planning.check.check import check as judge
     from planopt.planning.files.record import plain
     from planopt.planning.files.result_json import certificate_json, no_certificate_json
     from planopt.planning.plan import Verdict
+    from planopt.tasks.calls import check as checked
+    from planopt.tasks.motion_words import apart_in_words, planned_in_words
 
     with progress("checking"):
-        result = judge(path)
+        result = checked(path)
     certificate = (
         no_certificate_json(result.reasons)
         if result.certificate is None

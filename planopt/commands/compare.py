@@ -15,9 +15,6 @@ from planopt.errors import InputError, NoPlanError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from planopt.problems.problem import Problem
-    from planopt.problems.systems import SystemProblem
-
 FINISHED_FOLDER = "finished_runs"
 """Where finished runs are kept, so that a comparison that was stopped goes on."""
 
@@ -85,7 +82,8 @@ def compare(
     Without settings a problem's own comparison is run, which its table compare describes.
     """
     from planopt.problems.comparison_settings import DEFAULT_SEEDS
-    from planopt.problems.systems import load_any
+    from planopt.problems.load import load
+    from planopt.problems.tasks import task_of
     from planopt.report import comparison_text
     from planopt.studies.compare import compare as compared
     from planopt.studies.compare import exit_code
@@ -103,7 +101,7 @@ def compare(
     require_backend(backend, "--backend")
     if parquet:
         require_pyarrow()
-    asked = [load_any(problem) for problem in problems]
+    asked = [load(problem) for problem in problems]
     given: dict[str, Any] = {
         "horizons": None if horizons is None else listed(horizons, "--horizons", int),
         "planners": None if planners is None else listed(planners, "--planners", str),
@@ -124,7 +122,7 @@ def compare(
     )
     # Settings that are not allowed are found before the first run.
     total = len(settings_of(asked, **given)) * len(chosen)
-    figures = all(_wants_figures(problem) for problem in asked)
+    figures = all(task_of(problem).has_figures(problem) for problem in asked)
     with results_folder(out) as folder:
         try:
             with progress("driving, runs:", total) as advance:
@@ -163,12 +161,6 @@ def _where_all_is(folder: Path | None) -> str:
     if folder is None:
         return f"{words} {COMPARISON_FILE} of --out FOLDER"
     return f"{words}\n{folder / COMPARISON_FILE}"
-
-
-def _wants_figures(problem: Problem | SystemProblem) -> bool:
-    from planopt.problems.problem import Problem
-
-    return (problem if isinstance(problem, Problem) else problem.given).report.figures
 
 
 def asked_seeds(text: str, first: int | None) -> range:

@@ -13,7 +13,7 @@ import typer
 
 from planopt.commands.log_fit import LogFit, LogOptions, read_and_fit
 from planopt.commands.options import JsonOption, OutOption, with_options
-from planopt.commands.output import drawing, progress, results_folder, show, shown_number
+from planopt.commands.output import drawing, progress, results_folder, show
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -297,6 +297,8 @@ def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
 
 
 def _in_words(data: dict[str, Any]) -> str:
+    from planopt.short_repr import shown_number
+
     x, y = data["station"]
     lines = [
         f"{data['method']}: {data['status']}, {data['measurements']} measurements, "
@@ -322,5 +324,7 @@ def _errors_in_words(errors_m: list[float | None] | None) -> str:
     """Return the errors of an estimated station in words."""
     if errors_m is None:
         return ""
+    from planopt.short_repr import shown_number
+
     x, y = (shown_number(error, digits=2) for error in errors_m)
     return f" +- ({x}, {y})"

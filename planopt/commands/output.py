@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,6 @@ from planopt.files.result_folder import Patterns, replaced_results
 
 NO_PLAN = 4
 """Exit code where there is no plan, or a run did not arrive."""
-
-COLUMNS = 3
-"""So many metrics stand in a line."""
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
@@ -65,58 +62,6 @@ def say(text: str) -> None:
     from planopt.errors import escaped
 
     typer.echo(escaped(text), err=True)
-
-
-def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
-    """A number for people; a dash where there is none."""
-    return "-" if value is None else f"{value:.{digits}g}{unit}"
-
-
-def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
-    """Return names with their values, `COLUMNS` of them a line, one below the other."""
-    lines: list[str] = []
-    sizes = [
-        [max((len(cell[part]) for cell in cells[column::COLUMNS]), default=0) for part in (0, 1)]
-        for column in range(COLUMNS)
-    ]
-    for begin in range(0, len(cells), COLUMNS):
-        line = [
-            f"{name:<{wide}} {value:>{number}}"
-            for (name, value), (wide, number) in zip(
-                cells[begin : begin + COLUMNS], sizes, strict=False
-            )
-        ]
-        lines.append("    ".join(line))
-    return lines
-
-
-def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
-    """The clearance of planned ways, and the least P(connected) of all planned steps.
-
-    Runs have another least probability: that of the driven steps, each by the plan that led there.
-    """
-    return (
-        f"clearance {shown_number(clearance_m, ' m')}, least P(connected) of the planned steps "
-        f"{shown_number(connectivity)}"
-    )
-
-
-def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
-    """Return how far plans keep from robots and moving obstacles; nothing without these."""
-    parts = [
-        f"{shown_number(distance, ' m')} from {what}"
-        for distance, what in (
-            (separation_m, "other robots"),
-            (moving_clearance_m, "moving obstacles"),
-        )
-        if distance is not None
-    ]
-    return (f"  always at least {', '.join(parts)}",) if parts else ()
-
-
-def explained(relaxations: Iterable[object]) -> list[str]:
-    """Lines that say what would give a verified plan; none where nothing is known to."""
-    return [f"  {relaxation}" for relaxation in relaxations]
 
 
 @contextlib.contextmanager

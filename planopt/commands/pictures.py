@@ -8,54 +8,16 @@ from planopt.channel.calibration import HeldOutReport
 from planopt.channel.channel_map import PosteriorMap
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.measurements import Measurements
-from planopt.planning.holes import BlockedError
-from planopt.planning.learn import prepare
-from planopt.planning.results import Run, Solution
-from planopt.problems.problem import Problem
 from planopt.report import (
-    draw_belief,
     draw_calibration,
     draw_comparison,
     draw_fit,
-    draw_no_plan,
     draw_posterior_map,
     draw_reliability,
-    draw_run,
-    draw_run_series,
-    draw_solution,
     draw_traces,
     save_figure,
 )
 from planopt.studies.comparison import Comparison
-
-
-def picture_solution(solution: Solution, folder: Path) -> None:
-    """The plans, and what was believed of the channel where there is a goal."""
-    save_figure(draw_solution(solution), folder / "plan.png")
-    if solution.problem.task == "reach":
-        save_figure(draw_belief(solution.problem, solution.belief), folder / "belief.png")
-
-
-def picture_no_plan(problem: Problem, seed: int, error: BlockedError, folder: Path) -> None:
-    """The ways that a hard bound forbids."""
-    belief = prepare(problem, seed).belief
-    save_figure(draw_no_plan(problem, belief, str(error), error.blocked), folder / "plan.png")
-
-
-def picture_run(run: Run, folder: Path) -> None:
-    """The ways driven; to a goal also the belief at the end, and of one robot its time series."""
-    save_figure(draw_run(run), folder / "run.png")
-    if run.problem.task == "reach":
-        if len(run.runs) == 1:
-            save_figure(draw_run_series(run), folder / "series.png")
-        save_figure(draw_belief(run.problem, run.beliefs[0]), folder / "belief.png")
-
-
-def animate(run: Run, folder: Path) -> None:
-    """The run step by step."""
-    from planopt.report import save_animation
-
-    save_animation(run, folder / "run.gif")
 
 
 def picture_comparison(comparison: Comparison, folder: Path) -> None:

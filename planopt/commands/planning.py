@@ -1,135 +1,84 @@
-"""The options that planning commands share, and problems of a system."""
+"""``planopt solve`` and ``planopt simulate``: one plan or one run of a problem of any task."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from planopt.commands.options import AnimationOption, Own, PlanningOptions, with_options
+from planopt.commands.options import AnimationOption, PlanningOptions, with_options
 from planopt.commands.output import drawing, progress, results_folder, say, show
-from planopt.errors import InputError
+from planopt.errors import InputError, NoPlanError
 
 if TYPE_CHECKING:
-    from planopt.files.result_folder import Patterns
-    from planopt.problems.problem import Problem
-    from planopt.problems.systems import Request, SystemProblem
+    from planopt.tasks.task import Action, Report, Task
 
 
-def answer_command(
-    problem: SystemProblem,
-    action: str,
-    request: Request,
-    *,
-    out: Path | None,
-    json: bool,
-    replaced: Patterns,
-    file: str,
-    not_for_it: dict[str, str | None],
-) -> int:
-    """Do what a command asks, and return the exit code."""
-    from dataclasses import replace
-
-    from planopt.files.result_folder import replaced_results
-    from planopt.files.whole import strict_text, write_text
-
-    for option, value in not_for_it.items():
-        if value is not None:
-            raise InputError(
-                f"is not for the task {problem.task}", key=option, remedy="leave it out"
-            )
-    files = (*replaced, *problem.system.files)
-    with results_folder(out) as folder:
-        with progress(f"{action}, steps:") as advance:
-            answer = problem.answer(action, replace(request, on_step=advance))
-        if folder is not None:
-            with replaced_results(folder, files) as new:
-                answer.save(new)
-                record = {**answer.data, "problem_file": problem.tables()}
-                write_text(new / file, strict_text(record))
-        show(json, answer.data, "\n".join(answer.words))
-        with drawing(folder, files, wanted=answer.draw is not None) as new:
-            if new is not None and answer.draw is not None:
-                answer.draw(new)
-    return answer.exit_code
+@with_options(PlanningOptions)
+def solve(options: PlanningOptions) -> int:
+    """Plan once, from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
+    return _perform("solve", options)
 
 
-@dataclass(frozen=True)
-class Asked:
-    """The options that were given on the command line."""
-
-    problem: Problem  # With the overrides of the command line
-    seed: int  # The options of these names
-    out: Path | None
-    json: bool
-    animation: bool = False
-
-    @property
-    def has_pictures(self) -> bool:
-        """Return whether pictures or an animation follow the numbers."""
-        return self.problem.report.figures or self.animation
+@with_options(PlanningOptions)
+def simulate(options: PlanningOptions, animation: AnimationOption = False) -> int:
+    """Drive the closed loop in the ground truth. Exit code 0 verified, 3 not all, 4 not done."""
+    return _perform("simulate", options, animation)
 
 
-def planning_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
-    """Return a command with the name and help of `answer`, which returns the exit code."""
+def _perform(action: Action, options: PlanningOptions, animation: bool = False) -> int:
+    """Solve or simulate the problem, save, print and draw the result, and return the exit code."""
+    from planopt.problems.load import load
+    from planopt.problems.tasks import task_of
+    from planopt.tasks.task import perform
 
-    def command(options: PlanningOptions) -> int:
-        return _answered(answer, options)
-
-    return with_options(PlanningOptions)(_named(command, answer))
-
-
-def driving_command(answer: Callable[[Asked], int]) -> Callable[..., int]:
-    """Return a planning command for a run, which can be animated."""
-
-    def command(options: PlanningOptions, animation: AnimationOption = False) -> int:
-        return _answered(answer, options, animation)
-
-    return with_options(PlanningOptions)(_named(command, answer))
-
-
-def _answered(
-    answer: Callable[[Asked], int], options: PlanningOptions, animation: bool = False
-) -> int:
-    """Load the problem, and answer."""
-    from planopt.problems.overrides import with_overrides
-    from planopt.problems.plausibility import problem_warnings
-    from planopt.problems.systems import Request, SystemProblem, load_any
-
-    horizon, planner, cost_to_go = options.horizon, options.planner, options.cost_to_go
     if animation and options.out is None:
         raise InputError(
             "an animation is saved in a folder", key="--animation", remedy="give --out"
         )
-    found = load_any(options.problem)
-    if isinstance(found, SystemProblem):
-        from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
-
-        return answer_command(
-            found,
-            answer.__name__,
-            Request(
-                options.seed,
-                () if horizon is None else (horizon,),
-                () if planner is None else (planner,),
-                animation=animation,
-            ),
-            out=options.out,
-            json=options.json,
-            replaced=PLAN_OR_RUN,
-            file=PLAN_FILE if answer.__name__ == "solve" else RUN_FILE,
-            not_for_it={
-                "--cost-to-go": cost_to_go,
-                "--animation": "run.gif" if animation and not found.system.animates else None,
-            },
+    problem = load(options.problem)
+    task: Task = task_of(problem)
+    if animation and task.animate is None:
+        raise InputError(
+            f"is not for the task {problem.task}", key="--animation", remedy="leave it out"
         )
-    asked = with_overrides(found, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    for words in problem_warnings(asked):
-        say(f"{asked.name}: {words}")
-    return answer(Asked(asked, options.seed, options.out, options.json, animation))
+    problem = task.overridden(
+        problem, horizon=options.horizon, planner=options.planner, cost_to_go=options.cost_to_go
+    )
+    for words in task.warnings(problem):
+        say(f"{problem.name}: {words}")
 
+    def say_ahead(plans: Any) -> None:
+        for line in task.words_ahead(problem, plans):
+            say(line)
 
-def _named(command: Callable[Own, int], answer: Callable[[Asked], int]) -> Callable[Own, int]:
-    command.__name__, command.__doc__ = answer.__name__, answer.__doc__
-    return command
+    settings: dict[str, Any] = {}
+    if action == "simulate" and task.says_ahead and not options.json:
+        settings["on_start"] = say_ahead
+    report: Report
+    total = task.steps(problem) if action == "simulate" else None
+    with results_folder(options.out) as folder:
+        try:
+            with progress("planning" if action == "solve" else "driving, steps:", total) as advance:
+                result = perform(
+                    action, problem, seed=options.seed, on_step=lambda *_: advance(), **settings
+                )
+        except NoPlanError as error:
+            # The refusal comes at once; changes that would help are solved for, which takes longer.
+            refusal = f"{problem.name}: no plan: {error}"
+            if not options.json:
+                show(False, {}, refusal)
+            with progress("explaining"):
+                report = task.no_plan(action, problem, options.seed, error)
+            words = [line for line in report.words if line != refusal]
+        else:
+            with progress("explaining"):
+                report = task.report(result)
+            words = [] if options.json else list(report.words)
+        if folder is not None:
+            report.save(folder)
+        if options.json or words:
+            show(options.json, report.data if options.json else {}, "\n".join(words))
+        wanted = task.has_figures(problem) or animation
+        with drawing(folder, report.files, wanted=wanted) as new:
+            if new is not None:
+                report.draw(new, animation=animation)
+    return report.exit_code

@@ -1,4 +1,4 @@
-"""Problems: their files, the library, and parts that some have: ground truth, dynamics, systems.
+"""Problems: their files, the library, and parts that some have: ground truth, dynamics, tasks.
 
 Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
 """

@@ -12,8 +12,7 @@ from planopt.problems.library import list_problems as list_problems
 from planopt.problems.save import problem_from_dict as problem_from_dict
 from planopt.problems.save import problem_to_dict as problem_to_dict
 from planopt.problems.settings import ReportSettings as ReportSettings
-from planopt.problems.systems import SystemProblem as SystemProblem
-from planopt.problems.systems import load_system as load_system
+from planopt.problems.tasks import TaskProblem as TaskProblem
 from planopt.robots.double_integrator import DoubleIntegrator as DoubleIntegrator
 from planopt.robots.unicycle import Unicycle as Unicycle
 from planopt.world.occupancy_grid import OccupancyGrid as OccupancyGrid

@@ -6,7 +6,7 @@ The files that a problem needs for simulation are there.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import cast
+from typing import Any
 
 from planopt.errors import InputError, require_text
 from planopt.problems.base_station import log_of, raster_truth_of
@@ -17,8 +17,9 @@ from planopt.problems.channel_setup import (
     SampledMeasurements,
 )
 from planopt.problems.library import find_problem
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.problem import Problem
 from planopt.problems.read_toml import read_toml
+from planopt.problems.tasks import MOTION, problem_from
 from planopt.world.raster_files import raster_ending
 
 
@@ -75,16 +76,8 @@ def _check_file(problem: Problem, path: Path, key: str) -> None:
         )
 
 
-SYSTEMS = {
-    "coverage": "planopt.systems.coverage.system",
-    "pursuit": "planopt.systems.pursuit.system",
-    "pursuit_design": "planopt.systems.pursuit_design.system",
-}
-"""The module of each system, by task; its attribute ``SYSTEM`` is the :class:`System`."""
-
-
-def load(path_or_name: Path | str) -> Problem:
-    """Load a problem.
+def load(path_or_name: Path | str) -> Any:
+    """Load a problem of any task.
 
     Parameters
     ----------
@@ -93,8 +86,9 @@ def load(path_or_name: Path | str) -> Problem:
 
     Returns
     -------
-    Problem
+    Problem or TaskProblem
         Validated; file names in it are absolute, relative ones starting at the problem file.
+        :class:`planopt.Problem` for motion planning, else a :class:`planopt.problems.TaskProblem`.
 
     Raises
     ------
@@ -105,26 +99,20 @@ def load(path_or_name: Path | str) -> Problem:
     """
     path = find_problem(path_or_name)
     require_text(str(path.absolute()), "the path")
-    data = read_toml(path)
-    task = task_of_system(data)
-    if task is not None:
-        raise InputError(
-            f"is {task}, which is no motion planning",
-            file=path,
-            key="problem.task",
-            remedy="load it with planopt.problems.load_system",
-        )
-    problem = problem_from_tables(data, folder=path.absolute().parent, file=path)
-    check_files(problem)
+    problem = problem_from(read_toml(path), folder=path.absolute().parent, file=path)
+    if isinstance(problem, Problem):
+        check_files(problem)
     return problem
 
 
-def task_of_system(data: object) -> str | None:
-    """Return the task in the tables of a problem file if it is a system's."""
-    task = _entry(_entry(data, "problem"), "task")
-    return task if isinstance(task, str) and task in SYSTEMS else None
-
-
-def _entry(table: object, key: str) -> object:
-    """An entry of what may be no table at all."""
-    return cast("dict[str, object]", table).get(key) if isinstance(table, dict) else None
+def load_motion(path_or_name: Path | str) -> Problem:
+    """Load a problem of motion planning; parameters and errors as :func:`load`."""
+    problem = load(path_or_name)
+    if isinstance(problem, Problem):
+        return problem
+    raise InputError(
+        f"is {problem.task}, which is no motion planning",
+        file=problem.file,
+        key="problem.task",
+        remedy=f"name a problem with one of the tasks {', '.join(MOTION)}",
+    )

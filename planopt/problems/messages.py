@@ -96,12 +96,12 @@ def input_error(
 
 
 @contextlib.contextmanager
-def located(model: type[BaseModel], file: Path | None) -> Generator[None]:
-    """Turn what validating tables of `model` raises into errors that name the key and the file."""
+def located(model: type[BaseModel], file: Path | None, table: str | None = None) -> Generator[None]:
+    """Turn validation errors of tables of `model` into errors that name the key and the file."""
     try:
         yield
     except ValidationError as error:
-        raise input_error(error, model, file=file) from None
+        raise input_error(error, model, file=file, table=table) from None
     except InputError as error:
         raise error if file is None else error.located(file) from None
 

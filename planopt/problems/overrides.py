@@ -13,11 +13,11 @@ from planopt.parts import part_of
 from planopt.problems.load import check_files
 from planopt.problems.objective import ReachObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
-from planopt.problems.problem import Problem, check_problem, problem_from_tables, tables_of
+from planopt.problems.problem import Problem, check_problem, tables_of
 from planopt.problems.save import saved_table
-from planopt.problems.systems import SystemProblem, system_from_tables
+from planopt.problems.tasks import TaskProblem, problem_from
 
-AnyProblem = TypeVar("AnyProblem", bound=Problem | SystemProblem)
+AnyProblem = TypeVar("AnyProblem", bound=Problem | TaskProblem)
 
 _PART = re.compile(r"(\w+)((?:\[(?:\d+|\*)\])*)")
 """A part of a dotted key: a name, and which entries of a list, if it names one."""
@@ -62,12 +62,7 @@ def with_overrides(
 
 def require_motion(problem: Problem) -> None:
     """Raise an error for what is no problem of motion planning, whatever its type says."""
-    part_of(
-        "problem",
-        problem,
-        Problem,
-        "load or make a Problem; one of load_system has methods solve and simulate of its own",
-    )
+    part_of("problem", problem, Problem, "load or make a Problem")
 
 
 def _overridden(
@@ -102,9 +97,8 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
     if not changes:
         return problem
     given = ", ".join(f"{key} = {value}" for key, value in changes.items())
-    is_motion = isinstance(problem, Problem)
-    tables = tables_of(problem) if is_motion else problem.tables()
-    if is_motion:
+    tables = problem.tables() if isinstance(problem, TaskProblem) else tables_of(problem)
+    if not isinstance(problem, TaskProblem):
         # Only the tables that change are validated again.
         for branch in {re.split(r"[.\[]", key)[0] for key in changes} & tables.keys():
             tables[branch] = saved_table(tables[branch])
@@ -112,9 +106,9 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
         for table, name in _places(tables, key):
             table[name] = value
     try:
-        if not is_motion:
-            return cast("AnyProblem", system_from_tables(tables, folder=Path.cwd(), file=None))
-        changed = problem_from_tables(tables, folder=Path.cwd(), file=None)
+        changed = problem_from(tables, folder=Path.cwd(), file=None)
+        if isinstance(problem, TaskProblem):
+            return changed
         check_files(changed)
         return cast("AnyProblem", replace(changed, file=problem.file))
     except InputError as error:

@@ -18,13 +18,13 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.planning.scene import Scene, build_scenes
 from planopt.problems.problem import Problem
-from planopt.problems.systems import Request, SystemProblem, system_from_tables
+from planopt.problems.tasks import TaskProblem, problem_from, task_of
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import NOT_DONE, comparison_rows
 from planopt.studies.study import FinishedRuns, Study, run_key, run_study
 from planopt.studies.variants import (
     AnyProblem,
-    SystemRun,
+    TaskRun,
     chosen_seeds,
     default_seeds,
     own_settings,
@@ -52,7 +52,7 @@ def compare(
     Parameters
     ----------
     problems
-        One or several, with different names; of motion planning, or of systems with runs.
+        One or several, with different names, of tasks that can be simulated.
     horizons, planners, costs_to_go
         In place of the problems' own, which are kept if not given. Costs to go are both where
         there is a goal unless given, and cannot be given where there is none.
@@ -102,7 +102,7 @@ def compare(
     [(0.5, 'reached'), (0.9, 'reached')]
     """
     begun = perf_counter()
-    kind = cast("type[AnyProblem]", Problem | SystemProblem)
+    kind = cast("type[AnyProblem]", Problem | TaskProblem)
     given = parts_of("problems", problems, kind, "load or make a Problem")
     asked = several(horizons), several(planners), several(costs_to_go), swept_values(sweep)
     variants = variants_of(given, *asked)
@@ -153,19 +153,19 @@ def exit_code(comparison: Comparison) -> int:
     return max(run.exit_code for run in comparison.runs)
 
 
-_Asked = tuple[Problem | SystemRun, int]
+_Asked = tuple[Problem | TaskRun, int]
 """A problem with the settings of a run, and its seed."""
 
 Shared = tuple[Prepared, tuple[Scene, ...] | None] | NoPlanError | None
 """First belief of a seed, and the scenes where there are goals: the same for all settings.
 
-The error if there provably is no plan, and nothing for systems.
+The error if there provably is no plan; None for tasks other than motion planning.
 """
 
 
 def _shared(asked: _Asked) -> Shared:
     problem, seed = asked
-    if isinstance(problem, SystemRun):
+    if isinstance(problem, TaskRun):
         return None
     prepared = prepare(problem, seed)
     try:
@@ -176,17 +176,16 @@ def _shared(asked: _Asked) -> Shared:
 
 def _key(asked: _Asked) -> dict[str, Any]:
     problem, seed = asked
-    if isinstance(problem, SystemRun):
-        settings = {"horizon": problem.horizon, "planner": problem.planner}
-        return {**run_key(problem.tables, seed), **settings}
+    if isinstance(problem, TaskRun):
+        return run_key(problem.tables, seed)
     return run_key(problem, seed)
 
 
 def _drive(asked: _Asked, shared: Shared) -> RunSummary:
     """Drive a closed loop and summarise it."""
     problem, seed = asked
-    if isinstance(problem, SystemRun):
-        return _drive_system(problem, seed)
+    if isinstance(problem, TaskRun):
+        return _drive_task(problem, seed)
     try:
         if shared is None or isinstance(shared, NoPlanError):
             raise shared or AssertionError("nothing was prepared")
@@ -197,31 +196,32 @@ def _drive(asked: _Asked, shared: Shared) -> RunSummary:
         return _summary(settings, seed, Outcome.NO_PLAN.value, str(error), NOT_DONE)
 
 
-def _drive_system(asked: SystemRun, seed: int) -> RunSummary:
-    problem = system_from_tables(asked.tables, folder=Path.cwd(), file=None)
-    if problem is None:
-        raise AssertionError(f"{asked.name} is no system's")
-    horizons, planners = (asked.horizon,), (asked.planner,)
-    request = Request(seed, horizons, planners)
-    answer = problem.answer("simulate", request)
-    data = answer.data
+def _drive_task(asked: TaskRun, seed: int) -> RunSummary:
+    """Simulate a problem of a task other than motion planning, and summarise the run."""
+    problem = problem_from(asked.tables, folder=Path.cwd(), file=None)
+    settings = asked.horizon, asked.planner, None
+    try:
+        result = task_of(problem).run(problem, seed=seed)
+    except NoPlanError as error:
+        return _summary(settings, seed, Outcome.NO_PLAN.value, str(error), NOT_DONE)
+    data, rate = result.data, result.data.get("verified_rate")
     return replace(
         _summary(
-            (asked.horizon, asked.planner, None),
+            settings,
             seed,
             str(data["outcome"]),
             str(data.get("reason", data.get("message", ""))),
-            answer.exit_code,
+            result.exit_code,
         ),
-        metrics=_numbers(data["metrics"]),
-        rungs={str(name): int(count) for name, count in data["rungs"].items()},
-        verified_rate=np.nan if data["verified_rate"] is None else float(data["verified_rate"]),
-        step_s=np.asarray(answer.step_s, dtype=float),
+        metrics=_numbers(data.get("metrics", {})),
+        rungs={str(name): int(count) for name, count in data.get("rungs", {}).items()},
+        verified_rate=np.nan if rate is None else float(rate),
+        step_s=np.asarray(result.step_s, dtype=float),
     )
 
 
 def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Metrics of a system as numbers; those of tables are named by both keys."""
+    """Return metrics as numbers; those of nested tables are named by both keys."""
     found: dict[str, float] = {}
     for name, value in metrics.items():
         if isinstance(value, Mapping):

@@ -20,15 +20,13 @@ from planopt.files.result_folder import replaced_results
 from planopt.files.tables import require_pandas
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text, write_whole
-from planopt.planning.check.check import load_result as load_plan_or_run
 from planopt.planning.files.record import finite
 from planopt.planning.files.result_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
-from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary
 from planopt.problems.problem import Problem
-from planopt.problems.save import problem_from_dict, problem_to_dict
-from planopt.problems.systems import SystemProblem, system_from_tables
+from planopt.problems.save import problem_to_dict
+from planopt.problems.tasks import TaskProblem, problem_from
 from planopt.short_repr import short_repr
 from planopt.studies.comparison_rows import (
     Row,
@@ -72,12 +70,12 @@ class Comparison:
         Further problems.
     """
 
-    problem: Problem | SystemProblem
+    problem: Problem | TaskProblem
     runs: tuple[RunSummary, ...]
     rows: tuple[Row, ...]
     wall_s: float
     resumed: int = 0
-    others: tuple[Problem | SystemProblem, ...] = ()
+    others: tuple[Problem | TaskProblem, ...] = ()
 
     __repr__ = short_repr
 
@@ -122,7 +120,7 @@ class Comparison:
 
 
 def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = False) -> None:
-    """Save a comparison; :func:`load_result` reads it."""
+    """Save a comparison; ``load_result`` reads it."""
     if parquet:
         require_pyarrow()
     tables = [_tables(problem) for problem in (comparison.problem, *comparison.others)]
@@ -135,53 +133,21 @@ def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = Fal
         write_text(new / COMPARISON_FILE, strict_text(data))
 
 
-def save_no_comparison(problem: Problem | SystemProblem, message: str, folder: Path) -> None:
+def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Path) -> None:
     """Save that there is no plan, in place of what there was."""
     data = {**no_comparison_json(problem.name, message), "problem_file": _tables(problem)}
     with replaced_results(folder, COMPARISON) as new:
         write_text(new / COMPARISON_FILE, strict_text(data))
 
 
-def load_result(path: Path | str) -> Solution | Run | Comparison:
-    """Read a plan, run or comparison that a command or a result's ``save`` has saved.
-
-    Predictions, certificates, metrics and tables are computed again from what is saved. Whether the
-    files of a plan or run say the same is for :func:`planopt.check` to judge.
-
-    Parameters
-    ----------
-    path
-        The folder, or its ``plan.json``, ``run.json`` or ``comparison.json``.
-
-    Returns
-    -------
-    Solution | Run | Comparison
-        As what the folder holds. Files have no constraint multipliers, and of the plans of a run
-        neither wall times nor iterations: these are empty or zero.
-
-    Raises
-    ------
-    InputError
-        A file is missing, damaged, or contradicts the others.
-    NoPlanError
-        The folder says that there is no plan.
-
-    Examples
-    --------
-    >>> import planopt, tempfile
-    >>> solution = planopt.solve(planopt.load("open_field"), horizon=2)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     solution.save(folder)
-    ...     planopt.load_result(folder).plan.objective == solution.plan.objective
-    True
-    """
-    given = path_of("path", path, "give the folder that a result was saved in")
-    folder = given.parent if given.name == COMPARISON_FILE else given
+def load_comparison(path: Path) -> Comparison | None:
+    """Read a saved comparison; None if the folder or file has another result."""
+    folder = path.parent if path.name == COMPARISON_FILE else path
     others = (folder / name for name in (PLAN_FILE, RUN_FILE))
-    named = given.name == COMPARISON_FILE
+    named = path.name == COMPARISON_FILE
     if named or ((folder / COMPARISON_FILE).is_file() and not any(map(Path.is_file, others))):
         return _load_comparison(folder)
-    return load_plan_or_run(given)
+    return None
 
 
 def _load_comparison(folder: Path) -> Comparison:
@@ -191,7 +157,8 @@ def _load_comparison(folder: Path) -> Comparison:
         if data["outcome"] == "no_plan":
             raise NoPlanError(str(data["message"]))
         problems = [
-            _problem(each, file) for each in (data["problem_file"], *data["other_problems"])
+            problem_from(each, folder=folder.absolute(), file=file)
+            for each in (data["problem_file"], *data["other_problems"])
         ]
         wall_s, resumed = float(data["wall_s"]), int(data["resumed"])
         file = folder / RUNS_FILE
@@ -204,13 +171,8 @@ def _load_comparison(folder: Path) -> Comparison:
     return Comparison(problems[0], runs, rows, wall_s, resumed, tuple(problems[1:]))
 
 
-def _tables(problem: Problem | SystemProblem) -> dict[str, Any]:
+def _tables(problem: Problem | TaskProblem) -> dict[str, Any]:
     return problem_to_dict(problem) if isinstance(problem, Problem) else problem.tables()
-
-
-def _problem(tables: Any, file: Path) -> Problem | SystemProblem:
-    found = system_from_tables(tables, folder=file.absolute().parent, file=file)
-    return problem_from_dict(tables, file=file) if found is None else found
 
 
 def _run_line(run: RunSummary) -> str:

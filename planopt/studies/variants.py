@@ -19,7 +19,7 @@ from planopt.problems.comparison_settings import (
 from planopt.problems.overrides import with_changes, with_overrides
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
-from planopt.problems.systems import Request, SystemProblem
+from planopt.problems.tasks import TaskProblem, task_of
 
 OWN_OPTIONS = {
     "planner.horizon": "horizons",
@@ -28,12 +28,12 @@ OWN_OPTIONS = {
 }
 """Keys that have an argument of their own; a sweep may have them in its place."""
 
-AnyProblem = Problem | SystemProblem
+AnyProblem = Problem | TaskProblem
 
 
 @dataclass(frozen=True)
-class SystemRun:
-    """A run of a system's problem, as plain data that any process can rebuild it from."""
+class TaskRun:
+    """A run of a task other than motion planning, as data that any process can rebuild it from."""
 
     name: str
     tables: Mapping[str, Any]
@@ -47,7 +47,7 @@ class Variant:
 
     problem: AnyProblem
     sweep: Mapping[str, Any]
-    asked: tuple[Problem | SystemRun, ...]
+    asked: tuple[Problem | TaskRun, ...]
 
 
 def settings_of(
@@ -56,7 +56,7 @@ def settings_of(
     planners: Sequence[str] | None = None,
     costs_to_go: Sequence[str] | None = None,
     sweep: Mapping[str, Sequence[Any]] | None = None,
-) -> list[Problem | SystemRun]:
+) -> list[Problem | TaskRun]:
     """Return every setting that :func:`planopt.compare` runs on each seed; errors as there."""
     variants = variants_of(problems, horizons, planners, costs_to_go, sweep)
     return [asked for variant in variants for asked in variant.asked]
@@ -181,9 +181,9 @@ def variants_of(
     return found
 
 
-def _labels(asked: Problem | SystemRun) -> tuple[int, str, str | None]:
+def _labels(asked: Problem | TaskRun) -> tuple[int, str, str | None]:
     """Horizon, planner and cost-to-go of a setting."""
-    if isinstance(asked, SystemRun):
+    if isinstance(asked, TaskRun):
         return asked.horizon, asked.planner, None
     return asked.planner.horizon, asked.planner.name, asked.cost_to_go
 
@@ -206,8 +206,8 @@ def _product(
         changes = dict(zip(swept, values, strict=True))
         changed = with_changes(problem, changes)
         asked = (
-            _system_runs(changed, horizons, planners, costs_to_go)
-            if isinstance(changed, SystemProblem)
+            _task_runs(changed, horizons, planners, costs_to_go)
+            if isinstance(changed, TaskProblem)
             else _motion_runs(changed, horizons, planners, costs_to_go, swept)
         )
         variants.append(Variant(changed, changes, tuple(asked)))
@@ -242,26 +242,30 @@ def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
     return ("geodesic", "connected") if problem.task == "reach" else (None,)
 
 
-def _system_runs(
-    problem: SystemProblem,
+def _task_runs(
+    problem: TaskProblem,
     horizons: Sequence[int] | None,
     planners: Sequence[str] | None,
     costs_to_go: Sequence[str] | None,
-) -> list[SystemRun]:
-    if costs_to_go is not None:
-        raise InputError(
-            f"is not for the task {problem.task}", key="costs_to_go", remedy="leave it out"
-        )
-    if problem.system.settings is None:
+) -> list[TaskRun]:
+    """Return the runs of a problem by planner and horizon, each once."""
+    task = task_of(problem)
+    if task.simulate is None:
         raise InputError(
             f"{problem.name} asks for {problem.task}, which has no runs to compare",
             file=problem.file,
             key="problem.task",
-            remedy="compare problems of motion planning, or pursuits",
+            remedy="compare problems that can be simulated",
         )
-    request = Request(horizons=horizons or (), planners=planners or ())
-    tables = problem.tables()
-    return [
-        SystemRun(problem.name, tables, horizon, planner)
-        for horizon, planner in problem.system.settings(problem, request)
-    ]
+    found: list[TaskRun] = []
+    for cost, planner, horizon in product(
+        costs_to_go or (None,), planners or (None,), horizons or (None,)
+    ):
+        asked = task.overridden(problem, horizon=horizon, planner=planner, cost_to_go=cost)
+        table = getattr(asked.given, "planner", None)
+        own = getattr(table, "horizon", 1), getattr(table, "name", "")
+        run = TaskRun(problem.name, task.tables(asked), *own)
+        # Planners that do not look ahead are the same for every horizon.
+        if run not in found:
+            found.append(run)
+    return found

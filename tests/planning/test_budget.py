@@ -14,8 +14,8 @@ import planopt.planning.judge as judge_module
 import planopt.planning.proof.single_steps as steps_module
 import planopt.planning.search.start_search as search_module
 import planopt.planning.start_polish as polish_module
+from planopt import check
 from planopt.errors import InputError
-from planopt.planning.check.check import check
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.reach_planner import ReachPlanner

@@ -10,9 +10,8 @@ import shapely
 from motion_scene import with_dynamics
 from scenes import WALL, bad_band, belief_of, good_everywhere, prepared_of, small_problem
 
-from planopt import load
+from planopt import check, load
 from planopt.channel.prediction import Prediction
-from planopt.planning.check.check import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Pivot, Verdict, shifted_drive

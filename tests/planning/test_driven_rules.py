@@ -10,7 +10,7 @@ from motion_scene import DOUBLE, WHEELS, driven_problem, with_dynamics
 from rules_scene import RULES, ruled_problem
 from terms_scene import TRACKING
 
-from planopt.planning.check.check import check
+from planopt import check
 from planopt.planning.explain.explain import explain
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict

@@ -10,8 +10,7 @@ import pytest
 import shapely
 from scenes import prepared_of, small_problem
 
-from planopt import load
-from planopt.planning.check.check import check
+from planopt import check, load
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Verdict

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scenes import bad_band, belief_of, small_problem
 
-from planopt import load
+from planopt import check, load
 from planopt.errors import NoPlanError
-from planopt.planning.check.check import check
 from planopt.planning.explain.keys import Trials, deadline_s
 from planopt.planning.explain.no_way import explain_blocked
 from planopt.planning.history import History

@@ -12,8 +12,7 @@ from scenes import prepared_of, small_problem
 from terms_scene import LEARNING, terms_problem
 
 import planopt
-from planopt import InputError, Obstacle, Planner, Workspace
-from planopt.planning.check.check import check
+from planopt import InputError, Obstacle, Planner, Workspace, check
 from planopt.planning.leaving import leaving_path
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome

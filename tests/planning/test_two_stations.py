@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planopt import check
 from planopt.errors import NoPlanError
-from planopt.planning.check.check import check
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.saved import RUN_FILE
 from planopt.planning.learn import prepare

@@ -17,7 +17,6 @@ from planopt.problems import library
 from planopt.problems.channel_setup import ModelTruth, RasterTruth, SampledMeasurements
 from planopt.problems.library import find_problem, list_problems
 from planopt.problems.load import load
-from planopt.problems.systems import load_any
 from planopt.world.clearance import clearance_m, index_obstacles
 
 NAMES = [
@@ -70,7 +69,7 @@ def test_library_lists_its_problems_by_name() -> None:
     assert [entry.name for entry in entries] == NAMES
     for entry in entries:
         assert entry.description.endswith(".")
-        problem = load_any(entry.name)
+        problem = load(entry.name)
         assert (problem.name, problem.description) == (entry.name, entry.description)
         assert problem.file == entry.path
 

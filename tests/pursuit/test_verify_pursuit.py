@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from planopt.problems import load_system
+import planopt
 from planopt.pursuit.certificate import (
     Claim,
     DesignData,
@@ -19,7 +19,7 @@ from planopt.pursuit.guarantees import Chase, guarantees
 from planopt.pursuit.service import SnapshotService
 from planopt.pursuit.theorems import Distances, Theorem
 from planopt.pursuit.verify import verify_pursuit
-from planopt.systems.pursuit.check import facts_of, log_of
+from planopt.tasks.pursuit.task import facts_of, log_of
 
 LIBRARY = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_several")
 
@@ -27,8 +27,7 @@ LIBRARY = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_se
 @cache
 def logged(name, seed=0, planner="drive"):
     """A simulated library problem as the verifier sees it, and the claims of its run."""
-    problem = load_system(name)
-    answer = problem.simulate(planner=planner, seed=seed)
+    answer = planopt.simulate(planopt.load(name), planner=planner, seed=seed)
     claims = tuple(
         Claim(
             Theorem(theorem),
@@ -39,9 +38,12 @@ def logged(name, seed=0, planner="drive"):
         )
         for theorem, each in answer.data["guarantee"]["theorems"].items()
     )
-    pursuit = answer.result.pursuit
-    facts = facts_of(problem.content, planner)
-    return facts, log_of(pursuit), claims, answer.data["guarantee"]["detour"]
+    return (
+        facts_of(answer.problem),
+        log_of(answer.value),
+        claims,
+        answer.data["guarantee"]["detour"],
+    )
 
 
 @pytest.mark.parametrize("name", LIBRARY)

@@ -137,12 +137,12 @@ def test_a_channel_from_python_stays(problem) -> None:
     assert with_changes(own, {"constraints.p_min": 0.6}).channel is channel
 
 
-def test_systems_are_swept(problem) -> None:
-    """Beside a problem of motion planning; capture takes longer against a faster evader."""
-    pursuit = planopt.problems.load_system("pursuit_fleeing")
+def test_other_tasks_are_swept(problem) -> None:
+    """Next to a problem of motion planning; capture takes longer against a faster evader."""
+    pursuit = planopt.load("pursuit_fleeing")
     speed = "evaders[0].speed_max_m_s"
     found = compare(pursuit, sweep={speed: [0.2, 0.4]}, seeds=2, workers=2)
-    alone = pursuit.simulate(seed=1)
+    alone = planopt.simulate(pursuit, seed=1)
     assert {run.problem for run in found.runs} == {"pursuit_fleeing"}
     slow, fast = (
         [r.metrics["capture_time_s"] for r in found.runs if r.sweep[speed] == v] for v in (0.2, 0.4)
@@ -152,7 +152,7 @@ def test_systems_are_swept(problem) -> None:
     assert again.runs[0].metrics["capture_time_s"] == alone.data["metrics"]["capture_time_s"]
     assert [run.problem for run in again.runs][1:] == ["open_field"] * 2
     with pytest.raises(InputError, match="no runs to compare"):
-        compare(planopt.problems.load_system("pursuit_design"), [1], seeds=1)
+        compare(planopt.load("pursuit_design"), [1], seeds=1)
 
 
 def test_pairs_across_problems(problem, comparison) -> None:

@@ -10,13 +10,13 @@ library's problem of that name is a remark, no reason to reject.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from planopt.channel.one_thread import one_blas_thread
-from planopt.errors import InputError, NoPlanError, path_of
+from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import DIGEST, differences, digest, in_words
 from planopt.files.tables import REMEDY, comparable
 from planopt.planning.certificate import Certificate, dearest, worst_result
@@ -35,18 +35,15 @@ from planopt.planning.files.saved import (
     Contents,
     Saved,
     contents,
-    read_object,
-    read_saved,
     saved_from,
 )
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.results import Run, Solution
 from planopt.planning.team.reservations import least_of, worst_of_robots
 from planopt.problems.library import SUFFIX, library_folder
-from planopt.problems.load import load
+from planopt.problems.load import load_motion
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
 from planopt.problems.save import problem_to_dict
-from planopt.problems.systems import judge_saved
 from planopt.short_repr import short_repr
 
 
@@ -64,7 +61,7 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
             "it is taken as it stands"
         ]
     try:
-        meant = _but_overrides(problem_to_dict(with_drawn_starts(load(original), seed)))
+        meant = _but_overrides(problem_to_dict(with_drawn_starts(load_motion(original), seed)))
     except InputError as error:
         return [f"{file}, key problem_file: cannot be compared with the library's: {error}"]
     said = _but_overrides(problem_to_dict(problem))
@@ -115,23 +112,8 @@ class CheckResult:
 
 
 @one_blas_thread()
-def check(path: Path | str) -> CheckResult:
-    """Judge a saved plan or run from its files.
-
-    Parameters
-    ----------
-    path
-        The folder, or its ``plan.json`` or ``run.json``.
-
-    Raises
-    ------
-    InputError
-        A file is missing, truncated or not what it should be; with file, key or row.
-    """
-    file, data = read_object(path_of("path", path, "give a folder: save a result before"))
-    judged = judge_saved(file, data)
-    if judged is not None:
-        return CheckResult(Verdict.VIOLATED if judged else Verdict.VERIFIED, (), tuple(judged))
+def check_motion(file: Path, data: Mapping[str, Any]) -> CheckResult:
+    """Judge a saved plan or run from its files; the JSON object has been read."""
     saved = saved_from(file, data)
     name = saved.file.name
     remarks = library_remarks(name, saved.problem, saved.record.seed)
@@ -231,9 +213,9 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
 
 
 @one_blas_thread()
-def load_result(path: Path | str) -> Solution | Run:
+def load_motion_result(file: Path, data: Mapping[str, Any]) -> Solution | Run:
     """Read a saved plan or run, as :func:`planopt.load_result` does."""
-    saved = read_saved(Path(path))
+    saved = saved_from(file, data)
     if isinstance(saved.record, NoPlanRecord):
         raise NoPlanError(saved.record.message)
     result, record = replayed(saved, start_of(saved)), saved.record

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 
 from planopt.errors import InputError
 from planopt.problems.library import list_problems
-from planopt.problems.load import SYSTEMS, load
+from planopt.problems.load import load_motion
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_kind, planner_names
 from planopt.problems.problem import Problem
+from planopt.problems.tasks import MOTION
 
 PLAN, RUN = "plan", "run"
 """Kinds of cases: one plan from the start, or the first steps of a closed loop."""
@@ -79,7 +80,7 @@ def library_cases(
     each, driven = list(seeds), list(run_seeds)
     cases: list[Case] = []
     for name in dict.fromkeys(names):
-        problem = load(name)
+        problem = load_motion(name)
         own = problem.planner.horizon
         ahead = sorted({own, *HORIZONS}) if horizons is None else list(dict.fromkeys(horizons))
         for horizon in ahead:
@@ -108,14 +109,14 @@ def library_cases(
 
 def library_names() -> list[str]:
     """Return the library problems of motion planning, which planners answer."""
-    return [entry.name for entry in list_problems() if entry.task not in SYSTEMS]
+    return [entry.name for entry in list_problems() if entry.task in MOTION]
 
 
 def problem_of(case: Case) -> Problem:
     """Load the problem of a case, with its settings."""
     question = case.question
     asked = with_overrides(
-        load(question.problem),
+        load_motion(question.problem),
         horizon=question.horizon,
         planner=case.planner,
         cost_to_go=question.cost_to_go or None,

@@ -25,7 +25,7 @@ from planopt.files.regular import read_text
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import strict_text, write_text
 from planopt.planning import tolerances
-from planopt.problems.load import load
+from planopt.problems.load import load_motion
 from planopt.studies.bench.cases import Case
 from planopt.studies.bench.references import OBJECTIVE_SHARE
 from planopt.studies.bench.row import Row, answer, key_of, start_of
@@ -172,7 +172,7 @@ def _require_same(before: Manifest, now: Manifest, folder: Path) -> None:
 
 
 def _problem_digest(name: str) -> str:
-    tables: Mapping[str, Any] = run_key(load(name), 0)["problem"]
+    tables: Mapping[str, Any] = run_key(load_motion(name), 0)["problem"]
     return hashlib.sha256(strict_text(tables).encode()).hexdigest()[:16]
 
 

@@ -19,7 +19,7 @@ from planopt.files.typed_json import decoded, encoded
 from planopt.files.whole import write_text
 from planopt.planning.plan import Verdict
 from planopt.problems.library import library_folder
-from planopt.problems.load import load
+from planopt.problems.load import load_motion
 from planopt.studies.bench.cases import PLAN, RUN, Case, Question, States, library_names
 from planopt.studies.bench.row import Row
 
@@ -216,7 +216,7 @@ def fast_cases(
     missing: list[str] = []
     names = library_names() if problems is None else problems
     for name in names:
-        problem = load(name)
+        problem = load_motion(name)
         asked = (problem.planner.horizon, problem.cost_to_go or "")
         mine = [
             one

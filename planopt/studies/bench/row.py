@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import NoPlanError
 from planopt.files.typed_json import encoded
-from planopt.planning.check.check import check
+from planopt.planning.check.check import check_motion
 from planopt.planning.drawn_places import with_drawn_starts
+from planopt.planning.files.saved import read_object
 from planopt.planning.initial_data import team_seeds
 from planopt.planning.learn import Prepared, prepare
 from planopt.planning.loop.drive import TrueWorld, first_steps
@@ -213,7 +214,7 @@ def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
 
 def _judged(folder: Path) -> tuple[bool, tuple[str, ...]]:
     """Judge a saved plan or run; whether the check agrees, and its objections."""
-    result = check(folder)
+    result = check_motion(*read_object(folder))
     return result.verdict is Verdict.VERIFIED, result.reasons
 
 

@@ -41,6 +41,6 @@ def test_a_library_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
         raise InputError("is damaged")
 
     problem = load("open_field")
-    monkeypatch.setattr(module, "load", fail)
+    monkeypatch.setattr(module, "load_motion", fail)
     (remark,) = library_remarks("plan.json", problem)
     assert "cannot be compared with the library's: is damaged" in remark

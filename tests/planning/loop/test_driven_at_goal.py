@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from planopt import load
-from planopt.planning.check.check import check
+from planopt import check, load
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 

@@ -10,10 +10,9 @@ import pytest
 from scipy.stats import norm
 from terms_scene import TRACKING, terms_problem
 
-from planopt import load
+from planopt import check, load
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.prediction import Prediction, bound_margin_db
-from planopt.planning.check.check import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.predictions import (

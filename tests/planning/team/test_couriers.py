@@ -9,7 +9,7 @@ import shapely
 from scenes import BAD, GOOD, prepared_of, small_problem
 
 import planopt
-from planopt.planning.check.check import check
+from planopt import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung

@@ -13,7 +13,7 @@ import pytest
 from apart_scene import CART
 from terms_scene import LEARNING, TABLES, TRACKING
 
-from planopt.planning.check.check import check
+from planopt import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve

@@ -11,7 +11,7 @@ import pytest
 from motion_scene import DOUBLE, WHEELS, with_dynamics
 from terms_scene import LEARNING, TABLES, TRACKING, terms_problem
 
-from planopt.planning.check.check import check
+from planopt import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.solve import solve

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from terms_scene import TRACKING, terms_problem
 
+from planopt import check
 from planopt.objectives.information import Information
 from planopt.objectives.moments import posterior_moments
-from planopt.planning.check.check import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, terms_problem
 
-from planopt import InputError, explain
-from planopt.planning.check.check import check
+from planopt import InputError, check, explain
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.solve import solve

@@ -12,8 +12,8 @@ from rules_scene import RULES, ruled_problem
 from scipy.stats import binomtest
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
+from planopt import check
 from planopt.channel.joint import sample_power
-from planopt.planning.check.check import check
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict

@@ -19,8 +19,8 @@ from terms_scene import (
 )
 
 import planopt.planning.baselines.one_step as one_step_module
+from planopt import check
 from planopt.channel.measurements import Measurements
-from planopt.planning.check.check import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.ending import STALL_STEPS, Progress, terms_ending
 from planopt.planning.loop.log import Outcome

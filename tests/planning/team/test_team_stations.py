@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from terms_scene import CONNECT, LEARNING, TRACKING, own_term, terms_problem
 
+from planopt import check
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import true_power_dbm
-from planopt.planning.check.check import check
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.solve import solve

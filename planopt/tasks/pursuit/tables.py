@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,8 @@ from pydantic import Field
 from planopt.errors import InputError
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
 from planopt.problems.tables import SMALLEST, Metres, Name, Pair, Quad, Table
-from planopt.problems.world_tables import ObstacleTable, obstacles_of
+from planopt.problems.tasks import TaskProblem
+from planopt.problems.world_tables import ObstacleTable, obstacle_table, obstacles_of
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag
@@ -256,16 +258,16 @@ class PursuitFile(Table):
     report: ReportTable = Field(default_factory=ReportTable)
 
 
-@dataclass(frozen=True, eq=False)
-class PursuitProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class PursuitProblem(TaskProblem):
     """A pursuit to simulate."""
 
-    given: PursuitFile  # Its tables
+    given: PursuitFile
     service: SnapshotService  # The motes, free space, and what is in it
     arena: Arena
     obstacles: tuple[Obstacle, ...]
 
-    def scene(self, planner: PlannerTable, generator: np.random.Generator) -> Scene:
+    def scene(self, generator: np.random.Generator) -> Scene:
         """Return the scene of one run: starts and lost rounds are drawn."""
         given, rules = self.given, self.given.pursuit
         starts = [
@@ -279,7 +281,7 @@ class PursuitProblem:
         count = len(given.pursuers)
         return Scene(
             tuple(
-                Pursuer(start, each.motion, planner.policy)
+                Pursuer(start, each.motion, given.planner.policy)
                 for start, each in zip(starts[:count], given.pursuers, strict=True)
             ),
             tuple(
@@ -327,12 +329,44 @@ class PursuitProblem:
             for theorem in ways[Distances.PATHS]
         }
 
+    def tables(self) -> dict[str, Any]:
+        """Return the tables with every default, obstacles as polygons."""
+        found = super().tables()
+        if self.given.world is not None:
+            found["world"]["obstacles"] = [obstacle_table(each) for each in self.obstacles]
+        return found
+
+    def words(self) -> Sequence[str]:
+        """Return the problem in lines of text."""
+        given, service = self.given, self.service
+        side = service.motes_per_side
+        lines = [
+            f"{self.name}: {self.description}",
+            f"  task        pursuit, planner {given.planner.name}, "
+            f"steps of {given.pursuit.step_s:g} s, at most {given.pursuit.max_steps}",
+            f"  motes       {side} x {side}, {service.mote_spacing_m:g} m apart, frames of "
+            f"{service.frame_s:g} s, {service.bits_per_axis} bits an axis",
+            f"  captured    within {given.pursuit.capture_radius_m:g} m",
+            f"  world       {len(self.obstacles)} obstacles",
+        ]
+        lines += [
+            f"  pursuer     {each.name} from ({each.start_m[0]:g}, {each.start_m[1]:g}) m, at most "
+            f"{each.speed_max_m_s:g} m/s"
+            for each in given.pursuers
+        ]
+        lines += [
+            f"  evader      {each.name} from ({each.start_m[0]:g}, {each.start_m[1]:g}) m, "
+            f"{each.behaviour.kind}, at most {each.speed_max_m_s:g} m/s"
+            for each in given.evaders
+        ]
+        return lines
+
 
 LEAST_SPEED_M_S = 1e-9
-"""Theorems divide by the evader's speed: who stands still creeps."""
+"""The theorems divide by the speed of the evader; a static one gets this speed."""
 
 
-def build(given: PursuitFile, folder: Path) -> PursuitProblem:
+def build(given: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem:
     """Return the problem in validated tables."""
     network = given.network
     service = SnapshotService(
@@ -358,8 +392,8 @@ def build(given: PursuitFile, folder: Path) -> PursuitProblem:
     _require_speeds(given)
     if obstacles:
         _require_open(given)
-    problem = PursuitProblem(given, service, arena, obstacles)
-    problem.scene(given.planner, np.random.default_rng(0))
+    problem = PursuitProblem(given, file, service, arena, obstacles)
+    problem.scene(np.random.default_rng(0))
     return problem
 
 

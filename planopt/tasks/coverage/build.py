@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -28,12 +28,12 @@ from planopt.coverage.network import LinkModel
 from planopt.coverage.region import checked_polygon, convex_region
 from planopt.coverage.simulation import Scene
 from planopt.errors import InputError
-from planopt.problems.world_tables import obstacles_of
-from planopt.systems.coverage.demands import DemandContext
-from planopt.systems.coverage.tables import (
+from planopt.problems.tasks import TaskProblem
+from planopt.problems.world_tables import obstacle_table, obstacles_of
+from planopt.tasks.coverage.demands import DemandContext
+from planopt.tasks.coverage.tables import (
     CoverageFile,
     PlacesTable,
-    PlannerTable,
     WorldTable,
     has_room,
 )
@@ -52,11 +52,11 @@ MEMORY_STEPS = 10
 Made = TypeVar("Made")
 
 
-@dataclass(frozen=True, eq=False)
-class CoverageProblem:
+@dataclass(frozen=True, eq=False, repr=False)
+class CoverageProblem(TaskProblem):
     """A network to simulate."""
 
-    given: CoverageFile  # Its tables
+    given: CoverageFile
     ground: Ground  # What is covered, its weights, and what stands in it
     density: Density
     obstacles: tuple[Obstacle, ...]
@@ -166,8 +166,10 @@ class CoverageProblem:
         table = self.given.radio
         return None if table is None else table.limits(self.station_map)
 
-    def mover(self, planner: PlannerTable) -> Mover:
+    @property
+    def mover(self) -> Mover:
         """Return how agents move."""
+        planner = self.given.planner
         control, limits = self.given.control, self.limits
         gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
         if planner.name == "receding":
@@ -183,8 +185,52 @@ class CoverageProblem:
             )
         return LawMover(gains, control.time_step_s, self.given.agents.speed_max_m_s)
 
+    def tables(self) -> dict[str, Any]:
+        """Return the tables with every default, obstacles as polygons, rasters in place."""
+        found = super().tables()
+        found["world"]["obstacles"] = [obstacle_table(each) for each in self.obstacles]
+        if isinstance(self.density, RasterDensity):
+            raster: Raster = self.density.raster
+            found["density"] = {
+                "kind": "raster",
+                "x_m": raster.x_m.tolist(),
+                "y_m": raster.y_m.tolist(),
+                "values": raster.values.tolist(),
+            }
+        posteriors = () if self.station_map is None else self.station_map.posteriors
+        for number, posterior in enumerate(posteriors):
+            survey = found["radio"]["survey"][number]
+            if survey.pop("file", None) is not None:
+                measured = posterior.measurements
+                survey["places_m"] = measured.positions_m.tolist()
+                survey["power_dbm"] = measured.power_dbm.tolist()
+        return found
 
-def build(given: CoverageFile, folder: Path) -> CoverageProblem:
+    def words(self) -> Sequence[str]:
+        """Return the problem in lines of text."""
+        given = self.given
+        limit = given.agents.speed_max_m_s
+        speed = "without a speed limit" if limit is None else f"at most {limit:g} m/s"
+        counted = given.counting.method
+        counted = counted if counted == "known" else f"counted: {counted}"
+        lines = [
+            f"{self.name}: {self.description}",
+            f"  task        coverage, planner {given.planner.name}, steps of "
+            f"{given.control.time_step_s:g} s, at most {given.control.duration_s:g} s",
+            f"  region      {self.ground.area_m2:g} m^2, {len(self.obstacles)} obstacles, "
+            f"density {given.density.kind}",
+            f"  agents      {given.agents.start.number}, {speed}; their number is {counted}",
+        ]
+        for event in self.events:
+            x, y = event.place_m
+            end = "" if np.isinf(event.ends_s) else f" to {event.ends_s:g} s"
+            lines.append(
+                f"  event       {event.name} at ({x:g}, {y:g}) m from {event.appears_s:g} s{end}"
+            )
+        return lines
+
+
+def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProblem:
     """Return the problem in validated tables."""
     obstacles = tuple(
         obstacle
@@ -240,10 +286,11 @@ def build(given: CoverageFile, folder: Path) -> CoverageProblem:
     _require_pair(given, agents)
     mapped = None if given.radio is None else given.radio.station_map(ground, folder)
     problem = CoverageProblem(
-        given, ground, density, obstacles, events, tuple(demands), sensing, joins, leaves, mapped
-    )
+        given, file, ground, density, obstacles, events, tuple(demands), sensing, joins, leaves,
+        mapped,
+    )  # fmt: skip
     problem.scene(np.random.default_rng(0))
-    _keyed(lambda: problem.mover(given.planner), {"limits": "agents"})
+    _keyed(lambda: problem.mover, {"limits": "agents"})
     return problem
 
 
@@ -256,20 +303,6 @@ def overlapping(places_m: NDArray[np.float64], body_radius_m: float) -> tuple[in
         KDTree(places_m).query_pairs(2.0 * body_radius_m),  # pyright: ignore[reportUnknownMemberType]
     )
     return min(touching, default=None)
-
-
-def density_table(problem: CoverageProblem) -> dict[str, Any]:
-    """Return the density as a table that needs no other file."""
-    density = problem.density
-    if isinstance(density, RasterDensity):
-        raster: Raster = density.raster
-        return {
-            "kind": "raster",
-            "x_m": raster.x_m.tolist(),
-            "y_m": raster.y_m.tolist(),
-            "values": raster.values.tolist(),
-        }
-    return problem.given.density.model_dump(mode="json", exclude_none=True)
 
 
 def _keyed(make: Callable[[], Made], keys: dict[str, str]) -> Made:

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import planopt
 from planopt.cli import main
 from planopt.errors import InputError
-from planopt.problems import load_system
-from planopt.problems.systems import system_from_tables
+from planopt.problems.tasks import problem_from
 
 PROBLEM = """
 [problem]
@@ -63,7 +63,7 @@ def test_surveyed_links_are_kept_and_judged(tmp_path, capsys):
     assert found["faults"] == []
     assert found["metrics"]["cost_last"] < 0.6 * found["metrics"]["cost_first"]
     assert main(["check", str(out)]) == 0
-    lost = load_system(file).simulate(planner="law").data["faults"]
+    lost = planopt.simulate(planopt.load(file), planner="law").data["faults"]
     assert lost and all("fault of radio" in each for each in lost)
 
 
@@ -71,16 +71,15 @@ def test_a_log_teaches_where_links_fail(tmp_path):
     """Direct links are trusted before the wall only, and a saved problem needs no log."""
     table = log(tmp_path)
     (tmp_path / "problem.toml").write_text(PROBLEM + table)
-    problem = load_system(tmp_path / "problem.toml")
-    mapped = problem.content.station_map
+    problem = planopt.load(tmp_path / "problem.toml")
+    mapped = problem.station_map
     before, behind = np.array([[30.0, 20.0]]), np.array([[70.0, 20.0]])
     assert mapped.near(before, before)[0, 0] < 0.4
     assert mapped.near(behind, behind)[0, 0] > 0.9
     tables = json.loads(json.dumps(problem.tables()))
     (tmp_path / "log.csv").unlink()
-    again = system_from_tables(tables, folder=tmp_path / "nowhere", file=None)
-    assert again is not None
-    np.testing.assert_array_equal(again.content.station_map.failures, mapped.failures)
+    again = problem_from(tables, folder=tmp_path / "nowhere", file=None)
+    np.testing.assert_array_equal(again.station_map.failures, mapped.failures)
 
 
 @pytest.mark.parametrize(
@@ -100,5 +99,5 @@ def test_wrong_surveys_are_named(table, key, words, tmp_path):
         table = log(tmp_path, "1,2,abc")
     (tmp_path / "problem.toml").write_text(PROBLEM + table)
     with pytest.raises(InputError, match=words) as caught:
-        load_system(tmp_path / "problem.toml")
+        planopt.load(tmp_path / "problem.toml")
     assert caught.value.key is not None and key in caught.value.key

@@ -19,8 +19,8 @@ from planopt.errors import InputError
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
 from planopt.problems.tables import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
 from planopt.problems.world_tables import ObstacleTable
-from planopt.systems.coverage.demands import DemandTable
-from planopt.systems.coverage.radio import RadioTable
+from planopt.tasks.coverage.demands import DemandTable
+from planopt.tasks.coverage.radio import RadioTable
 from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
 

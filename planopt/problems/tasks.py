@@ -1,0 +1,169 @@
+"""Tasks: the kinds of problems, each an entry of one registry.
+
+``[problem] task`` names the task. Those of planopt are in :mod:`planopt.tasks`; a package adds
+others by the entry-point group ``planopt.tasks``: the name of an entry point is that of the task,
+and its object is a :class:`planopt.tasks.task.Task`. Every function and command finds the task of a
+problem here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Self, cast
+
+from planopt.errors import InputError
+from planopt.problems.messages import located
+from planopt.short_repr import short_repr
+
+GROUP = "planopt.tasks"
+"""Entry points of tasks from outside."""
+
+MOTION = ("reach", "track", "learn", "map", "connect", "custom")
+"""Tasks of motion planning, which share their tables; a file without a task asks for the first."""
+
+OWN = {
+    **dict.fromkeys(MOTION, "planopt.tasks.motion:TASK"),
+    "coverage": "planopt.tasks.coverage.task:TASK",
+    "pursuit": "planopt.tasks.pursuit.task:TASK",
+    "pursuit_design": "planopt.tasks.pursuit_design:TASK",
+}
+"""Where planopt's own tasks are; each is imported when a problem of it is met."""
+
+
+@dataclass(frozen=True, eq=False)
+class TaskProblem:
+    """A problem of a task other than motion planning; tasks derive their own class from it.
+
+    Attributes
+    ----------
+    given
+        The validated tables.
+    file
+        Where it came from; None if from no file.
+    """
+
+    given: Any = field(repr=False)
+    file: Path | None
+
+    __repr__ = short_repr
+
+    @property
+    def name(self) -> str:
+        """Name of the problem."""
+        return self.given.problem.name
+
+    @property
+    def task(self) -> str:
+        """Name of its task."""
+        return self.given.problem.task
+
+    @property
+    def description(self) -> str:
+        """What it is, in a sentence."""
+        return self.given.problem.description
+
+    @property
+    def has_figures(self) -> bool:
+        """Whether results are drawn: the key ``report.figures``, where the task has one."""
+        report = getattr(self.given, "report", None)
+        return report is not None and report.figures
+
+    def tables(self) -> dict[str, Any]:
+        """Return the problem in full: tables that can be read without other files."""
+        return self.given.model_dump(mode="json", by_alias=True, exclude_none=True)
+
+    def words(self) -> Sequence[str]:
+        """Return the problem in lines of text."""
+        return (f"{self.name}: {self.description}", f"  task        {self.task}")
+
+    def with_planner(
+        self,
+        horizon: int | None = None,
+        planner: str | None = None,
+        looking_ahead: Sequence[str] = ("receding",),
+    ) -> Self:
+        """Return the problem with another table ``planner``.
+
+        The horizon is 1 for planners that are not `looking_ahead`.
+        """
+        now = self.given.planner
+        model = cast("Any", type(now))
+        changes = {"horizon": horizon, "name": planner}
+        given = {name: value for name, value in changes.items() if value is not None}
+        with located(model, None, "planner"):
+            table = model.model_validate({**now.model_dump(), **given})
+        if table.name not in looking_ahead:
+            table = table.model_copy(update={"horizon": 1})
+        return replace(self, given=self.given.model_copy(update={"planner": table}))
+
+
+def task_names() -> tuple[str, ...]:
+    """Return the names of all tasks, planopt's own first."""
+    return (*OWN, *_installed())
+
+
+def task_named(name: str) -> Any:
+    """Return the :class:`planopt.tasks.task.Task` of a name."""
+    if name in OWN:
+        module, _, attribute = OWN[name].partition(":")
+        return getattr(import_module(module), attribute)
+    try:
+        found = _installed()[name].load()
+    except (ImportError, AttributeError) as error:
+        raise InputError(
+            f"is {name}, which is installed but cannot be imported: {error}",
+            key="problem.task",
+            remedy="install what it needs",
+        ) from None
+    if not hasattr(found, "problem_from"):
+        raise InputError(
+            f"is {name}, whose entry point is a {type(found).__name__}",
+            key="problem.task",
+            remedy="let it name a planopt.extend.Task",
+        )
+    return found
+
+
+@cache
+def _installed() -> dict[str, Any]:
+    """Entry points of installed packages by name; they are not imported yet."""
+    return {point.name: point for point in entry_points(group=GROUP) if point.name not in OWN}
+
+
+def task_of(problem: object) -> Any:
+    """Return the :class:`planopt.tasks.task.Task` of a problem."""
+    if not isinstance(problem, TaskProblem) and getattr(problem, "task", None) not in MOTION:
+        kind = f"class {problem.__name__}" if isinstance(problem, type) else type(problem).__name__
+        raise InputError(f"is a {kind}", key="problem", remedy="load or make a Problem")
+    return task_named(cast("Any", problem).task)
+
+
+def named_task(tables: object) -> str:
+    """Return the task that tables of a problem file name, by default the first of `MOTION`."""
+    name = _entry(_entry(tables, "problem"), "task")
+    if not isinstance(name, str):  # The model of motion planning says what is wrong
+        return MOTION[0]
+    if name not in OWN and name not in _installed():
+        raise InputError(
+            f"is {name!r}", key="problem.task", remedy=f"use one of {', '.join(task_names())}"
+        )
+    return name
+
+
+def _entry(table: object, key: str) -> object:
+    """Return an entry of a table; None if there is no table."""
+    return cast("dict[str, object]", table).get(key) if isinstance(table, dict) else None
+
+
+def problem_from(tables: object, *, folder: Path, file: Path | None) -> Any:
+    """Return the problem of any task in tables, validated."""
+    try:
+        task = task_named(named_task(tables))
+    except InputError as error:
+        raise error if file is None else error.located(file) from None
+    return task.problem_from(tables, folder=folder, file=file)

@@ -1,1 +1,0 @@
-"""The task pursuit_design: slot width, rate and compression of a network that serves a pursuit."""

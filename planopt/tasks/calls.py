@@ -1,0 +1,225 @@
+"""What can be asked of a problem of any task: the functions of the package ``planopt``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
+
+from planopt.errors import path_of
+from planopt.planning.check.check import CheckResult, check_motion, load_motion_result
+from planopt.planning.files.saved import read_object
+from planopt.planning.initial_data import UserMeasurements
+from planopt.planning.plan import Plan, Verdict
+from planopt.problems.problem import Problem
+from planopt.problems.tasks import MOTION, TaskProblem, named_task
+from planopt.tasks.task import TaskResult, perform, read_result, reasons_against
+
+if TYPE_CHECKING:
+    from planopt.planning.results import Run, Solution
+    from planopt.studies.comparison import Comparison
+
+
+@overload
+def solve(
+    problem: TaskProblem, *, horizon: int | None = ..., planner: str | None = ..., seed: int = ...
+) -> TaskResult: ...
+@overload
+def solve(
+    problem: Problem,
+    *,
+    horizon: int | None = ...,
+    planner: str | None = ...,
+    cost_to_go: str | None = ...,
+    seed: int = ...,
+    measurements: UserMeasurements | None = ...,
+) -> Solution: ...
+def solve(
+    problem: Problem | TaskProblem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    cost_to_go: str | None = None,
+    seed: int = 0,
+    measurements: UserMeasurements | None = None,
+) -> Solution | TaskResult:
+    """Plan once: `horizon` steps ahead from the start for each robot, or what the task asks.
+
+    A target is expected where its first estimate takes it. The plans are those that a run of the
+    same seed begins with.
+
+    Parameters
+    ----------
+    problem
+        From :func:`planopt.load` or made in Python.
+    horizon, planner, cost_to_go
+        Override the problem's planner settings; a cost-to-go only where there is a goal.
+    seed
+        Of the ground truth's fading, the measured places, the first estimate of a target, and of
+        planners that draw.
+    measurements
+        First measurements in place of those that the problem names: :class:`planopt.Measurements`
+        or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
+        stations a sequence with one for each.
+
+    Returns
+    -------
+    Solution or TaskResult
+        :class:`planopt.Solution` for motion planning, else a :class:`planopt.extend.TaskResult`.
+
+    Raises
+    ------
+    InputError
+        The task has nothing to solve or no such setting, or a setting or a file that the problem
+        names cannot be used.
+    NoPlanError
+        There is no plan, for instance because obstacles cut the goal off.
+    """
+    return perform(
+        "solve",
+        problem,
+        seed=seed,
+        horizon=horizon,
+        planner=planner,
+        cost_to_go=cost_to_go,
+        measurements=measurements,
+    )
+
+
+@overload
+def simulate(
+    problem: TaskProblem,
+    *,
+    horizon: int | None = ...,
+    planner: str | None = ...,
+    seed: int = ...,
+    on_step: Callable[[int], None] | None = ...,
+) -> TaskResult: ...
+@overload
+def simulate(
+    problem: Problem,
+    *,
+    horizon: int | None = ...,
+    planner: str | None = ...,
+    cost_to_go: str | None = ...,
+    seed: int = ...,
+    measurements: UserMeasurements | None = ...,
+    on_start: Callable[[Sequence[Plan]], None] | None = ...,
+    on_step: Callable[[int], None] | None = ...,
+) -> Run: ...
+def simulate(
+    problem: Problem | TaskProblem,
+    *,
+    horizon: int | None = None,
+    planner: str | None = None,
+    cost_to_go: str | None = None,
+    seed: int = 0,
+    measurements: UserMeasurements | None = None,
+    on_start: Callable[[Sequence[Plan]], None] | None = None,
+    on_step: Callable[[int], None] | None = None,
+) -> Run | TaskResult:
+    """Simulate the closed loop of a problem, robots in the true channel for instance.
+
+    Parameters
+    ----------
+    problem
+        The problem; one of motion planning must have a ground truth.
+    horizon, planner, cost_to_go, measurements
+        As for :func:`planopt.solve`.
+    seed
+        Of everything that happens.
+    on_start
+        Called with the first plan of each robot, before the first step; motion planning only.
+    on_step
+        Called after every step with its number, for progress display.
+
+    Returns
+    -------
+    Run or TaskResult
+        :class:`planopt.Run` for motion planning, else a :class:`planopt.extend.TaskResult`.
+
+    Raises
+    ------
+    InputError
+        The task has nothing to simulate or no such setting, a setting or a file that the problem
+        names cannot be used, or there is no ground truth.
+    NoPlanError
+        There is no plan, for instance because obstacles cut the goal off.
+    """
+    return perform(
+        "simulate",
+        problem,
+        seed=seed,
+        on_step=on_step,
+        horizon=horizon,
+        planner=planner,
+        cost_to_go=cost_to_go,
+        measurements=measurements,
+        on_start=on_start,
+    )
+
+
+def check(path: Path | str) -> CheckResult:
+    """Check a saved result from its files: it is computed again and compared.
+
+    Parameters
+    ----------
+    path
+        The folder, or its ``plan.json`` or ``run.json``.
+
+    Raises
+    ------
+    InputError
+        A file is missing, truncated or not what it should be; with file, key or row.
+    """
+    file, data = read_object(path_of("path", path, "give a folder: save a result before"))
+    if named_task(data.get("problem_file")) not in MOTION:
+        reasons = reasons_against(file, data)
+        verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
+        return CheckResult(verdict, (), tuple(reasons))
+    return check_motion(file, data)
+
+
+def load_result(path: Path | str) -> Solution | Run | Comparison | TaskResult:
+    """Read a plan, run or comparison that a command or a result's ``save`` has saved.
+
+    Predictions, certificates, metrics and tables of motion planning are computed again from what is
+    saved. Whether the files of a plan or run say the same is for :func:`planopt.check` to judge.
+
+    Parameters
+    ----------
+    path
+        The folder, or its ``plan.json``, ``run.json`` or ``comparison.json``.
+
+    Returns
+    -------
+    Solution | Run | Comparison | TaskResult
+        As what the folder holds. Files have no constraint multipliers, and of the plans of a run
+        neither wall times nor iterations: these are empty or zero.
+
+    Raises
+    ------
+    InputError
+        A file is missing, damaged, or contradicts the others.
+    NoPlanError
+        The folder says that there is no plan.
+
+    Examples
+    --------
+    >>> import planopt, tempfile
+    >>> solution = planopt.solve(planopt.load("open_field"), horizon=2)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     solution.save(folder)
+    ...     planopt.load_result(folder).plan.objective == solution.plan.objective
+    True
+    """
+    from planopt.studies.comparison import load_comparison
+
+    given = path_of("path", path, "give the folder that a result was saved in")
+    comparison = load_comparison(given)
+    if comparison is not None:
+        return comparison
+    file, data = read_object(given)
+    if named_task(data.get("problem_file")) in MOTION:
+        return load_motion_result(file, data)
+    return read_result(file, data)

@@ -1,0 +1,462 @@
+"""The task coverage: networks that cover a region and answer events.
+
+The module simulates and solves its problems, and reports the result as JSON, tables, text and
+figures.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.coverage.assignment import NONE
+from planopt.coverage.control.laws import Gains
+from planopt.coverage.limits import packing_reach_m
+from planopt.coverage.optima import best_deployment
+from planopt.coverage.simulation import ABSENT, NetworkRun, simulate_network
+from planopt.coverage.verify import verify_moves
+from planopt.files.tables import Column, Data
+from planopt.planning.files.record import finite
+from planopt.tasks.coverage.build import CoverageProblem, build, overlapping
+from planopt.tasks.coverage.tables import CoverageFile, has_room
+from planopt.tasks.task import Task, TaskResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from planopt.report import NetworkPicture
+
+STEPS_FILE, NETWORK_FILE, EVENTS_FILE = "steps.csv", "network.csv", "events.csv"
+RUN_PICTURE, PLAN_PICTURE = "run.png", "plan.png"
+
+STEP_COLUMNS = (
+    Column("robot", "name of the agent", kind="text", required=True),
+    Column("step", "number of the step; 0 is the start", kind="count", required=True),
+    Column("t_s", "time", "s", required=True),
+    Column("x_m", "position", "m", required=True),
+    Column("y_m", "position", "m", required=True),
+    Column("vx_m_s", "velocity", "m/s", required=True),
+    Column("vy_m_s", "velocity", "m/s", required=True),
+    Column("heading_rad", "heading", "rad", required=True),
+    Column("state", "`covers`, `absent` or the event that the agent responds to", kind="text"),
+    Column("target_x_m", "target of the step that begins here", "m"),
+    Column("target_y_m", "target of the step that begins here", "m"),
+    Column("count", "the agent's count of the agents"),
+)
+NETWORK_COLUMNS = (
+    Column("step", "number of the step", kind="count", required=True),
+    Column("t_s", "time", "s", required=True),
+    Column("cost", "coverage cost", required=True, largest=math.inf),
+    Column("residual_m", "largest distance from rest at a target", "m", required=True),
+    Column("count_messages", "messages for counting", kind="count", required=True),
+    Column("assignment_messages", "messages for assignment", kind="count", required=True),
+    Column("reading_messages", "messages with sensor readings", kind="count", required=True),
+)
+EVENT_COLUMNS = (
+    Column("event", "name of the event", kind="text", required=True),
+    Column("step", "number of the step", kind="count", required=True),
+    Column("t_s", "time", "s", required=True),
+    Column("there", "whether the event is there", kind="count", required=True),
+    Column("x_m", "position of the event", "m", required=True),
+    Column("y_m", "position of the event", "m", required=True),
+    Column("estimate_x_m", "estimated position; empty before it is detected", "m"),
+    Column("estimate_y_m", "estimated position; empty before it is detected", "m"),
+    Column("std_m", "standard deviation of the estimate", "m"),
+    Column("wanted", "number of agents wanted", kind="count", required=True),
+    Column("responding", "number of agents that respond", kind="count", required=True),
+)
+COVERS, AWAY = "covers", "absent"
+"""States of agents that respond to no event."""
+
+ON_TARGET_M = 1e-9
+"""Slack of the distance at which an agent has settled, for rounding."""
+
+COST_SHARE = 1e-6
+"""Share of the coverage cost by which its lower bound may exceed it through rounding."""
+
+STARTS = 10
+"""Initial deployments of ``solve``; the first is where agents start."""
+
+
+def agent_name(number: int) -> str:
+    """Return what outputs call an agent."""
+    return f"agent{number}"
+
+
+def simulate(
+    problem: CoverageProblem, *, seed: int, on_step: Callable[[], None] = lambda: None
+) -> TaskResult:
+    """Simulate a network; starts, noise and losses come from the seed."""
+    generator = np.random.default_rng(seed)
+    scene = problem.scene(generator)
+    run = simulate_network(scene, problem.mover, generator, on_step)
+    planner, (outcome, reason) = problem.given.planner, outcome_of(problem, run)
+    times_s = run.times_s.tolist()
+    data = {
+        "horizon": planner.horizon,
+        "planner": planner.name,
+        "outcome": outcome,
+        "reason": reason,
+        "metrics": metrics(problem, run),
+        "rungs": {planner.name: len(times_s) - 1},
+        "events": event_results(problem, run),
+        "robots": [
+            {
+                "name": agent_name(number),
+                "t_s": times_s,
+                "x_m": run.positions_m[:, number, 0].tolist(),
+                "y_m": run.positions_m[:, number, 1].tolist(),
+            }
+            for number in range(run.positions_m.shape[1])
+        ],
+    }
+    return TaskResult(problem, data, tables_of(problem, run), run)
+
+
+def faults(result: TaskResult) -> list[str]:
+    """Return the faults that the verifier finds in the moves of a run."""
+    run: NetworkRun = result.value
+    problem = cast("CoverageProblem", result.problem)
+    world, limits = problem.given.world, problem.limits
+    moving = (run.positions_m, run.velocities_m_s, run.headings_rad)
+    if not all(np.isfinite(each).all() for each in moving):
+        return [f"{STEPS_FILE}: a position, velocity or heading is not finite"]
+    free = shapely.box(*world.bounds_m) if world.bounds_m else shapely.Polygon(world.outline_m)
+    for obstacle in problem.obstacles:
+        free = free.difference(obstacle.polygon)
+    reasons = list[str]()
+    for step in range(len(run.costs)):
+        who = np.flatnonzero(run.states[step] != ABSENT)
+        both = [(each[step, who], each[step + 1, who]) for each in moving]
+        found = verify_moves(
+            cast("shapely.Polygon", free),
+            *both[0],
+            limits,
+            velocities_m_s=both[1],
+            headings_rad=both[2],
+            radio=problem.radio,
+        )
+        reasons += [
+            f"{STEPS_FILE}: {agent_name(int(who[fault.agent]))} has a fault of {fault.kind} in "
+            f"step {step}: {fault.value:.6g}, {fault.limit:g} is allowed"
+            for fault in found
+        ]
+        idle = np.flatnonzero(run.states[step] == ABSENT)
+        away = idle[(run.positions_m[step, idle] != run.positions_m[step + 1, idle]).any(axis=1)]
+        reasons += [
+            f"{STEPS_FILE}: {agent_name(each)} moves in step {step} and takes no part"
+            for each in away.tolist()
+        ]
+    return reasons
+
+
+def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
+    """Find where the network should end: the best of several deployments, with a lower bound."""
+    generator = np.random.default_rng(seed)
+    scene = problem.scene(generator)
+    found = best_deployment(
+        problem.ground, len(scene.starts_m), STARTS, generator, first_m=scene.starts_m
+    )
+    body_m, bound = problem.limits.body_radius_m, found.lower_bound
+    cost = problem.ground.cover(found.places_m).cost
+    fits = bool(has_room(problem.ground, found.places_m, body_m).all())
+    fits &= overlapping(found.places_m, body_m) is None
+    data = {
+        "horizon": None,
+        "planner": "several_starts",
+        "termination": "settled",
+        "verdict": "verified" if fits and bound <= cost * (1.0 + COST_SHARE) else "violated",
+        "sense": "min",
+        "objective": cost,
+        "bound": bound if bound > 0.0 else None,
+        "gap": (cost - bound) / max(cost, 1e-12) if bound > 0.0 else None,
+        "robots": [
+            {"name": agent_name(number), "t_s": [0.0], "x_m": [x], "y_m": [y]}
+            for number, (x, y) in enumerate(found.places_m.tolist())
+        ],
+        "start_costs": found.costs.tolist(),
+    }
+    return TaskResult(problem, data, value=found)
+
+
+def outcome_of(problem: CoverageProblem, run: NetworkRun) -> tuple[str, str]:
+    """Return ``settled``, ``served``, ``unserved`` or ``not_settled``, and why."""
+    last_s = float(run.times_s[-2])
+    for entry in event_results(problem, run):
+        if entry["appears_s"] > last_s:
+            continue
+        if entry["detected_s"] is None:
+            return "unserved", f"{entry['name']} was not detected"
+        if entry["served_s"] is None:
+            return "unserved", f"{entry['name']} never had the agents it asks for in place"
+    moving = any(any(each.velocity_m_s) and each.is_there(last_s) for each in problem.events)
+    if run.settled:
+        return "settled", f"after {_settled_s(problem, run):g} s"
+    if moving:
+        return "served", f"an event moves on at {last_s:g} s"
+    due = (problem.joins_s <= last_s) & (last_s < problem.leaves_s)
+    waiting = np.flatnonzero(due & (run.states[-1] == ABSENT))
+    if len(waiting):
+        return "not_settled", f"{agent_name(int(waiting[0]))} waits for room to join"
+    return "not_settled", (
+        f"an agent is {run.residuals_m[-1]:.3g} m from its target after {last_s:g} s, "
+        f"settled is {problem.settled_m:.3g} m"
+    )
+
+
+def metrics(problem: CoverageProblem, run: NetworkRun) -> dict[str, Any]:
+    """Return the numbers of a run: cost, path length, energy, messages, counts."""
+    step_s = float(run.times_s[1] - run.times_s[0])
+    driven_m = np.linalg.norm(np.diff(run.positions_m, axis=0), axis=2)
+    members = run.states != ABSENT
+    true = members.sum(axis=1)[:, None]
+    wrong = np.abs(np.rint(run.counts) - true)[members]
+    kinds = ("counting", "assignment", "readings")
+    sent = dict(zip(kinds, run.messages.sum(axis=0).tolist(), strict=True))
+    return {
+        "steps": len(run.costs),
+        "cost_first": float(run.costs[0]),
+        "cost_last": float(run.costs[-1]),
+        "cost_mean": float(run.costs.mean()),
+        "residual_m": float(run.residuals_m[-1]),
+        "settled_s": _settled_s(problem, run),
+        "path_m": float(driven_m.sum()),
+        "energy_m2_s": float((driven_m**2).sum() / step_s),
+        "messages": {**sent, "all": int(run.messages.sum())},
+        "count_error_most": float(wrong.max()) if len(wrong) else 0.0,
+    }
+
+
+def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, Any]]:
+    """Return when each event was detected, served and given up, and how well it was located."""
+    results = list[dict[str, Any]]()
+    times_s = run.times_s[:-1]
+    near_m = problem.settled_m + ON_TARGET_M
+    for number, event in enumerate(problem.events):
+        known = np.isfinite(run.estimates_m[:, number, 0])
+        there = np.array([event.is_there(time_s) for time_s in times_s.tolist()])
+        team = run.states == number
+        responding = team.sum(axis=1)
+        in_place = (~team | _in_place(problem, run, number, near_m)).all(axis=1)
+        wanted = run.wanted[:, number]
+        served = known & there & in_place & (responding == wanted) & (wanted > 0)
+        if any(event.velocity_m_s):
+            served = known & there & (responding == wanted) & (wanted > 0)
+        places = np.array([event.place_at(time_s) for time_s in times_s.tolist()])
+        error_m = np.linalg.norm(run.estimates_m[:, number] - places, axis=1)
+        both = np.flatnonzero(known & there)
+        ended = np.flatnonzero(~known & ~there & (times_s >= event.ends_s))
+        results.append(
+            {
+                "name": event.name,
+                "appears_s": event.appears_s,
+                "ends_s": finite(event.ends_s),
+                "detected_s": _first_s(times_s, known & there),
+                "served_s": _first_s(times_s, served),
+                "given_up_s": float(times_s[ended[0]]) if len(ended) else None,
+                "wanted": int(wanted[both[-1]]) if len(both) else 0,
+                "responding": int(responding[both[-1]]) if len(both) else 0,
+                "error_m": float(error_m[both[-1]]) if len(both) else None,
+                "std_m": finite(float(run.stds_m[both[-1], number])) if len(both) else None,
+                "switches": int((np.diff(team.astype(np.int8), axis=0) == 1).sum())
+                + int(responding[0]),
+            }
+        )
+    return results
+
+
+def _in_place(
+    problem: CoverageProblem, run: NetworkRun, number: int, near_m: float
+) -> NDArray[np.bool_]:
+    """Return whether agents are where an event wants them; (T, n).
+
+    They are within `near_m` of their targets. Bodies may also stand still, crowded around it.
+    """
+    control = problem.given.control
+    here = run.positions_m[:-1]
+    in_place = np.linalg.norm(run.targets_m - here, axis=2) <= near_m
+    body_m = problem.limits.body_radius_m
+    if body_m == 0.0:
+        return in_place
+    gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
+    share = float(gains.shares(np.array([True]), control.time_step_s)[0])
+    still = np.linalg.norm(np.diff(run.positions_m, axis=0), axis=2) <= share * near_m
+    off_m = np.linalg.norm(here - run.estimates_m[:, number, None], axis=2)
+    team = (run.states == number).sum(axis=1).tolist()
+    reach_m = np.array([packing_reach_m(agents, body_m) for agents in team])
+    reach_m += near_m + (problem.stand_off_m or 0.0)
+    return in_place | (still & (off_m <= reach_m[:, None]))
+
+
+def _settled_s(problem: CoverageProblem, run: NetworkRun) -> float | None:
+    """Return from when on all agents were settled until the end; None if they are not."""
+    if not run.settled:
+        return None
+    off = np.flatnonzero(run.residuals_m > problem.settled_m + ON_TARGET_M)
+    return float(run.times_s[off[-1] + 1]) if len(off) else 0.0
+
+
+def _first_s(times_s: NDArray[np.float64], which: NDArray[np.bool_]) -> float | None:
+    return float(times_s[which.argmax()]) if which.any() else None
+
+
+def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
+    """Return ``steps.csv``, ``network.csv`` and ``events.csv``."""
+    steps, agents = run.states.shape
+    times_s, events = run.times_s[:-1], len(problem.events)
+    words = {NONE: COVERS, ABSENT: AWAY, **{k: e.name for k, e in enumerate(problem.events)}}
+    states = np.array([words[state] for state in run.states.ravel().tolist()], dtype=np.str_)
+
+    def by_agent(values: NDArray[Any], end: Any = np.nan) -> NDArray[Any]:
+        """Return (T + 1, n) or (T, n) values agent by agent; `end` after the last step."""
+        missing = np.full((steps + 1 - len(values), agents), end, dtype=values.dtype)
+        return np.concatenate((values, missing)).T.ravel()
+
+    places = np.array([[e.place_at(t) for t in times_s.tolist()] for e in problem.events])
+    places = places.reshape(events, steps, 2)
+    team = np.array([(run.states == k).sum(axis=1) for k in range(events)], dtype=np.int64)
+    stds = run.stds_m.T.ravel()
+    numbers: NDArray[np.int64] = np.arange(steps + 1)
+    there = [[int(e.is_there(t)) for t in times_s.tolist()] for e in problem.events]
+    return {
+        STEPS_FILE: {
+            "robot": np.repeat([agent_name(number) for number in range(agents)], steps + 1),
+            "step": np.repeat(numbers[None], agents, axis=0).ravel(),
+            "t_s": np.repeat(run.times_s[None], agents, axis=0).ravel(),
+            "x_m": by_agent(run.positions_m[..., 0]),
+            "y_m": by_agent(run.positions_m[..., 1]),
+            "vx_m_s": by_agent(run.velocities_m_s[..., 0]),
+            "vy_m_s": by_agent(run.velocities_m_s[..., 1]),
+            "heading_rad": by_agent(run.headings_rad),
+            "state": by_agent(states.reshape(steps, agents), ""),
+            "target_x_m": by_agent(run.targets_m[..., 0]),
+            "target_y_m": by_agent(run.targets_m[..., 1]),
+            "count": by_agent(run.counts),
+        },
+        NETWORK_FILE: {
+            "step": numbers[:-1],
+            "t_s": times_s,
+            "cost": run.costs,
+            "residual_m": run.residuals_m,
+            "count_messages": run.messages[:, 0],
+            "assignment_messages": run.messages[:, 1],
+            "reading_messages": run.messages[:, 2],
+        },
+        EVENTS_FILE: {
+            "event": np.repeat(np.array([e.name for e in problem.events], dtype=np.str_), steps),
+            "step": np.repeat(numbers[None, :-1], events, axis=0).ravel(),
+            "t_s": np.repeat(times_s[None], events, axis=0).ravel(),
+            "there": np.array(there, dtype=np.int64).ravel(),
+            "x_m": places[..., 0].ravel(),
+            "y_m": places[..., 1].ravel(),
+            "estimate_x_m": run.estimates_m[..., 0].T.ravel(),
+            "estimate_y_m": run.estimates_m[..., 1].T.ravel(),
+            "std_m": np.where(np.isfinite(stds), stds, np.nan),
+            "wanted": run.wanted.T.ravel(),
+            "responding": team.ravel(),
+        },
+    }
+
+
+def in_words(result: TaskResult) -> Sequence[str]:
+    """Return a deployment or a run in lines of text."""
+    data, name = result.data, result.problem.name
+    if "verdict" in data:
+        bound = "none is proved" if data["bound"] is None else f"{data['bound']:.6g}"
+        radio = cast("CoverageProblem", result.problem).radio is not None
+        worst = max(data["start_costs"]) / data["objective"]
+        return (
+            f"{name}: {data['verdict']}, coverage cost {data['objective']:.6g}, "
+            f"lower bound {bound}",
+            f"  best of {STARTS} starts, the worst of which costs {worst:.4f} times as much",
+            *(("  links are not considered: simulate keeps them",) if radio else ()),
+        )
+    found = data["metrics"]
+    lines = [
+        f"{name}: {data['outcome']} ({data['reason']}), planner {data['planner']}, "
+        f"seed {data['seed']}",
+        f"  {found['steps']} steps, {len(data['robots'])} agents drove {found['path_m']:.1f} m; "
+        f"coverage cost {found['cost_first']:.5g} to {found['cost_last']:.5g}",
+    ]
+    if found["messages"]["all"]:
+        sent = found["messages"]
+        lines.append(
+            f"  {sent['all']} messages: {sent['counting']} for counting, {sent['assignment']} for "
+            f"assignment, {sent['readings']} readings; the error of the count was at most "
+            f"{found['count_error_most']:g}"
+        )
+    for each in data["events"]:
+        if each["detected_s"] is None:
+            lines.append(f"  {each['name']}: not detected")
+            continue
+        served = "never" if each["served_s"] is None else f"{each['served_s']:g} s"
+        gone = "" if each["given_up_s"] is None else f", given up at {each['given_up_s']:g} s"
+        lines.append(
+            f"  {each['name']}: detected at {each['detected_s']:g} s, agents in place {served}, "
+            f"{each['responding']} of {each['wanted']} wanted, located within "
+            f"{each['error_m']:.3g} m{gone}"
+        )
+    return lines
+
+
+def _figures(result: TaskResult) -> dict[str, Figure]:
+    """Return the figure of a run or of a deployment."""
+    from planopt.report import draw_deployment, draw_network
+
+    problem = cast("CoverageProblem", result.problem)
+    if isinstance(result.value, NetworkRun):
+        return {RUN_PICTURE: draw_network(picture(result))}
+    found = result.value
+    shapes = tuple(each.polygon for each in problem.obstacles)
+    return {
+        PLAN_PICTURE: draw_deployment(
+            problem.name, problem.ground, shapes, found.places_m, found.cost
+        )
+    }
+
+
+def _animate(result: TaskResult, path: Path) -> None:
+    """Write a run as an animation."""
+    from planopt.report import animate_network
+
+    animate_network(picture(result), path)
+
+
+def picture(result: TaskResult) -> NetworkPicture:
+    """Return what is drawn of a run."""
+    from planopt.report import NetworkPicture
+
+    problem = cast("CoverageProblem", result.problem)
+    shapes = tuple(each.polygon for each in problem.obstacles)
+    return NetworkPicture(
+        problem.name, result.value, problem.ground, shapes, problem.events, problem.radio
+    )
+
+
+TASK = Task(
+    model=CoverageFile,
+    build=build,
+    solve=solve,
+    simulate=simulate,
+    override=CoverageProblem.with_planner,
+    verify=faults,
+    reached=("settled", "served"),
+    summary=in_words,
+    columns={
+        STEPS_FILE: STEP_COLUMNS,
+        NETWORK_FILE: NETWORK_COLUMNS,
+        EVENTS_FILE: EVENT_COLUMNS,
+    },
+    figures=_figures,
+    animate=_animate,
+    pictures=(RUN_PICTURE, PLAN_PICTURE),
+    steps=lambda problem: round(
+        problem.given.control.duration_s / problem.given.control.time_step_s
+    ),
+)

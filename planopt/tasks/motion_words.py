@@ -1,0 +1,233 @@
+"""Problems, plans and runs of motion planning in lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import isnan
+from typing import TYPE_CHECKING
+
+from planopt.planning.certificate import excused_in_words, excused_steps
+from planopt.planning.explain.explanation import Crossing
+from planopt.planning.holes import goal_in_words, holes_in_words
+from planopt.planning.loop.metrics import run_holes, run_reliability
+from planopt.planning.plan import Verdict
+from planopt.problems.problem import Problem, problem_of_robot
+from planopt.report import reliability_lines
+from planopt.short_repr import shown_number
+
+if TYPE_CHECKING:
+    from planopt.planning.plan import Plan
+    from planopt.planning.results import Run, Solution
+
+COLUMNS = 3
+"""Number of metrics in a line."""
+
+
+def solution_in_words(solution: Solution) -> list[str]:
+    """Return the verdict, each plan, and what would help or why plans cross coverage holes."""
+    problem, plans = solution.problem, solution.plans
+    lines = [
+        f"{problem.name}: {solution.verdict.value}, horizon {problem.planner.horizon}, "
+        f"planner {problem.planner.name}, seed {solution.seed}"
+    ]
+    if len(plans) > 1:
+        total = sum(plan.objective for plan in plans)
+        lines.append(f"  {_value(problem, total)} of {len(plans)} plans")
+    for number, plan in enumerate(plans):
+        lines += _plan_in_words(problem_of_robot(problem, number), plan)
+        own = [one for one in solution.explanation if one.robot == plan.robot]
+        # The coverage holes are listed above.
+        lines += [f"  {one.why if isinstance(one, Crossing) else one}" for one in own]
+    return lines
+
+
+def _value(problem: Problem, objective: float) -> str:
+    """An objective value with its unit: a cost in seconds where there is a goal."""
+    if problem.task == "reach":
+        return f"cost {shown_number(objective, ' s')}"
+    return f"value {shown_number(objective)}"
+
+
+def _plan_in_words(problem: Problem, plan: Plan) -> list[str]:
+    proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
+    lines = [
+        f"{plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
+        f"{_value(problem, plan.objective)}, of the lattice path "
+        f"{shown_number(plan.lattice_objective, unit)}; {plan.iterations} iterations, "
+        f"{shown_number(plan.wall_s, ' s', 2)}",
+        f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)} ({proof.posterior})",
+        *apart_in_words(proof.min_separation_m, proof.min_moving_clearance_m),
+    ]
+    if proof.rule is not None:
+        lines.append(f"  {proof.rule.words}")
+    if plan.message:
+        lines.append(f"  {plan.message}")
+    if problem.task == "reach":
+        words = goal_in_words(problem, plan.holes)
+        words += holes_in_words(problem, plan.holes, "the way to the goal crosses")
+        lines += [f"  {line}" for line in words]
+    return [f"  {line}" for line in lines]
+
+
+def run_in_words(run: Run) -> list[str]:
+    """Return how a run ended, and its metrics."""
+    problem = run.problem
+    planner = problem.planner
+    rungs = ", ".join(f"{name} {count}" for name, count in run.rungs.items())
+    robots = "1 robot" if len(run.runs) == 1 else f"{len(run.runs)} robots"
+    steps = sum(len(one.log.t_s) - 1 for one in run.runs)
+    measured = sum(one.metrics.measured_steps for one in run.runs)
+    ahead = f", cost to go {problem.cost_to_go}" if problem.cost_to_go is not None else ""
+    head = (
+        f"{problem.name}: {run.outcome.value} ({run.reason}), horizon {planner.horizon}, "
+        f"planner {planner.name}{ahead}, seed {run.seed}"
+    )
+    if steps == 0:
+        return [head, f"  {robots}, no step was driven"]
+    metrics = [
+        (name, shown_number(None if isnan(value) else value)) for name, value in run.metrics.items()
+    ]
+    lines = [
+        f"{robots}, {run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
+        f"{measured} of {steps} steps",
+        *in_columns(metrics),
+        *_unverified_in_words(run),
+    ]
+    if problem.task == "reach":
+        lines += _costs_in_words(run)
+        for one in run.runs:
+            crossed = f"{one.robot} crossed" if len(run.runs) > 1 else "crossed"
+            lines += holes_in_words(problem, run_holes(one), crossed)
+    lines += reliability_lines(run_reliability(run.runs), "steps")
+    return [head, *(f"  {line}" for line in lines)]
+
+
+def _unverified_in_words(run: Run) -> list[str]:
+    """Return how many plans of each robot are not verified, and why the last of them is not."""
+    lines: list[str] = []
+    for plans in run.plans:
+        missing = [plan for plan in plans if plan.verdict is not Verdict.VERIFIED]
+        if missing:
+            last = missing[-1]
+            rule = last.certificate.rule
+            why = "" if rule is None else rule.words
+            lines.append(
+                f"{last.robot}: {len(missing)} of {len(plans)} plans are not verified; the last of "
+                f"them: {last.message or why or last.verdict.value}"
+            )
+    return lines
+
+
+def _costs_in_words(run: Run) -> list[str]:
+    """Return what the run cost against the clairvoyant, and what steps were excused by."""
+    lines = [
+        f"realised cost {shown_number(run.costs['realised_cost_m'], ' m')} at "
+        f"objective.outage_price {run.problem.reach.outage_price:g}, of the clairvoyant "
+        f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}"
+    ]
+    proofs = [plan.certificate for made in run.plans for plan in made]
+    excess_m = [proof.excess_m for proof in proofs if proof.excess_m is not None]
+    if excess_m:
+        lines.append(
+            f"{len(excess_m)} of {len(proofs)} plans have steps below p_min, judged by their "
+            f"price: they cost at most {max(*excess_m, 0.0):.1f} m more than the cheapest path "
+            "that the verifier found"
+        )
+    return lines + [
+        f"{made[0].robot}, {line}" if len(run.plans) > 1 else line
+        for made in run.plans
+        if made
+        for line in excused_in_words(excused_steps([plan.certificate for plan in made]))
+    ]
+
+
+def words_ahead(problem: Problem, plans: Sequence[Plan]) -> Iterator[str]:
+    """Yield the coverage holes on the way to each goal, as the first plans show them."""
+    if problem.task != "reach":
+        return
+    for number, plan in enumerate(plans):
+        own = problem_of_robot(problem, number)
+        name = f"{problem.name}, {plan.robot}" if len(plans) > 1 else problem.name
+        for line in goal_in_words(own, plan.holes) + holes_in_words(
+            own, plan.holes, "the way ahead crosses"
+        ):
+            yield f"{name}: {line}"
+
+
+def problem_in_words(problem: Problem) -> list[str]:
+    """Return a problem in lines of text."""
+    planner, workspace, limits = problem.planner, problem.workspace, problem.constraints
+    west, south, east, north = workspace.bounds_m
+    truth, measured = problem.channel.truth, problem.channel.measurements
+    source = getattr(truth, "file", None)
+    kind = "drawn" if source is None else f"of {source}"
+    count = getattr(measured, "count", None)
+    first = f"of {getattr(measured, 'file', None)}" if count is None else str(count)
+    lines = [
+        f"{problem.name}: {problem.description}",
+        f"  task        {problem.task}, horizon {planner.horizon}, steps of {planner.step_s:g} s, "
+        f"at most {planner.max_steps}",
+        f"  world       {east - west:g} x {north - south:g} m, "
+        f"{len(workspace.obstacles)} obstacles, {len(workspace.moving)} moving"
+        + (f", {len(workspace.timed)} that come or go" if workspace.timed else ""),
+        f"  channel     {'none to simulate' if truth is None else kind}; measurements {first}",
+    ]
+    for radio in problem.stations:
+        x, y = radio.site.position_m
+        lines.append(
+            f"  station     {radio.name} at ({x:g}, {y:g}) m, connected from "
+            f"{radio.threshold_dbm:g} dBm"
+        )
+    for robot in problem.robots:
+        goal = "" if robot.goal_m is None else " to ({:g}, {:g}) m".format(*robot.goal_m)
+        lines.append(
+            "  robot       {} from ({:g}, {:g}) m{}, at most {:g} m/s".format(
+                robot.name, *robot.start_m, goal, robot.speed_max_m_s
+            )
+        )
+    if limits.asks_connection:
+        lines.append(f"  asked       P(connected) at least {limits.p_min:g}")
+    lines.append(f"  clearance   {limits.clearance_m:g} m")
+    return lines
+
+
+def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
+    """Return names with their values, `COLUMNS` of them a line, one below the other."""
+    lines: list[str] = []
+    sizes = [
+        [max((len(cell[part]) for cell in cells[column::COLUMNS]), default=0) for part in (0, 1)]
+        for column in range(COLUMNS)
+    ]
+    for begin in range(0, len(cells), COLUMNS):
+        line = [
+            f"{name:<{wide}} {value:>{number}}"
+            for (name, value), (wide, number) in zip(
+                cells[begin : begin + COLUMNS], sizes, strict=False
+            )
+        ]
+        lines.append("    ".join(line))
+    return lines
+
+
+def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
+    """The clearance of planned ways, and the least P(connected) of all planned steps.
+
+    Runs have another least probability: that of the driven steps, each by the plan that led there.
+    """
+    return (
+        f"clearance {shown_number(clearance_m, ' m')}, least P(connected) of the planned steps "
+        f"{shown_number(connectivity)}"
+    )
+
+
+def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
+    """Return how far plans keep from robots and moving obstacles; nothing without these."""
+    parts = [
+        f"{shown_number(distance, ' m')} from {what}"
+        for distance, what in (
+            (separation_m, "other robots"),
+            (moving_clearance_m, "moving obstacles"),
+        )
+        if distance is not None
+    ]
+    return (f"  always at least {', '.join(parts)}",) if parts else ()

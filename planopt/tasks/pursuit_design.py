@@ -1,0 +1,510 @@
+"""The task pursuit_design: mote networks of least power or energy that serve a pursuit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+import numpy as np
+from pydantic import Field
+
+from planopt.errors import InputError, NoPlanError
+from planopt.planning.files.record import finite
+from planopt.planning.plan import Termination, Verdict
+from planopt.problems.settings import ReportSettings
+from planopt.problems.tables import SMALLEST, Metres, Name, Table
+from planopt.problems.tasks import TaskProblem
+from planopt.pursuit.certificate import DesignData, Requirement, certify
+from planopt.pursuit.design import (
+    MAX_BITS,
+    Design,
+    DesignTask,
+    NoDesignError,
+    cheapest_design,
+    cheapest_rated_design,
+    least_energy_design,
+    pareto_front,
+    sensitivities,
+    sharp_design,
+)
+from planopt.pursuit.guarantees import Chase, Guarantee
+from planopt.pursuit.network import MoteNetwork
+from planopt.pursuit.programmes import relaxed_design
+from planopt.pursuit.service import MAX_LEVELS, slots_per_frame
+from planopt.pursuit.theorems import Inequality, Theorem
+from planopt.tasks.task import Task, TaskResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FRONT_DESIGNS = 25
+"""Deadlines of the Pareto front."""
+
+PICTURE = "design.png"
+
+MethodName = Literal["least_power", "least_power_rated", "least_energy", "capture_in_time"]
+TheoremName = Literal["lemma", "any_instant", "sampled_distance", "snapshots"]
+
+REQUIREMENTS = ("first_distance_m", "capture_radius_m", "deadline_s")
+
+
+@dataclass(frozen=True)
+class Method:
+    """A design method."""
+
+    words: str  # In text
+    solver: Callable[[Theorem], Callable[[DesignTask], Design]]  # By the theorem it relies on
+    needs: tuple[str, ...] = ()  # Requirements that it needs, and optional ones
+    takes: tuple[str, ...] = ()
+    of_energy: bool = False  # Whether it minimises energy per capture, else power
+
+
+METHODS: dict[MethodName, Method] = {
+    "least_power": Method(
+        "least power for which every stage shrinks the distance",
+        lambda theorem: cheapest_design,
+        takes=("first_distance_m",),
+    ),
+    "least_power_rated": Method(
+        "least power, rounds of all levels every r-th time",
+        lambda theorem: cheapest_rated_design,
+        takes=("first_distance_m",),
+    ),
+    "least_energy": Method(
+        "least energy per capture",
+        lambda theorem: least_energy_design,
+        needs=("first_distance_m",),
+        takes=("deadline_s",),
+        of_energy=True,
+    ),
+    "capture_in_time": Method(
+        "least power that guarantees capture by the deadline",
+        lambda theorem: partial(sharp_design, theorem=theorem),
+        needs=REQUIREMENTS,
+    ),
+}
+
+
+class HeadTable(Table):
+    """``[problem]``: what the problem is called and what it asks."""
+
+    schema_version: Literal[1] = Field(
+        alias="schema", description="Version of this schema; it is 1."
+    )
+    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
+    task: Literal["pursuit_design"] = Field(description="pursuit_design.")
+    description: str = Field(default="", description="One sentence for people.")
+
+
+class ChaseTable(Table):
+    """``[pursuit]``: the pursuit that the network is to serve."""
+
+    evader_speed_m_s: float = Field(
+        ge=SMALLEST, le=1e4, description="Largest speed of the evader in m/s."
+    )
+    pursuer_speed_m_s: float = Field(
+        ge=SMALLEST, le=1e4, description="Largest speed of the pursuer in m/s; above the evader's."
+    )
+    stage_delay_s: float = Field(
+        default=0.0,
+        ge=0,
+        le=1e4,
+        description="Seconds that a stage may take beyond driving straight: turning, one step.",
+    )
+    first_distance_m: Metres | None = Field(
+        default=None,
+        ge=SMALLEST,
+        description="From the pursuer to where the evader is sampled first.",
+    )
+    capture_radius_m: Metres | None = Field(
+        default=None, ge=SMALLEST, description="An evader so near is caught, for capture_in_time."
+    )
+    deadline_s: float | None = Field(
+        default=None,
+        ge=SMALLEST,
+        le=1e9,
+        description="Seconds by when it is to be caught, for capture_in_time and least_energy.",
+    )
+
+
+class NetworkTable(Table):
+    """``[network]``: motes and their radios."""
+
+    levels: int = Field(ge=1, le=MAX_LEVELS, description="L: there are 4^L motes.")
+    mote_spacing_m: Metres = Field(ge=SMALLEST, description="Metres between neighbours.")
+    bit_rate_bit_s: float = Field(
+        ge=SMALLEST, le=1e15, description="What a slot carries, in bit/s."
+    )
+    header_bits: float = Field(ge=0, le=1e9, description="Bits of a frame beside its blocks.")
+    record_bits: float = Field(ge=0, le=1e9, description="Bits of a block beside the position.")
+    energy_j_per_bit: float = Field(
+        ge=1e-15, le=1e6, description="What a sent bit costs, with those who hear it, in J."
+    )
+    idle_w: float = Field(default=0.0, ge=0, le=1e6, description="What a mote draws all the time.")
+    slots_per_frame: int = Field(
+        default=slots_per_frame(),
+        ge=slots_per_frame(),
+        le=10_000,
+        description="Slots of a TDMA frame.",
+    )
+    slot_blocks: int = Field(
+        default=6,
+        ge=1,
+        le=10_000,
+        description="Blocks that a slot must carry: 6 for the mean load, more for the peak.",
+    )
+    border_relays: bool = Field(
+        default=True, description="Whether motes at the border of nine cells send records on."
+    )
+
+
+class DesignTable(Table):
+    """``[design]``: what is minimised, and under which guarantee."""
+
+    method: MethodName = Field(
+        default="least_power",
+        description="least_power, least_power_rated, least_energy (all by the Lemma), or "
+        "capture_in_time.",
+    )
+    guarantee: TheoremName | None = Field(
+        default=None,
+        description="Theorem for capture_in_time: snapshots (the default), sampled_distance, "
+        "any_instant or lemma. The other methods rest on the lemma.",
+    )
+    margin: float = Field(
+        default=0.01, ge=1e-12, lt=1, description="By how much a + x stays below 1 in the Lemma."
+    )
+    bits_per_axis: int | None = Field(
+        default=None, ge=1, le=MAX_BITS, description="Bits c of a position; left out: chosen."
+    )
+
+
+class ReportTable(Table):
+    """``[report]``: what is drawn."""
+
+    figures: bool = Field(
+        default=ReportSettings().figures, description="Draw the pictures (true or false)."
+    )
+
+
+class DesignFile(Table):
+    """A planopt problem file (TOML) of the task pursuit_design."""
+
+    problem: HeadTable
+    pursuit: ChaseTable
+    network: NetworkTable
+    design: DesignTable = Field(default_factory=DesignTable)
+    report: ReportTable = Field(default_factory=ReportTable)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignProblem(TaskProblem):
+    """A network to design."""
+
+    given: DesignFile
+    design: DesignTask  # Requirements, method, and theorem that the guarantee relies on
+    method: Method
+    theorem: Theorem
+
+    @property
+    def solver(self) -> Callable[[DesignTask], Design]:
+        """Return the solver of the design."""
+        return self.method.solver(self.theorem)
+
+    def objective(self, design: Design) -> float:
+        """Return the minimised quantity: J per capture, or W."""
+        return design.energy_per_capture_j if self.method.of_energy else design.cost_w
+
+    def words(self) -> Sequence[str]:
+        """Return the problem in lines of text."""
+        chase, network = self.design.chase, self.design.network
+        side = 2**network.levels
+        return (
+            f"{self.name}: {self.description}",
+            f"  task        {self.task}, {self.method.words}, by {self.theorem.value}",
+            f"  pursuit     evader {chase.evader_speed_m_s:g} m/s, pursuer "
+            f"{chase.pursuer_speed_m_s:g} m/s",
+            f"  network     {side} x {side} motes, {network.mote_spacing_m:g} m apart, "
+            f"{network.bit_rate_bit_s:g} bit/s, {network.slots_per_frame} slots a frame",
+        )
+
+
+def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
+    """Return the problem in validated tables."""
+    pursuit, method = given.pursuit, METHODS[given.design.method]
+    name = given.design.method
+    for key in REQUIREMENTS:
+        value = getattr(pursuit, key)
+        if value is None and key in method.needs:
+            raise InputError("is missing", key=f"pursuit.{key}", remedy=f"{name} needs it")
+        if value is not None and key not in (*method.needs, *method.takes):
+            fitting = [each for each, other in METHODS.items() if key in other.needs + other.takes]
+            raise InputError(
+                f"is given, which {name} does not look at",
+                key=f"pursuit.{key}",
+                remedy=f"leave it out, or use design.method {' or '.join(fitting)}",
+            )
+    if given.design.guarantee is not None and method is not METHODS["capture_in_time"]:
+        raise InputError(
+            f"is given, and {name} rests on the lemma",
+            key="design.guarantee",
+            remedy="leave it out, or use design.method capture_in_time",
+        )
+    timed = method is METHODS["capture_in_time"]
+    theorem = Theorem(given.design.guarantee or ("snapshots" if timed else "lemma"))
+    try:
+        chase = Chase(pursuit.evader_speed_m_s, pursuit.pursuer_speed_m_s, pursuit.stage_delay_s)
+    except InputError as error:
+        raise InputError(error.message, key=f"pursuit.{error.key}", remedy=error.remedy) from None
+    task = DesignTask(
+        MoteNetwork(**cast("dict[str, float]", given.network.model_dump())),  # pyright: ignore[reportArgumentType]
+        chase,
+        given.design.margin,
+        given.design.bits_per_axis,
+        pursuit.first_distance_m,
+        pursuit.capture_radius_m,
+        pursuit.deadline_s,
+    )
+    return DesignProblem(given, file, task, method, theorem)
+
+
+def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
+    """Return the network of least power or energy, its guarantee, and what binds."""
+    design = problem.solver(problem.design)
+    proof = _proof(problem, design)
+    data = {
+        "horizon": None,
+        **_question(problem),
+        **_design_json(problem, design, proof),
+        "sensitivities": sensitivities(problem.design, problem.solver, problem.objective),
+        "cost_curve": _cost_curve(problem),
+        "pareto": [] if problem.design.first_distance_m is None else _front(problem),
+    }
+    return TaskResult(problem, data, value=design)
+
+
+def _proof(problem: DesignProblem, design: Design) -> tuple[Requirement, ...]:
+    """Return what the independent verifier requires of a design."""
+    task, chase, network = problem.design, problem.design.chase, problem.design.network
+    data = DesignData(
+        chase.evader_speed_m_s,
+        chase.pursuer_speed_m_s,
+        chase.stage_delay_s,
+        network.mote_spacing_m,
+        network.bit_rate_bit_s,
+        network.header_bits,
+        network.record_bits,
+        network.slots_per_frame,
+        network.slot_blocks,
+        task.margin,
+        task.first_distance_m,
+        task.capture_radius_m,
+        task.deadline_s,
+    )
+    return certify(
+        data, problem.theorem, design.slot_width_s, design.rate_divisor, design.bits_per_axis
+    )
+
+
+def _question(problem: DesignProblem) -> dict[str, Any]:
+    return {
+        "planner": problem.given.design.method,
+        "sense": "min",
+        "objective_name": "energy_per_capture_j" if problem.method.of_energy else "cost_w",
+    }
+
+
+def _refusal(problem: DesignProblem, error: NoPlanError) -> dict[str, Any]:
+    """Return the keys of ``solve`` where no network serves the pursuit."""
+    if not isinstance(error, NoDesignError):
+        return _question(problem)
+    nothing = dict.fromkeys(
+        ("objective", "bound", "gap", "slot_width_s", "rate_divisor", "bits_per_axis", "cost_w")
+    )
+    return {
+        **_question(problem),
+        **nothing,
+        "termination": Termination.INFEASIBLE.value,
+        "guarantee": None,
+        "binding": [],
+        "inequality": {**_inequality_json(error.inequality), "bits_per_axis": error.bits_per_axis},
+        "cost_curve": _cost_curve(problem),
+    }
+
+
+def _design_json(
+    problem: DesignProblem, design: Design, proof: tuple[Requirement, ...]
+) -> dict[str, Any]:
+    objective, lasts_s = problem.objective(design), _capture_time_s(problem, design)
+    bound = _bound_w(problem)
+    gap = None if bound is None else abs(bound - objective) / max(abs(objective), 1e-12)
+    verified = all(each.holds for each in proof)
+    return {
+        "termination": Termination.CONVERGED.value,
+        "verdict": (Verdict.VERIFIED if verified else Verdict.VIOLATED).value,
+        "objective": objective,
+        "bound": bound,
+        "gap": gap,
+        "slot_width_s": design.slot_width_s,
+        "rate_divisor": design.rate_divisor,
+        "bits_per_axis": design.bits_per_axis,
+        "frame_s": design.slot_width_s * problem.design.network.slots_per_frame,
+        "cost_w": design.cost_w,
+        "capture_time_s": lasts_s,
+        "energy_per_capture_j": None if lasts_s is None else design.cost_w * lasts_s,
+        "binding": list(design.binding),
+        "guarantee": _guarantee_json(problem, design.guarantees[problem.theorem]),
+        "guarantees": {
+            theorem.value: _guarantee_json(problem, each)
+            for theorem, each in design.guarantees.items()
+        },
+        "certificate": {
+            "requirements": [
+                {
+                    **_inequality_json(each.inequality),
+                    "strict": each.strict,
+                    "holds": each.holds,
+                    "text": str(each),
+                }
+                for each in proof
+            ]
+        },
+        "message": "",
+    }
+
+
+def _bound_w(problem: DesignProblem) -> float | None:
+    """A lower bound on the power by the convex programme, where there is one."""
+    if problem.method not in (METHODS["least_power"], METHODS["least_power_rated"]):
+        return None
+    rated = problem.method is METHODS["least_power_rated"]
+    try:
+        found = relaxed_design(
+            problem.design, rated=rated, bits_per_axis=problem.design.bits_per_axis
+        )
+    except NoPlanError:
+        return None
+    return found.cost_w
+
+
+def _capture_time_s(problem: DesignProblem, design: Design) -> float | None:
+    """The longest time to capture that is promised; None without a first distance."""
+    first_m, radius_m = problem.design.first_distance_m, problem.design.capture_radius_m
+    if first_m is None:
+        return None
+    if radius_m is None:
+        return finite(design.capture_time_s)
+    return finite(design.guarantees[problem.theorem].capture_time_s(first_m, radius_m))
+
+
+def _guarantee_json(problem: DesignProblem, guarantee: Guarantee) -> dict[str, Any]:
+    first_m, radius_m = problem.design.first_distance_m, problem.design.capture_radius_m
+    lasts_s = math.inf
+    if first_m is not None and radius_m is not None:
+        lasts_s = guarantee.capture_time_s(first_m, radius_m)
+    return {
+        "theorem": guarantee.theorem.value,
+        "holds": bool(guarantee.holds),
+        "inequalities": [_inequality_json(each) for each in guarantee.inequalities],
+        "ratio": finite(guarantee.ratio),
+        "floor_m": finite(guarantee.floor_m),
+        "capture_time_s": finite(lasts_s),
+    }
+
+
+def _inequality_json(inequality: Inequality) -> dict[str, Any]:
+    return {
+        "words": inequality.words,
+        "left": finite(inequality.left),
+        "right": finite(inequality.right),
+        "unit": inequality.unit,
+        "margin": finite(inequality.margin),
+    }
+
+
+def _cost_curve(problem: DesignProblem) -> list[dict[str, Any]]:
+    """The best design at every number of bits, or what fails with it."""
+    rows: list[dict[str, Any]] = []
+    for bits in problem.design.bits:
+        row: dict[str, Any] = {"bits_per_axis": bits}
+        try:
+            design = problem.solver(replace(problem.design, bits_per_axis=bits))
+        except NoDesignError as error:
+            row |= {"objective": None, "slot_width_s": None, "fails": str(error.inequality)}
+        else:
+            slot_s = design.slot_width_s
+            row |= {"objective": problem.objective(design), "slot_width_s": slot_s, "fails": None}
+        rows.append(row)
+    return rows
+
+
+def _front(problem: DesignProblem) -> list[dict[str, Any]]:
+    """Designs of least energy for deadlines from the soonest to that of least energy."""
+    task = replace(problem.design, deadline_s=None, capture_radius_m=None)
+    try:
+        slowest_s = least_energy_design(task).capture_time_s
+    except NoDesignError:
+        return []
+    assert task.first_distance_m is not None
+    # No pursuer captures sooner than by driving straight there.
+    driving_s = task.first_distance_m / task.chase.pursuer_speed_m_s
+    deadlines = np.geomspace(driving_s, slowest_s * (1.0 + 1e-9), FRONT_DESIGNS * 4)
+    return [
+        {
+            "capture_time_s": design.capture_time_s,
+            "energy_per_capture_j": design.energy_per_capture_j,
+            "cost_w": design.cost_w,
+            "slot_width_s": design.slot_width_s,
+            "bits_per_axis": design.bits_per_axis,
+        }
+        for design in pareto_front(task, deadlines.tolist())
+    ]
+
+
+def in_words(result: TaskResult) -> Sequence[str]:
+    """Return a design in lines of text."""
+    problem, data = cast("DesignProblem", result.problem), result.data
+    binding = " and ".join(data["binding"])
+    lines = [
+        f"{problem.name}: {data['verdict']}, {problem.method.words}",
+        f"  slot width {1e3 * data['slot_width_s']:.4g} ms, rate divisor {data['rate_divisor']}, "
+        f"{data['bits_per_axis']} bits an axis: {data['cost_w']:.6g} W",
+        f"  binding: {binding or 'nothing, the optimum is inside all limits'}",
+    ]
+    if data["bound"] is not None:
+        lines.append(
+            f"  lower bound {data['bound']:.6g} W with compression as a continuous variable, gap "
+            f"{100.0 * data['gap']:.2g} %"
+        )
+    if data["capture_time_s"] is not None:
+        lines.append(f"  capture within {data['capture_time_s']:.4g} s by {problem.theorem.value}")
+    if data["energy_per_capture_j"] is not None and problem.method.of_energy:
+        lines.append(f"  {data['energy_per_capture_j']:.4g} J a capture")
+    lines += [f"  {each['text']}" for each in data["certificate"]["requirements"]]
+    effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
+    what = "energy" if problem.method.of_energy else "power"
+    shown = ", ".join(f"{name} {value:+.2f} %" for name, value in effects)
+    lines.append(f"  one per cent more changes the least {what}: {shown}")
+    return lines
+
+
+def _figures(result: TaskResult) -> dict[str, Figure]:
+    from planopt.report import draw_design
+
+    problem = cast("DesignProblem", result.problem)
+    return {PICTURE: draw_design(problem.design, result.data)}
+
+
+TASK = Task(
+    model=DesignFile,
+    build=build,
+    solve=solve,
+    summary=in_words,
+    refusal=_refusal,
+    figures=_figures,
+    pictures=(PICTURE,),
+)

@@ -6,6 +6,7 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -114,6 +115,13 @@ class Planner:
         steps = len(self._robots.connected)
         counts = [len(belief.posterior.measurements) for belief in self.beliefs]
         return wrapped(f"Planner({self.problem!r}, steps driven: {steps}, measurements: {counts})")
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled: solvers and locks belong to one process."""
+        raise InputError(
+            "a Planner cannot be pickled",
+            remedy="send its problem, and make a Planner in each process",
+        )
 
     @property
     def beliefs(self) -> tuple[Belief, ...]:

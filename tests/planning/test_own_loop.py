@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import tracemalloc
 from dataclasses import replace
 from threading import Thread
@@ -250,6 +251,8 @@ def test_two_threads_cannot_share_a_planner() -> None:
     assert refused
     assert "another thread" in refused[0]
     assert planner.step(here).verdict is Verdict.VERIFIED
+    with pytest.raises(InputError, match="a Planner cannot be pickled"):
+        pickle.dumps(planner)
 
 
 def test_a_long_log_in_one_step(log: Measurements) -> None:

@@ -24,15 +24,16 @@ from planopt.errors import InputError
 from planopt.objectives.moments import Region
 from planopt.planning.certificate import plan_message
 from planopt.planning.check.replay_belief import initial_belief
+from planopt.planning.files.belief_file import SavedBelief
 from planopt.planning.files.result_json import PlanRecord, RobotPlan, RunRecord
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
 from planopt.planning.files.saved import Saved, SavedPlan
 from planopt.planning.free_space import is_joined, obstacles_met
 from planopt.planning.holes import BlockedError, holes_on
 from planopt.planning.initial_data import InitialData, draw_initial_data, team_seeds
-from planopt.planning.loop.clairvoyant import COSTS
-from planopt.planning.loop.drive import TrueWorld, World, drive
+from planopt.planning.loop.drive import World, drive, true_world
 from planopt.planning.loop.log import Outcome
+from planopt.planning.loop.metrics import COSTS
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Pivot, Plan, Rung, Verdict
 from planopt.planning.proof.circumstances import Circumstances, circumstances_of
@@ -94,9 +95,9 @@ def replayed(saved: Saved, start: Start) -> Solution | Run:
         plans = tuple(robots.plan())
         aims = tuple(aim for (aim,) in robots.aims)
         return Solution(problem, seed, start.belief, plans, aims, saved.explanation(plans))
-    world: World = SavedWorld(saved)
+    world = _saved_world(saved)
     if start.truths:
-        world = TrueWorld(problem, start.truths, partial(_road_maps, problem))
+        world = true_world(problem, start.truths, partial(_road_maps, problem))
     return drive(problem, seed, start.belief, world, planning, target, generator)
 
 
@@ -107,56 +108,42 @@ def _road_maps(problem: Problem) -> list[RoadMap]:
     return [build_roads(own, np.asarray(own.goal_m)) for own in owns]
 
 
-@dataclass(frozen=True, eq=False)
-class SavedWorld:
-    """A world of which only the files tell: true powers and measurements are taken from them."""
+def _saved_world(saved: Saved) -> World:
+    """Return a world of the true powers, measurements and costs in the files."""
+    problem = saved.problem
 
-    saved: Saved
-
-    @property
-    def truths(self) -> tuple[Truth, ...]:
-        """Return nothing: there is no ground truth."""
-        return ()
-
-    def serving_dbm(
-        self, number: int, step: int, places_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the saved true powers of the rows from a step on."""
-        steps = self.saved.tables[STEPS_FILE]
-        own = steps["true_db"][steps["robot"] == self.saved.problem.robots[number].name]
+    def serving_dbm(number: int, step: int, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        steps = saved.tables[STEPS_FILE]
+        rows = steps["true_db"][steps["robot"] == problem.robots[number].name][step:]
         found = np.full(len(places_m), np.nan)
-        rows = own[step : step + len(places_m)]
-        found[: len(rows)] = rows
+        found[: len(rows)] = rows[: len(places_m)]
         return found
 
-    def measured(self, step: int, places_m: NDArray[np.float64]) -> list[list[Measurements]]:
-        """Return the saved measurements of a step at each robot's place."""
-        shared = self.saved.problem.channel.share_measurements
-        found: list[list[Measurements]] = []
-        for number, place in enumerate(places_m):
-            belief = self.saved.beliefs[0 if shared else number]
-            found.append([])
-            for own in belief.stations:
-                counts = [*own.known_before_step.tolist(), len(own.measurements)]
-                rows = np.arange(*(counts[step - 1 : step + 1] if step < len(counts) else (0, 0)))
-                away = np.linalg.norm(own.measurements.positions_m[rows] - place, axis=1)
-                found[-1].append(own.measurements.take(rows[away <= SAME_PLACE_M]))
-        return found
+    def measured(step: int, places_m: NDArray[np.float64]) -> list[list[Measurements]]:
+        shared = problem.channel.share_measurements
+        return [
+            [_taken(own, step, place) for own in saved.beliefs[0 if shared else number].stations]
+            for number, place in enumerate(places_m)
+        ]
 
-    def channel_row(
-        self, step: int, posteriors: Sequence[ChannelPosterior], places_m: NDArray[np.float64]
-    ) -> tuple[float, ...]:
-        """Return the saved row."""
-        table = self.saved.tables[KNOWLEDGE_FILE]
+    def row(step: int, *_: object) -> tuple[float, ...]:
+        table = saved.tables[KNOWLEDGE_FILE]
         names = [column.name for column in KNOWLEDGE_COLUMNS[1:]]
         return tuple(float(table[name][min(step, len(table[name]) - 1)]) for name in names)
 
-    def costs(self, tracks_m: Sequence[NDArray[np.float64]], outcome: Outcome) -> dict[str, float]:
-        """Return the saved costs."""
-        said: dict[str, Any] = dict(self.saved.data.get("metrics", {}))
-        return {
-            key: np.nan if said[key] is None else float(said[key]) for key in COSTS if key in said
-        }
+    def costs(*_: object) -> dict[str, float]:
+        said: dict[str, Any] = dict(saved.data.get("metrics", {}))
+        return {key: float(np.array(said[key], dtype=float)) for key in COSTS if key in said}
+
+    return World((), serving_dbm, measured, row, costs)
+
+
+def _taken(own: SavedBelief, step: int, place_m: NDArray[np.float64]) -> Measurements:
+    """Return the saved measurements of a step at a place."""
+    counts = [*own.known_before_step.tolist(), len(own.measurements)]
+    rows = np.arange(*(counts[step - 1 : step + 1] if step < len(counts) else (0, 0)))
+    away = np.linalg.norm(own.measurements.positions_m[rows] - place_m, axis=1)
+    return own.measurements.take(rows[away <= SAME_PLACE_M])
 
 
 def _planning(saved: Saved) -> Planning:

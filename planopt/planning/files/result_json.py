@@ -32,9 +32,8 @@ from planopt.planning.files.record import (
 )
 from planopt.planning.files.run_tables import drive_table
 from planopt.planning.holes import BlockedWay, Hole
-from planopt.planning.loop.clairvoyant import COSTS
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun
-from planopt.planning.loop.metrics import run_holes, run_reliability
+from planopt.planning.loop.metrics import COSTS, run_holes, run_reliability
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
 from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary, summary_of

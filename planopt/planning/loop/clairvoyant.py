@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.fields.truth import Truth, mean_power_dbm
 from planopt.planning.loop.log import Outcome
+from planopt.planning.loop.metrics import COSTS
 from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.roads import node_at, nodes_in_reach
 from planopt.problems.problem import Problem, problem_of_robot
@@ -31,10 +32,6 @@ SEARCHED_CELLS = 0.5
 
 IsOut = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
 """From places (n, 2) to whether each is out of contact (n,)."""
-
-
-COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
-"""Metrics of :func:`run_costs`."""
 
 
 def run_costs(

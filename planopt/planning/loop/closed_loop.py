@@ -17,7 +17,7 @@ from planopt.parts import calling
 from planopt.planning.drawn_places import with_drawn_starts
 from planopt.planning.initial_data import UserMeasurements, team_seeds, with_measurements
 from planopt.planning.learn import Prepared, prepare
-from planopt.planning.loop.drive import TrueWorld, drive
+from planopt.planning.loop.drive import drive, true_world
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.results import Run
@@ -95,7 +95,7 @@ def simulate(
         make = kind.maker()
         with calling(make, "", key="planner.name"):
             foreseen = make(problem, truths[0], true_m)
-    world = TrueWorld(problem, truths, lambda: [scene.road_map for scene in scenes or ()])
+    world = true_world(problem, truths, lambda: [scene.road_map for scene in scenes or ()])
     plans = planning(problem, scenes if problem.task == "reach" else None, seeds, foreseen)
     return drive(
         problem,

@@ -1,14 +1,12 @@
 """The loop of a run: plan, move, measure, update the belief, until the task has ended.
 
-A simulation and the replay of a saved run are this loop: they differ in where plans come from and
-in the world that robots drive in.
+A simulation and the replay of a saved run differ in the source of plans and in the world.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,65 +31,36 @@ from planopt.targets.sensor import sense
 from planopt.world.road_map import RoadMap
 
 
-class World(Protocol):
+@dataclass(frozen=True, eq=False)
+class World:
     """The radio channel that robots drive in."""
 
-    @property
-    def truths(self) -> tuple[Truth, ...]:
-        """Ground truth of each station; empty where it is unknown."""
-        ...
-
-    def serving_dbm(
-        self, number: int, step: int, places_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the true serving power (n,) at places (n, 2) of robot `number` from a step on."""
-        ...
-
-    def measured(self, step: int, places_m: NDArray[np.float64]) -> list[list[Measurements]]:
-        """Return each robot's measurements of each station after a step."""
-        ...
-
-    def channel_row(
-        self,
-        step: int,
-        posteriors: Sequence[ChannelPosterior],
-        places_m: NDArray[np.float64],  # (n, 2) where errors are evaluated
-    ) -> tuple[float, ...]:
-        """Return the row of the channel log after a step."""
-        ...
-
-    def costs(self, tracks_m: Sequence[NDArray[np.float64]], outcome: Outcome) -> dict[str, float]:
-        """Return the true costs of tracks to goals, by metric; empty for other tasks."""
-        ...
+    truths: tuple[Truth, ...]  # Ground truth of each station; empty if it is unknown
+    # From a robot's number, a step, and its places (n, 2) from then on, to the serving power (n,)
+    serving_dbm: Callable[[int, int, NDArray[np.float64]], NDArray[np.float64]]
+    # From a step and the robots' places (robots, 2) to measurements by robot and station
+    measured: Callable[[int, NDArray[np.float64]], list[list[Measurements]]]
+    # From a step, posteriors by station, and places (n, 2), to the row of the channel log
+    channel_row: Callable[[int, Sequence[ChannelPosterior], NDArray[np.float64]], tuple[float, ...]]
+    # From tracks (steps + 1, 2) by robot to true costs by metric; empty without goals
+    costs: Callable[[Sequence[NDArray[np.float64]], Outcome], dict[str, float]]
 
 
-@dataclass(frozen=True, eq=False)
-class TrueWorld:
-    """A world whose ground truth is known."""
-
-    problem: Problem
-    truths: tuple[Truth, ...]
-    road_maps: Callable[[], Sequence[RoadMap]]  # Of each robot with a goal
-
-    def serving_dbm(
-        self, number: int, step: int, places_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the true serving power at places."""
-        return true_serving_dbm(self.problem, self.truths, places_m)
-
-    def measured(self, step: int, places_m: NDArray[np.float64]) -> list[list[Measurements]]:
-        """Return the true powers at the robots' places."""
-        return [[measure(truth, place[None]) for truth in self.truths] for place in places_m]
-
-    def channel_row(
-        self, step: int, posteriors: Sequence[ChannelPosterior], places_m: NDArray[np.float64]
-    ) -> tuple[float, ...]:
-        """Return the errors of a posterior."""
-        return channel_row(posteriors, self.truths, places_m)
-
-    def costs(self, tracks_m: Sequence[NDArray[np.float64]], outcome: Outcome) -> dict[str, float]:
-        """Return the realised and the clairvoyant costs."""
-        return run_costs(self.problem, self.road_maps(), self.truths, tracks_m, outcome)
+def true_world(
+    problem: Problem,
+    truths: tuple[Truth, ...],
+    road_maps: Callable[[], Sequence[RoadMap]],  # Of each robot with a goal
+) -> World:
+    """Return the world of a known ground truth."""
+    return World(
+        truths=truths,
+        serving_dbm=lambda _number, _step, places: true_serving_dbm(problem, truths, places),
+        measured=lambda _step, places: [
+            [measure(truth, place[None]) for truth in truths] for place in places
+        ],
+        channel_row=lambda _step, posteriors, places: channel_row(posteriors, truths, places),
+        costs=lambda tracks, outcome: run_costs(problem, road_maps(), truths, tracks, outcome),
+    )
 
 
 def drive(
@@ -108,7 +77,7 @@ def drive(
 ) -> Run:
     """Drive all robots until :func:`planopt.planning.loop.ending.run_ending` ends the run."""
     robots = Stepper(problem, belief, planning, target)
-    # Errors over the whole workspace take long, and say little of a path to a goal.
+    # Errors over the whole workspace are slow to compute, and irrelevant to a path to a goal.
     known_at = None if problem.task == "reach" else workspace_region(problem).grid_m
     rows: list[tuple[float, ...]] = []
     if known_at is not None:

@@ -53,9 +53,9 @@ def run_ending(
 
 
 def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
-    """Return how a run to goals ends; arguments as of :func:`run_ending`.
+    """Return how a run to goals ends, as :func:`run_ending`.
 
-    It goes on while any robot does: one that stands at its goal, or waits, may give way to others.
+    It goes on while any robot does: a robot at its goal, or one that waits, may give way to others.
     """
     ends = [
         goal_ending(each.problem, each.states, each.learnt, each.plans[-1] if each.plans else None)
@@ -63,31 +63,25 @@ def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome,
     ]
     if len(robots) == 1:
         return ends[0]
-    found = [end for end in ends if end is not None]
-    if all(end is not None and end[0] is Outcome.REACHED for end in ends):
+    late = [
+        each.problem.robots[0].name
+        for each, end in zip(robots, ends, strict=True)
+        if end is None or end[0] is not Outcome.REACHED
+    ]
+    if not late:
         return Outcome.REACHED, "all robots within goal_radius_m of their goals"
     if len(robots[0].learnt) >= problem.planner.max_steps:
-        late = [
-            each.problem.robots[0].name
-            for each, end in zip(robots, ends, strict=True)
-            if end is None or end[0] is not Outcome.REACHED
-        ]
-        return Outcome.STEP_LIMIT, (
-            f"{', '.join(late)} not arrived after {problem.planner.max_steps} steps"
-        )
-    if len(found) < len(robots) or not all(_stays(each) for each in robots):
+        words = f"{', '.join(late)} not arrived after {problem.planner.max_steps} steps"
+        return Outcome.STEP_LIMIT, words
+    stay = all(_stays(each.states, each.problem.step_length_m) for each in robots)
+    if None in ends or not stay:
         return None
     stuck = [
-        (each, why)
+        (each, end[1])
         for each, end in zip(robots, ends, strict=True)
-        if end is not None and end[0] is Outcome.STALLED and (why := end[1])
+        if end is not None and end[0] is Outcome.STALLED
     ]
     return Outcome.STALLED, _in_words(problem, stuck)
-
-
-def _stays(robot: Progress) -> bool:
-    """Return whether a robot has stayed about one place for `STALL_STEPS`, at its goal or not."""
-    return _circling(robot.states, robot.problem.step_length_m)
 
 
 def goal_ending(
@@ -96,17 +90,14 @@ def goal_ending(
     learnt: Sequence[bool],
     plan: Plan | None,
 ) -> tuple[Outcome, str] | None:
-    """Return how a run ends where its track does, and why in words; None if it goes on."""
+    """Return how a run of one robot to its goal ends, with the reason; None if it goes on."""
     here = track[-1]
     if is_at_goal(problem, here[:2]) and stands(problem, here):
         where = "the start is within" if plan is None else "within"
         return Outcome.REACHED, f"{where} goal_radius_m of the goal"
-    if plan is not None and not any(learnt[-STALL_STEPS:]):
-        if _circling(track, problem.step_length_m) and not problem.workspace.moving:
-            return Outcome.STALLED, (
-                f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
-                f"with nothing new to learn{_detail(plan)}"
-            )
+    why = None if plan is None else _circling(problem, track, learnt, plan)
+    if why is not None and not problem.workspace.moving:
+        return Outcome.STALLED, why
     if len(learnt) >= problem.planner.max_steps:
         return Outcome.STEP_LIMIT, f"not arrived after {problem.planner.max_steps} steps"
     return None
@@ -120,31 +111,37 @@ def standstill(
     *,
     alone: bool = True,
 ) -> str | None:
-    """Return why a robot that stands or circles will go on so, in words; None if it may not."""
-    stood = bool(np.linalg.norm((track[-1] - track[-2]) * _unit_m(problem)) <= STANDSTILL_M)
-    # A plan that drives on after waiting is another start for the next one.
+    """Return why a robot will stand or circle from now on; None if it may move on."""
+    dynamics = problem.robots[0].dynamics
+    unit = np.ones(2) if dynamics is None else np.array(dynamics.unit_m(problem.planner.step_s))
+    stood = bool(np.linalg.norm((track[-1] - track[-2]) * unit) <= STANDSTILL_M)
+    # A plan that drives on after waiting is another initial guess for the next one.
     waits = np.linalg.norm(plan.positions_m - plan.positions_m[0], axis=1).max() > STANDSTILL_M
-    stood &= not waits
-    # Place, belief, obstacles and time are the same: so would be the next plan.
+    # With the same place, belief, obstacles and time, the next plan is the same.
     again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
     again &= problem.planner.budget_s is None
-    if stood and not learnt[-1] and again:
+    if stood and not waits and not learnt[-1] and again:
         return f"standing still with nothing new to learn{_detail(plan)}"
-    if not any(learnt[-STALL_STEPS:]) and _circling(track, problem.step_length_m):
-        return (
-            f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
-            f"with nothing new to learn{_detail(plan)}"
-        )
-    return None
+    return _circling(problem, track, learnt, plan)
 
 
-def _unit_m(problem: Problem) -> NDArray[np.float64]:
-    """Return the factors that make metres of a state."""
-    dynamics = problem.robots[0].dynamics
-    return np.ones(2) if dynamics is None else np.array(dynamics.unit_m(problem.planner.step_s))
+def _circling(
+    problem: Problem,
+    track: Sequence[NDArray[np.float64]],
+    learnt: Sequence[bool],
+    plan: Plan,
+) -> str | None:
+    """Return that a robot stays about one place and learns nothing; None if it does not."""
+    if any(learnt[-STALL_STEPS:]) or not _stays(track, problem.step_length_m):
+        return None
+    return (
+        f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
+        f"with nothing new to learn{_detail(plan)}"
+    )
 
 
-def _circling(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
+def _stays(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
+    """Return whether a robot has stayed within two steps of one place for `STALL_STEPS`."""
     if len(track) <= STALL_STEPS:
         return False
     recent = np.array(track[-STALL_STEPS - 1 :])[:, :2]
@@ -158,11 +155,11 @@ def _detail(plan: Plan) -> str:
 def terms_ending(
     problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
-    """Return how a run ends after its last step so far, and why in words; None if it goes on.
+    """Return how a run for a sum of terms ends, as :func:`run_ending`.
 
-    It ends once all robots of which that is asked are connected, or at their goals; once no robot
-    will ever do anything again, which is a failure unless nothing is left to learn; and after
-    `planner.max_steps`. A run whose robots do not all go on by then has stalled too.
+    It ends once all robots that are to connect are connected, or those with goals have arrived;
+    once no robot will do anything more, which is a failure unless nothing is left to learn; and
+    after `planner.max_steps`. A run has also stalled if some robots do nothing more by then.
     """
     # Shapes: connected (steps, robots).
     steps, asked = len(connected), problem.terms[0]
@@ -204,10 +201,10 @@ def _has_arrived(robot: Progress) -> bool:
 
 
 def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:
-    """Return why a robot will do nothing more for its task, in words; None if it may.
+    """Return why a robot will do nothing more for its task; None if it may.
 
-    The inputs of a plan for tracking change while a robot stands; it does its task as long as
-    packets arrive. For other terms standing still may be the best, if plans are verified.
+    A tracking robot does its task while it stands as long as packets arrive. For other terms
+    standing still may be optimal if plans are verified.
     """
     recent, asked = slice(-STALL_STEPS, None), robot.problem.terms[0]
     if asked.sensor is not None and connected[recent].any():
@@ -223,7 +220,7 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
 
 
 def _told(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
-    """Return where the other robots have been, if that counts."""
+    """Return the driven places of the other robots, if these count."""
     if not counts_others(problem):
         return NOTHING_PENDING
     driven = [np.array(each.states)[1:, :2] for each in robots]
@@ -232,7 +229,7 @@ def _told(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pend
 
 
 def _has_left(robot: Progress, told: Pending) -> bool:
-    """Return whether a robot could still learn something somewhere, that the others have not."""
+    """Return whether some place is left to measure for a robot, beyond those of the others."""
     problem, states = robot.problem, robot.states
     spacing = problem.channel.measure_spacing_m
     posteriors = anticipated(robot.posteriors, told, states[-1][:2], spacing)
@@ -247,7 +244,7 @@ def _has_left(robot: Progress, told: Pending) -> bool:
 
 
 def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:
-    """Return who stands or circles, and why."""
+    """Return the robots that stand or circle, with reasons."""
     unmeasured = any(learns(robot.problem) for robot, _ in stuck)
     whys = [
         f"{robot.problem.robots[0].name}: {why}" if len(problem.robots) > 1 else why

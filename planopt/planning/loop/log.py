@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planopt.channel.fields.truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
-from planopt.planning.loop.target_watch import TargetWatch, observed
+from planopt.planning.loop.target_watch import TargetWatch
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.predictions import search_prediction
 from planopt.robots.drive import Drive
@@ -314,18 +314,3 @@ def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
 def _squared(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
     """Return e' P^-1 e."""
     return float(error @ np.linalg.solve(covariance, error))
-
-
-def watched(
-    first: TargetWatch | None,
-    tracks_m: NDArray[np.float64],  # (robots, steps + 1, 2) where they were
-    delivered: NDArray[np.bool_],  # (steps, robots) whose packets arrived
-    generator: np.random.Generator,
-) -> list[TargetWatch | None]:
-    """Return the target estimate after each step of robots that have already moved."""
-    watches = [first]
-    for step, arrived in enumerate(delivered, start=1):
-        watch = watches[-1]
-        here = tracks_m[:, step]
-        watches.append(None if watch is None else observed(watch, step, here, arrived, generator))
-    return watches

@@ -27,40 +27,25 @@ from planopt.planning.team.reservations import (
 )
 from planopt.problems.problem import Problem
 
-POSSIBLE = {
-    "goal_time_s": (0.0, np.inf),
-    "path_m": (0.0, np.inf),
-    "true_connected_share": (0.0, 1.0),
-    "longest_outage_m": (0.0, np.inf),
-    "predicted_min_connectivity": (0.0, 1.0),
-    "time_averaged_trace_p": (0.0, np.inf),
-    "time_averaged_normalised_trace_p": (0.0, np.inf),
-    "final_normalised_trace_p": (0.0, np.inf),
-    "final_trace_p": (0.0, np.inf),
-    "target_lost": (0.0, 1.0),
-    "time_averaged_det_p": (0.0, np.inf),
-    "nees": (0.0, np.inf),
-    "nis": (0.0, np.inf),
-    "nis_low": (0.0, np.inf),
-    "nis_high": (0.0, np.inf),
-    "delivered": (0.0, 1.0),
-    "rms_db": (0.0, np.inf),
-    "mean_squared_error_db2": (0.0, np.inf),
-    "rms_without_multipath_db": (0.0, np.inf),
-    "path_loss_variance_db2": (0.0, np.inf),
-    "measured_steps": (0.0, np.inf),
-    "stated_times_connected": (0.0, 1.0),
-    "least_connected_share": (0.0, 1.0),
-    "longest_outage_s": (0.0, np.inf),
-    "data_mbit": (0.0, np.inf),
-    "realised_cost_m": (0.0, np.inf),
-    "clairvoyant_cost_m": (0.0, np.inf),
-    "cost_ratio": (0.0, np.inf),
-}
-"""Least and largest value that a metric can have; one that is not here can have `ANY`."""
+COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
+"""True costs of a run to goals (:mod:`planopt.planning.loop.clairvoyant`)."""
+
+_SHARES = (
+    *("true_connected_share", "predicted_min_connectivity", "target_lost", "delivered"),
+    *("stated_times_connected", "least_connected_share"),
+)
+_NOT_NEGATIVE = (
+    *("goal_time_s", "path_m", "longest_outage_m", "longest_outage_s", "measured_steps"),
+    *("time_averaged_trace_p", "time_averaged_normalised_trace_p", "final_normalised_trace_p"),
+    *("final_trace_p", "time_averaged_det_p", "nees", "nis", "nis_low", "nis_high", "data_mbit"),
+    *("rms_db", "mean_squared_error_db2", "rms_without_multipath_db", "path_loss_variance_db2"),
+    *COSTS,
+)
+POSSIBLE = dict.fromkeys(_SHARES, (0.0, 1.0)) | dict.fromkeys(_NOT_NEGATIVE, (0.0, np.inf))
+"""Least and largest possible value of a metric; others have the range `ANY`."""
 
 LOST_RATIO = 3.0
-"""A target was lost where tr P was ever so many times that of the first estimate."""
+"""A target counts as lost if tr P ever exceeds that of the first estimate by this factor."""
 
 ANY = (-np.inf, np.inf)
 

@@ -29,7 +29,7 @@ from planopt.targets.information_filter import (
     simulate_target,
     update,
 )
-from planopt.targets.sensor import Sensor, noise_covariance_m2, sense, sensing_information
+from planopt.targets.sensor import Sensor, noise_covariance_m2, sensing_information
 
 MOST_HELD = 8
 """Last steps whose measurements a plan counts as held by a robot: older ones tell little."""
@@ -150,18 +150,6 @@ def _held(watch: TargetWatch, robot: int) -> Held | None:
         known[number] = each @ watch.known[step]
         sent[number] = each[robot] * unknown[step]
     return Held(states[first].matrix, known, sent)
-
-
-def observed(
-    watch: TargetWatch,
-    step: int,
-    positions_m: NDArray[np.float64],
-    delivered: NDArray[np.bool_],  # (n,) whose packet arrives at the station
-    generator: np.random.Generator,
-) -> TargetWatch:
-    """Return all filters after step number `step`, robots standing at `positions_m` (n, 2)."""
-    measured = sense(watch.sensor, positions_m, watch.true_m[step], generator)
-    return counted(watch, measured, positions_m, delivered)
 
 
 def counted(

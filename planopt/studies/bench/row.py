@@ -23,7 +23,7 @@ from planopt.planning.drawn_places import with_drawn_starts
 from planopt.planning.files.saved import read_object
 from planopt.planning.initial_data import team_seeds
 from planopt.planning.learn import Prepared, prepare
-from planopt.planning.loop.drive import TrueWorld, first_steps
+from planopt.planning.loop.drive import first_steps, true_world
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.scene import Scene, build_scenes
@@ -179,7 +179,7 @@ def _run_row(problem: Problem, nothing: Row, start: Start, recorded: States) -> 
     steps, states = first_steps(
         problem,
         start.prepared.belief,
-        TrueWorld(problem, start.prepared.truths, list),
+        true_world(problem, start.prepared.truths, list),
         planning(problem, scenes, seeds),
         watch_target(problem, seeds.target),
         seeds.target,

@@ -252,7 +252,7 @@ def test_gap_that_must_be_crossed(horizon):
 def test_simulation_needs_a_truth():
     """There is nothing to drive in."""
     problem = small_problem()
-    prepared = replace(prepared_of(problem), truth=None)
+    prepared = replace(prepared_of(problem), truths=())
     with pytest.raises(InputError, match=r"channel\.truth"):
         simulate(problem, prepared=prepared)
 

@@ -9,12 +9,22 @@ import pytest
 from scipy.stats import chi2
 
 from planopt import load, simulate
-from planopt.planning.loop.log import target_log, watched
+from planopt.planning.loop.log import target_log
 from planopt.planning.loop.metrics import nis_interval
-from planopt.planning.loop.target_watch import watch_target
-from planopt.targets.sensor import noise_covariance_m2
+from planopt.planning.loop.target_watch import counted, watch_target
+from planopt.targets.sensor import noise_covariance_m2, sense
 
 STEPS = 150
+
+
+def watched(first, tracks_m, delivered, generator):
+    """The target estimate after each step of robots on tracks (robots, steps + 1, 2)."""
+    watches = [first]
+    for step, arrived in enumerate(delivered, start=1):
+        watch, here = watches[-1], tracks_m[:, step]
+        seen = sense(watch.sensor, here, watch.true_m[step], generator)
+        watches.append(counted(watch, seen, here, arrived))
+    return watches
 
 
 @pytest.fixture(scope="module")

@@ -25,13 +25,13 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.search.coupled_starts import driven_ways, rough_clearance
 from planopt.planning.search.start_search import Start
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 
 GOALS_MS = {5: 15.0, 10: 30.0, 20: 80.0}
 
 
 def best_of_starts(
-    planner: HorizonPlanner, situation: Situation, judge: Judge, count: int, seed: int
+    planner: HorizonPlanner, situation: StepContext, judge: Judge, count: int, seed: int
 ) -> float:
     """The largest worth that `count` random starts are polished to; -inf without any."""
     generator = np.random.default_rng(seed)

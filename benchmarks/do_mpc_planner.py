@@ -21,7 +21,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.programme.ipopt import termination_of
 from planopt.planning.scene import Ground
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 from planopt.problems.planner_kinds import PlannerKind, register_planner
 from planopt.problems.problem import Problem
 
@@ -39,7 +39,7 @@ class DoMpcPlanner:
         if not isinstance(problem.terms[0], TrackingTerm) or len(problem.stations) > 1:
             raise InputError("is do_mpc, which tracks with one station", key="planner.name")
 
-    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Build the controller, solve once, and let planopt's verifier judge the path."""
         begun = perf_counter()
         built = DoMpcStep(situation, "MX")

@@ -19,7 +19,7 @@ from planopt.channel.parameters import regressors
 from planopt.channel.prediction import bound_quantile
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING
 from planopt.planning.programme.ipopt import OPTIONS
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 
 
 class DoMpcStep:
@@ -33,7 +33,7 @@ class DoMpcStep:
         ``SX``, do-mpc's own choice, or ``MX``, which keeps products of matrices whole.
     """
 
-    def __init__(self, situation: Situation, symbols: str = "SX") -> None:
+    def __init__(self, situation: StepContext, symbols: str = "SX") -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             import do_mpc
@@ -114,7 +114,7 @@ class DoMpcStep:
         return int(self._mpc.solver_stats["iter_count"])
 
 
-def _power(situation: Situation, place: Any) -> tuple[Any, Any]:
+def _power(situation: StepContext, place: Any) -> tuple[Any, Any]:
     """Mean and deviation at a place, by universal kriging from all measurements."""
     posterior = situation.posterior
     parameters = posterior.parameters

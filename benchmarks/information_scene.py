@@ -13,8 +13,8 @@ from planopt.objectives import LearningTerm, MappingTerm, TermsObjective
 from planopt.objectives.terms.term import Term
 from planopt.planning.judge import Judge
 from planopt.planning.scene import build_ground
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.objective_value import ObjectiveValue
 
 Worth = Literal["information", "average", "path", "D", "A"]
 
@@ -30,7 +30,7 @@ def term_of(worth: Worth) -> Term:
 
 def information_step(
     worth: Worth, horizon: int, count: int, seed: int, decorrelation_m: float
-) -> tuple[Scene, Situation, Judge]:
+) -> tuple[Scene, StepContext, Judge]:
     """A cold step of a seeded scene whose robot knows `count` measurements."""
     place = scene(horizon, count, seed)
     problem = replace(
@@ -47,4 +47,4 @@ def information_step(
     place = replace(place, problem=problem, ground=build_ground(problem, at), belief=belief)
     situation, _ = situation_in(place, belief, at, None)
     situation = replace(situation, target_m=None)
-    return place, situation, Judge(problem, place.ground.index, belief, at, PathWorth(situation))
+    return place, situation, Judge(situation, ObjectiveValue(situation))

@@ -26,7 +26,7 @@ from planopt.objectives.information import Information
 from planopt.objectives.moments import posterior_moments
 from planopt.planning.learn import prepare
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.worth.left_to_learn import workspace_region
+from planopt.planning.values.exploration import workspace_region
 from planopt.problems.problem import Problem
 from planopt.studies.comparison_rows import mean_interval
 

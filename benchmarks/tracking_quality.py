@@ -19,13 +19,13 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.search.start_search import StartSearch
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 
 
 def best_of_starts(
     planner: HorizonPlanner,
     search: StartSearch,
-    situation: Situation,
+    situation: StepContext,
     judge: Judge,
     count: int,
     seed: int,

@@ -27,11 +27,12 @@ from planopt.planning.initial_data import draw_truth
 from planopt.planning.judge import Judge
 from planopt.planning.learn import learn
 from planopt.planning.plan import Plan
+from planopt.planning.proof.context import verifier_context
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.scene import Ground, build_ground
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import Aim, StepContext, step_context
+from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import Problem, problem_from_tables
 
 SIDE_M = 100.0
@@ -170,16 +171,17 @@ class Evader:
 
 def situation_in(
     place: Scene, belief: Belief, position_m: NDArray[np.float64], target_m: NDArray[np.float64]
-) -> tuple[Situation, Judge]:
+) -> tuple[StepContext, Judge]:
     """What one step knows, and what its candidates are judged by."""
-    situation = Situation(place.problem, belief.posterior, position_m, target_m, place.region)
-    judge = Judge(place.problem, place.ground.index, belief, position_m, PathWorth(situation))
+    base = verifier_context(place.problem, place.ground.index, belief.posteriors, position_m)
+    situation = step_context(base, place.region, Aim(target_m))
+    judge = Judge(situation, ObjectiveValue(situation))
     return situation, judge
 
 
 def single_step(
     horizon: int, count: int, seed: int, munich_like: bool = False
-) -> tuple[Scene, Situation, Judge]:
+) -> tuple[Scene, StepContext, Judge]:
     """A cold step of a seeded scene: scene, situation, judge. The robot starts connected.
 
     Of the places of the scenes `seed`, `seed + 1000`, ... the first is taken whose start keeps the

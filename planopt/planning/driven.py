@@ -16,11 +16,11 @@ from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_driv
 from planopt.planning.programme.clearance_lines import LINE_REACH_STEPS
 from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.programme.path_polish import MotionTask
-from planopt.planning.proof.motion import judge_apart, judge_motion, swept_motion
+from planopt.planning.proof.motion import swept_motion, verify_apart, verify_motion
 from planopt.planning.scene import Ground
 from planopt.planning.search.start_search import Start
-from planopt.planning.worth.path_worth import rule_missing
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.objective_value import rule_missing
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
 from planopt.robots.dynamics import Dynamics
@@ -44,7 +44,7 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
 
 
 def driven_starts(
-    judge: Judge, situation: Situation, starts: list[Start], warm: Plan | None
+    judge: Judge, situation: StepContext, starts: list[Start], warm: Plan | None
 ) -> list[Start]:
     """Starts that the robot can drive, best first; those that come too near to something last."""
     problem = judge.problem
@@ -69,14 +69,13 @@ def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
     return shifted if len(shifted.inputs) == problem.planner.horizon else None
 
 
-def driven_start(judge: Judge, situation: Situation, drive: Drive) -> Start:
+def driven_start(judge: Judge, situation: StepContext, drive: Drive) -> Start:
     """A drive as a start."""
     candidate = drive_candidate(judge, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
     path = candidate.path_m
-    moved = judge_motion(judge.problem, judge.index, judge.state, drive.positions_m, drive)
-    apart = judge_apart(
-        judge.circumstances.moving, swept_motion(judge.problem, drive.positions_m, drive)
-    )
+    moved = verify_motion(judge.problem, judge.index, judge.state, drive.positions_m, drive)
+    swept = swept_motion(judge.problem, drive.positions_m, drive)
+    apart = verify_apart(judge.context.moving, swept)
     clear = not (moved.reasons or apart.reasons)
     missing = rule_missing(situation, path)
     return Start(path, judge.worth(candidate), missing, drive, clear)

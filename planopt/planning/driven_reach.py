@@ -29,8 +29,8 @@ from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.start_search import Start
 from planopt.planning.search.taut_way import retime
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
-from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.reach_cost import ReachCost, resting_places_m
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
 
@@ -56,7 +56,7 @@ class DrivenReach:
 
     def chosen(
         self,
-        situation: Situation,
+        situation: StepContext,
         judge: Judge,
         start: GlobalStart | None,
         node_margin_db: NDArray[np.float64] | None,
@@ -126,7 +126,7 @@ class DrivenReach:
         return rolled_out(dynamics, judge.state, inputs, settings.step_s)
 
     def _starts(
-        self, situation: Situation, judge: Judge, start: GlobalStart, warm: Plan | None
+        self, situation: StepContext, judge: Judge, start: GlobalStart, warm: Plan | None
     ) -> list[Start]:
         """Ways that the robot can drive: the last plan, along what was found, and straight on."""
         problem, settings = self._problem, self._problem.planner
@@ -174,7 +174,7 @@ class DrivenReach:
 
     def _climb(
         self,
-        situation: Situation,
+        situation: StepContext,
         judge: Judge,
         starts: list[Start],
         cost: ReachCost,

@@ -81,7 +81,7 @@ def _driven_without_guess(judge: Judge, warm: Plan | None) -> Candidate:
     stop = judge.judged(drive_candidate(judge, braked(judge), Rung.STOP, Termination.NO_PATH))
     if stop.sound or rest is None:
         return stop
-    if len(judge.circumstances.moving):
+    if len(judge.context.moving):
         return replace(rest, rung=Rung.RESERVED)
     return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH) if rest.sound else stop
 

@@ -26,8 +26,8 @@ from planopt.planning.search.local_ranking import can_climb
 from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
 from planopt.planning.search.to_unmeasured import way_to_unmeasured
 from planopt.planning.start_polish import StartPolish
-from planopt.planning.worth.path_worth import PathWorth, rule_missing
-from planopt.planning.worth.situation import Situation, bends_starts
+from planopt.planning.values.context import StepContext, bends_starts
+from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.problems.problem import Problem
 
 CLOSE_SHARE = 0.01
@@ -72,7 +72,7 @@ class FallbackCascade:
 
     def first_verified(
         self,
-        situation: Situation,
+        situation: StepContext,
         judge: Judge,
         starts: list[Start],
         warm: Plan | None,
@@ -139,7 +139,7 @@ class FallbackCascade:
         )
 
     def _by_way_to_good_place(
-        self, situation: Situation, judge: Judge, tried: list[Candidate], budget: Budget
+        self, situation: StepContext, judge: Judge, tried: list[Candidate], budget: Budget
     ) -> list[Candidate]:
         """Go straight to a place that the verifier says was missed."""
         found: list[Candidate] = []
@@ -156,7 +156,7 @@ class FallbackCascade:
 
     def _once_more(
         self,
-        situation: Situation,
+        situation: StepContext,
         judge: Judge,
         starts: list[Start],
         verified: list[Candidate],
@@ -180,7 +180,7 @@ class HorizonPlanner:
         self._search = StartSearch(problem, ground, thorough)
         self.cascade = FallbackCascade(problem, ground, thorough)
 
-    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is."""
         begun = perf_counter()
         budget = budget_from(self.problem, begun)
@@ -199,7 +199,7 @@ class HorizonPlanner:
         chosen = self.cascade.first_verified(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
-    def _way_out(self, situation: Situation, starts: list[Start]) -> NDArray[np.float64] | None:
+    def _way_out(self, situation: StepContext, starts: list[Start]) -> NDArray[np.float64] | None:
         """The way (N, 2) to the nearest unmeasured place, where no start measures anything.
 
         None where one does, where a term asks for more than measurements, or none is left.
@@ -209,7 +209,7 @@ class HorizonPlanner:
             term.is_measured or term.structure == "chain" for term in terms
         ):
             return None
-        worth = PathWorth(situation)
+        worth = ObjectiveValue(situation)
         for start in starts:
             gains = zip(terms, worth.by_term(start.path_m), strict=True)
             if any(gain > 0.0 for term, gain in gains if term.is_measured):
@@ -217,7 +217,7 @@ class HorizonPlanner:
         return way_to_unmeasured(situation, self.ground)
 
     def _released(
-        self, situation: Situation, judge: Judge, start: Start, warm: Plan | None, begun_s: float
+        self, situation: StepContext, judge: Judge, start: Start, warm: Plan | None, begun_s: float
     ) -> Plan | None:
         """The plan of a start as it is; None if it is not verified."""
         if self.problem.robots[0].dynamics is not None:

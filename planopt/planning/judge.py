@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.certificate import Certificate, plan_message
 from planopt.planning.leaving import leaving_path
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.proof.circumstances import Circumstances
-from planopt.planning.proof.verify import judge
+from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.verify import verify
 from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
@@ -81,24 +80,32 @@ class Candidate:
 class Judge:
     """Everything a candidate of one step is judged by."""
 
-    problem: Problem  # The problem, its obstacles, and what is believed of the channel
-    index: ObstacleIndex
-    belief: Belief
-    position_m: NDArray[np.float64]  # (2,) where the robot is
-    objective: Callable[[NDArray[np.float64]], float]  # What a path (N, 2) from there is worth
-    # What else is known at the step
-    circumstances: Circumstances = field(default_factory=Circumstances)
+    context: VerifierContext  # The problem, the belief, the robot's state and what moves
+    objective: Callable[[NDArray[np.float64]], float]  # Value of a path (N, 2) from there
     # (N, 2) the rest of the last plan, which the other robots keep clear of; None without
     reserved_m: NDArray[np.float64] | None = None
-    # What the robot's state has beyond its place; nothing of a single integrator
-    rest: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    # What a drive is worth, where that is not only by its places; None where it is
+    # Value of a drive, if it does not depend on its positions alone; else None
     objective_of_drive: Callable[[Drive], float] | None = None
 
     @property
+    def problem(self) -> Problem:
+        """The problem."""
+        return self.context.problem
+
+    @property
+    def index(self) -> ObstacleIndex:
+        """The obstacles."""
+        return self.context.index
+
+    @property
+    def position_m(self) -> NDArray[np.float64]:
+        """``(2,)`` where the robot is."""
+        return self.context.position_m
+
+    @property
     def state(self) -> NDArray[np.float64]:
-        """``(s,)`` the robot's state, its place first."""
-        return np.concatenate([self.position_m, self.rest])
+        """``(s,)`` the robot's state, its position first."""
+        return self.context.state
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Connectivity margins of the step's problem."""
@@ -131,16 +138,7 @@ class Judge:
     def judged(self, candidate: Candidate) -> Candidate:
         """Ask the verifier."""
         path = np.vstack([self.position_m, candidate.path_m])
-        judgement = judge(
-            self.problem,
-            self.index,
-            self.belief.posterior,
-            self.state,
-            path,
-            candidate.kkt_residual,
-            self.circumstances,
-            candidate.drive,
-        )
+        judgement = verify(self.context, path, candidate.kkt_residual, candidate.drive)
         return replace(
             candidate,
             certificate=judgement.certificate,
@@ -165,7 +163,7 @@ class Judge:
             rest = self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
             if rest.sound:
                 return rest
-        moving = self.circumstances.moving
+        moving = self.context.moving
         path = leaving_path(self.problem, self.index, moving, self.position_m)
         if path is None:
             return rest

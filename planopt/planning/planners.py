@@ -21,7 +21,7 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan
 from planopt.planning.scene import Ground
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 
@@ -31,7 +31,7 @@ KEY = "planner.name"
 class Planner(Protocol):
     """Plans for one robot of a problem whose objective is a sum of terms."""
 
-    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is."""
         ...
 
@@ -59,7 +59,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
 
 
 def asked_plan(
-    planner: Planner, situation: Situation, judge: Judge, warm: Plan | None = None
+    planner: Planner, situation: StepContext, judge: Judge, warm: Plan | None = None
 ) -> Plan:
     """Return what a planner plans; see :meth:`Planner.plan`."""
     remedy = "return released(judge, path_m, begun_s), of a path (N, 2)"

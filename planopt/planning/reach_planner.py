@@ -29,7 +29,7 @@ from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.path_nlp import GOAL, PathNlp, build_path_nlp
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.programme.pivot import Ahead
-from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.context import VerifierContext, verifier_context
 from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.refine import Refiner
@@ -38,10 +38,10 @@ from planopt.planning.search.global_search import GlobalSearch, GlobalStart
 from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.team.reservations import reserved_path
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.reach_cost import ReachCost
-from planopt.planning.worth.rule_rows import RuleRows, step_rows
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import Aim, StepContext, step_context
+from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.rule_rows import RuleRows, step_rows
 from planopt.problems.problem import Problem
 from planopt.world.moving_obstacle import MovingDiscs
 
@@ -53,11 +53,15 @@ LINES_PER_SEGMENT = 4
 class Outlook:
     """The place and belief of a robot, and the path that it would drive."""
 
-    belief: Belief  # Of the stations' channels, and (s,) of the robot
-    state: NDArray[np.float64]
-    situation: Situation  # What its step is planned on; beside it only moving obstacles move
+    context: VerifierContext  # What its plan is verified with
+    situation: StepContext  # What its step is planned on; beside it only moving obstacles move
     start: GlobalStart | None  # The path; None if no node is in reach
     wall_s: float  # What it took to find
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """``(s,)`` the robot's state."""
+        return self.context.state
 
 
 class ReachPlanner:
@@ -96,21 +100,19 @@ class ReachPlanner:
     ) -> Outlook:
         """Search the path that the robot would drive if it were alone; arguments as of `plan`."""
         begun = perf_counter()
-        circumstances = circumstances_of(
-            self.problem, belief.posteriors, history, goal_grid=self._goal_grid
+        context = verifier_context(
+            self.problem,
+            self.scene.index,
+            belief.posteriors,
+            state,
+            history,
+            goal_grid=self._goal_grid,
         )
-        situation = Situation(
-            self._eased,
-            belief.posterior,
-            state[:2],
-            None,
-            self._region,
-            circumstances=circumstances,
-        )
+        situation = step_context(replace(context, problem=self._eased), self._region, Aim())
         start = self._search.find_start(situation)
         if start is not None and start.is_blocked:
             raise self._blocked(situation, start)
-        return Outlook(belief, state, situation, start, perf_counter() - begun)
+        return Outlook(context, situation, start, perf_counter() - begun)
 
     def beside(
         self, outlook: Outlook, discs: MovingDiscs
@@ -142,20 +144,17 @@ class ReachPlanner:
         """Refine and verify the path of an outlook, or fall back."""
         begun = perf_counter() - outlook.wall_s
         problem, scene, position_m = self.problem, self.scene, outlook.state[:2]
-        belief, state, start = outlook.belief, outlook.state, outlook.start
-        situation, circumstances = outlook.situation, outlook.situation.circumstances
+        context, situation, start = outlook.context, outlook.situation, outlook.start
         if moving is not None:
-            circumstances = replace(circumstances, moving=moving)
-            situation = replace(situation, circumstances=circumstances)
-        moving = circumstances.moving
+            context = replace(context, moving=moving)
+            situation = replace(situation, moving=moving)
+        moving = context.moving
         plain = problem.constraints.rule.is_plain
         rows_of = None if plain else partial(step_rows, situation)
         cost = ReachCost(problem, position_m, situation.power)
         if reserved_m is None and len(moving) and warm is not None:
             reserved_m = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
-        judge = Judge(
-            problem, scene.index, belief, position_m, cost, circumstances, reserved_m, state[2:]
-        )
+        judge = Judge(context, cost, reserved_m)
         connected = problem.reach.cost_to_go == "connected"
         margin_db = self._search.margins.margin_db if connected else None
         budget = budget_from(problem, begun)
@@ -177,11 +176,11 @@ class ReachPlanner:
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
         places = np.vstack([plan.positions_m, route])
-        power = search_prediction(belief.posterior, places, circumstances.broad)
+        power = search_prediction(context.posterior, places, context.broad)
         holes = holes_on(problem, power, places)
         return replace(plan, pivot=pivot, route_m=route, holes=holes)
 
-    def _blocked(self, situation: Situation, start: GlobalStart) -> BlockedError:
+    def _blocked(self, situation: StepContext, start: GlobalStart) -> BlockedError:
         """Return the error that says where contact would have to be left, and for how long."""
         constraints = self.problem.constraints
         places = np.vstack([situation.position_m, start.path_m, start.route_m])

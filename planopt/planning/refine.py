@@ -29,9 +29,9 @@ from planopt.planning.tolerances import (
     STANDSTILL_M,
     STEP_PAD_M,
 )
-from planopt.planning.worth.local_worth import stage_predictor
-from planopt.planning.worth.reach_cost import ReachCost
-from planopt.planning.worth.rule_rows import RuleRows
+from planopt.planning.values.local_value import stage_predictor
+from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.rule_rows import RuleRows
 from planopt.targets.rounding import Derivatives
 
 
@@ -168,7 +168,7 @@ class Refiner:
                     np.vstack([task.start_m, polished.path_m]),
                     task.clearance_m,
                     task.step_length_m,
-                    self._judge.circumstances.moving,
+                    self._judge.context.moving,
                 )
                 if lines is None:
                     return
@@ -188,7 +188,7 @@ class Refiner:
         ends = np.vstack([judge.position_m, path_m])
         lines = lines_about(
             self._scene.pieces,
-            judge.circumstances.moving,
+            judge.context.moving,
             ends,
             self._nlp.shape.lines,
             problem.constraints.clearance_m,
@@ -241,8 +241,8 @@ class Refiner:
         """Margins and scores conditioned on the measurements nearest to each stage of a path."""
         problem = self._judge.problem
         predict_stages = stage_predictor(
-            self._judge.belief.posterior,
-            self._judge.circumstances.broad,
+            self._judge.context.posterior,
+            self._judge.context.broad,
             path_m,
             problem.planner.neighbours,
         )

@@ -21,7 +21,7 @@ from planopt.planning.holes import BlockedWay
 from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 from planopt.short_repr import LINES, wrapped
 

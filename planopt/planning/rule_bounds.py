@@ -15,9 +15,9 @@ from planopt.channel.prediction import Prediction
 from planopt.planning.programme.path_polish import PathTask, Polished
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB, is_search_exact
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
-from planopt.planning.worth.local_worth import local_worth
-from planopt.planning.worth.rule_rows import RuleRows
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.local_value import local_value
+from planopt.planning.values.rule_rows import RuleRows
 
 LOCAL_PAD_DB = 0.04
 """Margin asked of the local model, corrected at the start, beyond the bound: it is off by less at
@@ -30,7 +30,7 @@ MISSING_DB_COST = 100.0
 """What a missing dB counts in the solver, where the bound cannot be kept."""
 
 
-def with_bounds(task: PathTask, situation: Situation, rows: RuleRows) -> PathTask:
+def with_bounds(task: PathTask, situation: StepContext, rows: RuleRows) -> PathTask:
     """Ask for the bounds where the start keeps them, and for the least missing dB elsewhere.
 
     A start that keeps a bound with less than is wanted stays feasible. Bounded slack is open to all
@@ -54,7 +54,7 @@ def with_bounds(task: PathTask, situation: Situation, rows: RuleRows) -> PathTas
     )
 
 
-def lacks(situation: Situation, rows: RuleRows, point: Polished, *, firmly: bool = False) -> bool:
+def lacks(situation: StepContext, rows: RuleRows, point: Polished, *, firmly: bool = False) -> bool:
     """Return whether a returned path misses a bound where the solver thought that it keeps it.
 
     With `firmly` also where it keeps a step's bound by less than the search's predictions are off:
@@ -72,7 +72,7 @@ def lacks(situation: Situation, rows: RuleRows, point: Polished, *, firmly: bool
     return bool((margins[point.slack_db <= GIVEN_UP_DB] < least).any())
 
 
-def recentred(task: PathTask, situation: Situation, rows: RuleRows, point: Polished) -> PathTask:
+def recentred(task: PathTask, situation: StepContext, rows: RuleRows, point: Polished) -> PathTask:
     """The task from a returned path on: its neighbours, and the error measured there."""
     task = moved(task, situation, rows, point.path_m)
     if rows.weight is not None:
@@ -82,13 +82,13 @@ def recentred(task: PathTask, situation: Situation, rows: RuleRows, point: Polis
 
 
 def moved(
-    task: PathTask, situation: Situation, rows: RuleRows, path_m: NDArray[np.float64]
+    task: PathTask, situation: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
 ) -> PathTask:
     """The task from another path (N, 2) on, with the channel near it."""
-    return replace(task, path_m=path_m, evaluate=local_worth(situation, path_m, rows))
+    return replace(task, path_m=path_m, evaluate=local_value(situation, path_m, rows))
 
 
-def _with_total(task: PathTask, situation: Situation, rows: RuleRows) -> PathTask:
+def _with_total(task: PathTask, situation: StepContext, rows: RuleRows) -> PathTask:
     power = situation.power(task.path_m)
     task = replace(task, total_per_db=_per_db(rows, power))
     wanted, local = _wanted_total(task, situation, rows)
@@ -103,7 +103,7 @@ def _with_total(task: PathTask, situation: Situation, rows: RuleRows) -> PathTas
 
 
 def _slack(
-    situation: Situation, scale: float, missing_db: NDArray[np.float64]
+    situation: StepContext, scale: float, missing_db: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
     """Return how much slack each row has, and what a dB of it counts in the solver.
 
@@ -118,7 +118,7 @@ def _slack(
 
 
 def _wanted(
-    task: PathTask, situation: Situation, rows: RuleRows
+    task: PathTask, situation: StepContext, rows: RuleRows
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the local margins wanted for the bound, and local and exact ones at the start.
 
@@ -132,7 +132,7 @@ def _wanted(
     return LOCAL_PAD_DB + margins.value - exact, margins.value, exact
 
 
-def _wanted_total(task: PathTask, situation: Situation, rows: RuleRows) -> tuple[float, float]:
+def _wanted_total(task: PathTask, situation: StepContext, rows: RuleRows) -> tuple[float, float]:
     """Return the local sum wanted for the bound, and the sum at the start."""
     total = task.evaluate(task.path_m).total
     if total is None:

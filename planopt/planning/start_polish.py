@@ -28,14 +28,14 @@ from planopt.planning.programme.methods import METHODS
 from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp, near_start
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
-from planopt.planning.proof.circumstances import obstacles_ahead
+from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.rules.rule import rule_of
 from planopt.planning.rule_bounds import lacks, moved, recentred, with_bounds
 from planopt.planning.scene import Ground
 from planopt.planning.search.start_search import Start
-from planopt.planning.worth.local_worth import local_worth
-from planopt.planning.worth.rule_rows import has_step_rows, has_sum_row, rows_again, rule_rows
-from planopt.planning.worth.situation import Situation, structure_of
+from planopt.planning.values.context import StepContext, structure_of
+from planopt.planning.values.local_value import local_value
+from planopt.planning.values.rule_rows import has_step_rows, has_sum_row, rows_again, rule_rows
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion
 from planopt.world.moving_lines import tail_lines
@@ -165,7 +165,7 @@ class StartPolish:
 
     def candidates(
         self,
-        situation: Situation,
+        situation: StepContext,
         judge: Judge,
         start: Start,
         rung: Rung,
@@ -173,12 +173,12 @@ class StartPolish:
     ) -> list[Candidate]:
         """Return the judged candidates of a start; none once the budget is spent."""
         budget = Budget() if budget is None else budget
-        problem, moving = self._problem, situation.circumstances.moving
+        problem, moving = self._problem, situation.moving
         nlp = self._nlp_for(moving)
         if budget.spent:
             return []
         rows = rule_rows(situation, start.path_m)
-        evaluate = local_worth(situation, start.path_m, rows)
+        evaluate = local_value(situation, start.path_m, rows)
         ends = np.vstack([situation.position_m, start.path_m])
         lines = lines_of_start(
             problem, self._ground.pieces, moving, ends, start.drive, nlp.shape.lines
@@ -247,7 +247,7 @@ class StartPolish:
         return found
 
     def _repaired(
-        self, task: PathTask, situation: Situation, candidate: Candidate
+        self, task: PathTask, situation: StepContext, candidate: Candidate
     ) -> PathTask | None:
         """The task with what a path came too near to built in; None if nothing."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
@@ -255,7 +255,7 @@ class StartPolish:
         lines = lines_repaired(
             self._problem,
             self._ground.pieces,
-            situation.circumstances.moving,
+            situation.moving,
             task.lines,
             np.vstack([task.start_m, task.path_m]),
             np.vstack([task.start_m, candidate.path_m]),
@@ -267,7 +267,7 @@ class StartPolish:
         return None
 
     def _about(
-        self, task: PathTask, situation: Situation, path_m: NDArray[np.float64], drive: Drive
+        self, task: PathTask, situation: StepContext, path_m: NDArray[np.float64], drive: Drive
     ) -> PathTask:
         """The task from a drive on, with lines about its way and its way of stopping.
 
@@ -279,7 +279,7 @@ class StartPolish:
         lines = lines_of_start(
             problem,
             self._ground.pieces,
-            situation.circumstances.moving,
+            situation.moving,
             np.vstack([task.start_m, path_m]),
             drive,
             task.motion.shape.lines,

@@ -21,7 +21,7 @@ from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.team.reservations import has_separation
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
 from planopt.world.workspace import Obstacle
 

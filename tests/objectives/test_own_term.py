@@ -18,8 +18,8 @@ from planopt.objectives.terms import term as registry
 from planopt.objectives.terms.term import registered_terms
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.solve import solve
-from planopt.planning.worth.local_worth import local_worth
-from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.values.local_value import local_value
+from planopt.planning.values.objective_value import ObjectiveValue
 
 
 @pytest.fixture
@@ -53,10 +53,10 @@ def test_it_is_the_expression_of_its_fields(near_term):
     problems = [replace(base, objective=TermsObjective((each,))) for each in (own, written)]
     mine, same = (situation_of(each)[0] for each in problems)
     path = mine.position_m + np.cumsum(np.full((5, 2), 0.8), axis=0)
-    assert PathWorth(mine)(path) == pytest.approx(PathWorth(same)(path), rel=1e-12)
+    assert ObjectiveValue(mine)(path) == pytest.approx(ObjectiveValue(same)(path), rel=1e-12)
     ranked = [LocalRanking(each, path[None])(path[None])[0] for each in (mine, same)]
     assert ranked[0] == pytest.approx(ranked[1], rel=1e-12)
-    found, wanted = (local_worth(each, path)(path).value for each in (mine, same))
+    found, wanted = (local_value(each, path)(path).value for each in (mine, same))
     np.testing.assert_allclose(found.gradient, wanted.gradient, rtol=1e-12)
     np.testing.assert_allclose(found.hessian, wanted.hessian, rtol=1e-12)
     plans = [solve(each, seed=0).plans[0] for each in problems]

@@ -33,7 +33,7 @@ def planned(problem: Problem, warm: Any = None, state: Any = None, seed: int = 0
     """A plan from the problem's start, or from `state`, with its situation, judge and planner."""
     situation, belief = situation_of(problem, seed)
     here = problem.robots[0].start_state if state is None else np.asarray(state)
-    situation = replace(situation, position_m=here[:2])
+    situation = replace(situation, state=here)
     judge, ground = judge_of(situation, belief)
     judge = at_state(judge, here)
     planner = HorizonPlanner(problem, ground)
@@ -42,7 +42,7 @@ def planned(problem: Problem, warm: Any = None, state: Any = None, seed: int = 0
 
 def at_state(judge: Judge, state: np.ndarray) -> Judge:
     """A judge of a robot in another state."""
-    return replace(judge, position_m=state[:2], rest=state[2:])
+    return replace(judge, context=replace(judge.context, state=state))
 
 
 def driven_problem(dynamics: Dynamics, *terms: dict[str, Any], **planner: Any) -> Problem:

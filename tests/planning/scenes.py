@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -19,21 +20,24 @@ from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
+from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.objectives import ReachObjective
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.learn import Prepared
-from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.context import VerifierContext, obstacles_ahead, verifier_context
+from planopt.planning.proof.verify import Judgement, verify
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import Aim, StepContext, step_context
+from planopt.planning.values.exploration import workspace_region
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements
 from planopt.problems.constraints import Constraints
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
+from planopt.robots.drive import Drive
+from planopt.world.clearance import ObstacleIndex, index_obstacles
 from planopt.world.lattice import build_lattice
 from planopt.world.raster import Raster
 from planopt.world.road_map import RoadMap, build_road_map
@@ -227,13 +231,24 @@ def search_of(
 
 def situation_of(
     problem: Problem, belief: Belief, position_m: np.ndarray, history: History = BEGINNING
-) -> Situation:
+) -> StepContext:
     """What a search is told of a step."""
-    return Situation(
-        problem,
-        belief.posterior,
-        position_m,
-        None,
-        workspace_region(problem),
-        circumstances=circumstances_of(problem, belief.posteriors, history),
-    )
+    index = index_obstacles(problem.workspace)
+    base = verifier_context(problem, index, belief.posteriors, np.asarray(position_m), history)
+    return step_context(base, workspace_region(problem), Aim())
+
+
+def verified(
+    problem: Problem,
+    index: ObstacleIndex,
+    posterior: ChannelPosterior,
+    start: np.ndarray,
+    path_m: np.ndarray,
+    kkt_residual: float | None = None,
+    drive: Drive | None = None,
+    **known: Any,
+) -> Judgement:
+    """The verifier's judgement of a path, by default beside the problem's moving obstacles."""
+    known = {"posteriors": (posterior,), "moving": obstacles_ahead(problem, 0)} | known
+    context = VerifierContext(problem, index, state=np.asarray(start), **known)
+    return verify(context, path_m, kkt_residual, drive)

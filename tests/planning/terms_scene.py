@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,13 @@ from planopt.channel.belief import Belief
 from planopt.extend import casadi_term
 from planopt.planning.judge import Judge
 from planopt.planning.learn import prepare
-from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.context import VerifierContext
 from planopt.planning.proof.predictions import broad_prediction
 from planopt.planning.scene import Ground, build_ground
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.steering_way import SteeringWay
+from planopt.planning.values.context import Aim, StepContext, step_context
+from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.objective_value import ObjectiveValue
+from planopt.planning.values.steered_path import SteeringWay
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.world.clearance import index_obstacles
 
@@ -105,7 +106,7 @@ def own_term(build: Callable[[Any], Any], steps: int = 5) -> dict[str, Any]:
     return {"kind": "casadi", "steps": term.steps, "program": term.program}
 
 
-def situation_of(problem: Problem, seed: int = 0) -> tuple[Situation, Belief]:
+def situation_of(problem: Problem, seed: int = 0) -> tuple[StepContext, Belief]:
     """What is known at the start of the problem."""
     belief = prepare(problem, seed).belief
     target = None
@@ -116,34 +117,21 @@ def situation_of(problem: Problem, seed: int = 0) -> tuple[Situation, Belief]:
     at = np.asarray(problem.robots[0].start_m)
     region = workspace_region(problem)
     known = np.diag([2.0, 2.0, 8.0, 8.0])
-    under = Circumstances(broad=broad_prediction(problem, belief.posteriors))
-    situation = Situation(
-        problem,
-        belief.posterior,
-        at,
-        target,
-        region,
-        SteeringWay(
-            np.array([at, [18.0, 30.0], [30.0, 30.0]]),
-            index_obstacles(problem.workspace),
-            problem.constraints.clearance_m,
-        ),
-        known,
-        circumstances=under,
+    index = index_obstacles(problem.workspace)
+    broad = broad_prediction(problem, belief.posteriors)
+    base = VerifierContext(problem, index, belief.posteriors, at, broad=broad)
+    turns = np.array([at, [18.0, 30.0], [30.0, 30.0]])
+    situation = replace(
+        step_context(base, region, Aim(target, information=known)),
+        steering=SteeringWay(turns, index, problem.constraints.clearance_m),
     )
     return situation, belief
 
 
-def judge_of(situation: Situation, belief: Belief) -> tuple[Judge, Ground]:
+def judge_of(situation: StepContext, belief: Belief) -> tuple[Judge, Ground]:
     """The judge of a situation, and its ground."""
     problem = situation.problem
     ground = build_ground(problem, situation.position_m)
-    judge = Judge(
-        problem,
-        ground.index,
-        belief,
-        situation.position_m,
-        PathWorth(situation),
-        situation.circumstances,
-    )
+    context = replace(situation, index=ground.index, posteriors=belief.posteriors)
+    judge = Judge(context, ObjectiveValue(situation))
     return judge, ground

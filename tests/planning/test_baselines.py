@@ -30,7 +30,8 @@ def scene(*terms, **planner):
 
 def moved(situation, judge, position_m):
     """The same with the robot elsewhere."""
-    return replace(situation, position_m=position_m), replace(judge, position_m=position_m)
+    moved = replace(situation, state=position_m)
+    return moved, replace(judge, context=moved)
 
 
 @pytest.mark.parametrize("name", ["auto", "lattice", "one_step", "random", "lawnmower"])

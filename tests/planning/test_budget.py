@@ -83,13 +83,13 @@ def test_time_enough_changes_nothing(plan, problem):
 def test_after_the_deadline_nothing_more_is_judged(monkeypatch):
     """Where nothing is verified every start is tried; without time the first, and stopping."""
     calls: list[None] = []
-    judge = judge_module.judge
+    verify = judge_module.verify
 
     def object_to(*arguments):
         calls.append(None)
-        return replace(judge(*arguments), verdict=Verdict.VIOLATED)
+        return replace(verify(*arguments), verdict=Verdict.VIOLATED)
 
-    monkeypatch.setattr(judge_module, "judge", object_to)
+    monkeypatch.setattr(judge_module, "verify", object_to)
     free, count = terms_plan(TERMS), len(calls)
     hurried = terms_plan(with_budget(TERMS, NO_TIME))
     assert free.verdict is hurried.verdict is Verdict.VIOLATED
@@ -128,22 +128,24 @@ def test_candidates_share_the_search_within_reach(monkeypatch):
     situation, belief = situation_of(terms_problem(TRACKING, p_min=0.9999))
     judge, _ = judge_of(situation, belief)
     deaf = replace(judge.problem.stations[0], threshold_dbm=0.0)
-    judge = replace(judge, problem=replace(judge.problem, stations=(deaf,)))
+    problem = replace(judge.problem, stations=(deaf,))
+    judge = replace(judge, context=replace(judge.context, problem=problem))
     first, second = judge.standing(5), judge.standing(5)
     assert first.certificate is not None and second.certificate is not None
     assert len(first.certificate.best_margin_db) == 5
     assert first.certificate.best_margin_db == second.certificate.best_margin_db
     assert searched == [(1, 2, 3, 4, 5)]
-    replace(judge, position_m=judge.position_m + 0.5).standing(5)
+    moved = replace(judge.context, state=judge.state + 0.5)
+    replace(judge, context=moved).standing(5)
     assert len(searched) == 2
 
 
 def test_a_polish_that_takes_too_long_ends(monkeypatch):
     """IPOPT's own limit: a slow worth does not hold the plan up."""
-    local_worth = polish_module.local_worth
+    local_value = polish_module.local_value
 
     def slow(*arguments):
-        evaluate = local_worth(*arguments)
+        evaluate = local_value(*arguments)
 
         def at(path_m):
             sleep(0.05)
@@ -151,7 +153,7 @@ def test_a_polish_that_takes_too_long_ends(monkeypatch):
 
         return at
 
-    monkeypatch.setattr(polish_module, "local_worth", slow)
+    monkeypatch.setattr(polish_module, "local_value", slow)
     begun = perf_counter()
     # The form of 12 steps ahead is another by default.
     terms = terms_problem({**TRACKING, "form": "additive"}, LEARNING, p_min=0.5, horizon=12)

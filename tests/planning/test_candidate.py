@@ -21,8 +21,9 @@ from scipy.stats import norm
 
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Pivot, Rung, Termination, Verdict
+from planopt.planning.proof.context import VerifierContext
 from planopt.planning.scene import build_scene
-from planopt.planning.worth.reach_cost import ReachCost
+from planopt.planning.values.reach_cost import ReachCost
 
 
 def judge_of(problem, power_at=good_everywhere, pivot=None) -> Judge:
@@ -31,7 +32,8 @@ def judge_of(problem, power_at=good_everywhere, pivot=None) -> Judge:
     belief = belief_of(problem, power_at)
     ahead = None if pivot is None else lambda _end_m: pivot
     cost = ReachCost(problem, start, belief.posterior.predict, ahead)
-    return Judge(problem, build_scene(problem).index, belief, start, cost)
+    index = build_scene(problem).index
+    return Judge(VerifierContext(problem, index, belief.posteriors, start), cost)
 
 
 def judged(judge: Judge, path_m) -> Candidate:
@@ -69,7 +71,7 @@ def test_objective_out_of_contact_by_hand(price):
     judge = judge_of(problem, bad_disc(8.0, 15.0, 2.5), Pivot(np.array([13.0, 16.0]), 10.0, 2.5))
     path = np.array([(6.5, 15.0), (8.5, 15.0), (10.0, 15.5), (12.0, 16.0)])
     whole = np.vstack([(5.0, 15.0), path])
-    mean, deviation = kriged(judge.belief, whole)
+    mean, deviation = kriged(judge.context, whole)
     score = (mean - THRESHOLD_DBM) / deviation
     is_below = score < norm.ppf(0.9)
     assert 1 < is_below.sum() < 5
@@ -114,7 +116,7 @@ def test_good_candidate_as_a_plan():
     plan = judge.plan_from(candidate, 0.5)
     assert (plan.positions_m == path).all()
     assert (plan.t_s == np.arange(5.0)).all()
-    mean, deviation = kriged(judge.belief, path)
+    mean, deviation = kriged(judge.context, path)
     assert np.allclose(plan.mean_dbm, mean, atol=1e-8)
     assert np.allclose(plan.deviation_db, deviation, atol=1e-6)
     assert plan.connectivity[1:].min() == plan.certificate.min_connectivity

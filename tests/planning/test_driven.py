@@ -15,8 +15,8 @@ from planopt.channel.posterior import condition
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Verdict, shifted_drive
 from planopt.planning.scene import build_ground
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import rolled_out
 from planopt.robots.unicycle import Unicycle
@@ -110,7 +110,7 @@ def test_fallbacks_brake_where_that_is_clear_and_else_drives_the_rest(monkeypatc
     monkeypatch.setattr("planopt.planning.horizon_planner.driven_starts", lambda *_: [])
     moving = at_state(judge, plan.drive.states[1])
     unverified = replace(plan, verdict=Verdict.VIOLATED)
-    stop = planner.plan(replace(situation, position_m=moving.position_m), moving, unverified)
+    stop = planner.plan(replace(situation, state=moving.position_m), moving, unverified)
     assert stop.rung is Rung.STOP
     assert stop.certificate.dynamics_defect <= 1e-9
     assert np.hypot(*stop.drive.states[-1, 2:]) <= 1e-9
@@ -120,7 +120,7 @@ def test_fallbacks_brake_where_that_is_clear_and_else_drives_the_rest(monkeypatc
     swerving = rolled_out(DOUBLE, state, inputs, 1.0)
     known = replace(unverified, drive=swerving, positions_m=swerving.positions_m)
     near = at_state(judge, swerving.states[1])
-    again = planner.plan(replace(situation, position_m=near.position_m), near, known)
+    again = planner.plan(replace(situation, state=near.position_m), near, known)
     assert again.rung is Rung.STOP
     shifted = shifted_drive(problem, known)
     braked = DOUBLE.braking(near.state, 1.0, 5)
@@ -181,20 +181,12 @@ def mirror(problem, situation, judge):
     other = replace(
         situation,
         problem=swapped,
-        posterior=posterior,
-        position_m=situation.position_m[::-1].copy(),
+        posteriors=(posterior,),
+        state=swapped.robots[0].start_state,
         target_m=situation.target_m[:, ::-1].copy(),
         region=workspace_region(swapped),
     )
-    other_judge = replace(
-        judge,
-        problem=swapped,
-        belief=replace(judge.belief, posterior=posterior),
-        position_m=swapped.robots[0].start_state[:2],
-        rest=swapped.robots[0].start_state[2:],
-        objective=PathWorth(other),
-    )
-    return swapped, other, other_judge
+    return swapped, other, replace(judge, context=other, objective=ObjectiveValue(other))
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])

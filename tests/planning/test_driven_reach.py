@@ -18,7 +18,7 @@ from planopt.planning.plan import Pivot, Verdict, shifted_drive
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
-from planopt.planning.worth.reach_cost import ReachCost, resting_places_m
+from planopt.planning.values.reach_cost import ReachCost, resting_places_m
 from planopt.problems.problem import Problem
 from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import rolled_out

@@ -172,7 +172,7 @@ def test_without_starts_the_last_plan_goes_on(monkeypatch):
     first, *_ = planned(problem)
     monkeypatch.setattr(StartSearch, "find_starts", lambda *_: [])
     situation, belief = situation_of(problem)
-    situation = replace(situation, position_m=first.positions_m[1])
+    situation = replace(situation, state=first.positions_m[1])
     judge, ground = judge_of(situation, belief)
     planner = HorizonPlanner(problem, ground)
     shifted = planner.plan(situation, judge, first)
@@ -216,7 +216,7 @@ def test_mirrored_scene_gives_the_mirrored_plan():
     there = replace(
         there,
         problem=mirrored,
-        posterior=posterior,
+        posteriors=(posterior,),
         position_m=np.asarray(start),
         target_m=mirror(there.target_m),
     )
@@ -251,7 +251,7 @@ def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):
         radio = replace(problem.stations[0], threshold_dbm=threshold)
         strict = replace(problem, stations=(radio,))
         posterior = condition(parameters, measured)
-        there = replace(situation, problem=strict, posterior=posterior)
+        there = replace(situation, problem=strict, posteriors=(posterior,))
         judge, ground = judge_of(there, replace(belief, posterior=posterior))
         returned.clear()
         plan = HorizonPlanner(strict, ground).plan(there, judge)

@@ -14,7 +14,7 @@ from planopt.planning.proof import predictions
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB
 from planopt.planning.rule_bounds import lacks
 from planopt.planning.solve import solve
-from planopt.planning.worth.rule_rows import rule_rows
+from planopt.planning.values.rule_rows import rule_rows
 from planopt.world.moving_obstacle import MovingObstacle
 
 

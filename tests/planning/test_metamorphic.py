@@ -17,9 +17,11 @@ from planopt.planning.baselines.one_step import OneStepPlanner
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.programme import path_nlp
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.situation import Situation
+from planopt.planning.proof.context import VerifierContext
+from planopt.planning.values.context import Aim, StepContext, step_context
+from planopt.planning.values.exploration import workspace_region
 from planopt.problems.problem import Problem
+from planopt.world.clearance import index_obstacles
 from planopt.world.workspace import Obstacle, Workspace
 
 pytestmark = pytest.mark.usefixtures("converged")
@@ -33,7 +35,7 @@ def converged(monkeypatch):
     monkeypatch.setattr(path_nlp, "SETTLED", {})
 
 
-def planned(situation: Situation, belief, problem: Problem | None = None) -> Plan:
+def planned(situation: StepContext, belief, problem: Problem | None = None) -> Plan:
     """The plan of a situation, in the problem or in another."""
     if problem is not None:
         situation = replace(situation, problem=problem)
@@ -125,7 +127,9 @@ def test_another_unit_of_length_changes_nothing(terms, by):
     )
     target = None if situation.target_m is None else by * situation.target_m
     here = by * situation.position_m
-    stretched = Situation(other, posterior, here, target, workspace_region(other))
+    index = index_obstacles(other.workspace)
+    base = VerifierContext(other, index, (posterior,), here)
+    stretched = step_context(base, workspace_region(other), Aim(target))
     plan = planned(stretched, replace(belief, posterior=posterior))
     assert plan.verdict is plain.verdict is Verdict.VERIFIED
     assert plan.objective == pytest.approx(plain.objective, rel=2e-3)

@@ -17,11 +17,11 @@ from scenes import (
     belief_of,
     good_everywhere,
     small_problem,
+    verified,
 )
 
 from planopt.objectives.reach import path_cost_s
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.proof.verify import verify
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.problems.problem import Problem
@@ -56,7 +56,7 @@ def assert_good(problem: Problem, plan: Plan, power_at=good_everywhere) -> None:
     if not obstacles.is_empty:
         way = shapely.LineString(plan.positions_m)
         assert way.distance(obstacles) >= problem.constraints.clearance_m - 1e-6
-    certificate, verdict = verify(
+    found = verified(
         problem,
         build_scene(problem).index,
         belief_of(problem, power_at).posterior,
@@ -64,7 +64,7 @@ def assert_good(problem: Problem, plan: Plan, power_at=good_everywhere) -> None:
         plan.positions_m,
         plan.certificate.kkt_residual,
     )
-    assert (certificate, verdict) == (plan.certificate, plan.verdict)
+    assert (found.certificate, found.verdict) == (plan.certificate, plan.verdict)
 
 
 SCENES: dict[str, Problem] = {

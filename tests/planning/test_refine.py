@@ -24,7 +24,8 @@ from planopt.planning.budget import Budget
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.pivot import Ahead
-from planopt.planning.worth.reach_cost import ReachCost
+from planopt.planning.proof.context import VerifierContext
+from planopt.planning.values.reach_cost import ReachCost
 
 
 def refiner_of(problem, power_at=good_everywhere, lines=4):
@@ -36,7 +37,7 @@ def refiner_of(problem, power_at=good_everywhere, lines=4):
     start = search.find_start(situation)
     ahead = Ahead(problem, scene, start, None)
     reach_cost = ReachCost(problem, at, situation.power, ahead)
-    judge = Judge(problem, scene.index, belief, at, reach_cost)
+    judge = Judge(VerifierContext(problem, scene.index, belief.posteriors, at), reach_cost)
     nlp = goal_nlp(problem.planner.horizon, lines)
     cost = judge.objective(start.path_m)
     refiner = refine.Refiner(nlp, scene, judge, reach_cost, start, ahead, cost, Budget())

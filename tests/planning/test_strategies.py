@@ -29,7 +29,7 @@ def plan_of(name, problem, situation, belief, start_m=None):
     """The plan of a strategy, from another place if one is given."""
     if start_m is not None:
         problem = replace(problem, robots=(replace(problem.robots[0], start_m=start_m),))
-        situation = replace(situation, problem=problem, position_m=np.asarray(start_m))
+        situation = replace(situation, problem=problem, state=np.asarray(start_m))
     problem = replace(problem, planner=replace(problem.planner, name=name))
     judge, ground = judge_of(replace(situation, problem=problem), belief)
     planner = planner_for(problem, ground, np.random.default_rng(0))
@@ -68,7 +68,10 @@ def test_path_loss_only_does_not_look_at_measured_powers():
     paths = {"auto": [], "path_loss_only": []}
     for powers in (measured.power_dbm, measured.power_dbm[::-1] - 10.0):
         posterior = condition(parameters, replace(measured, power_dbm=powers), theta="known")
-        seen, known = replace(situation, posterior=posterior), replace(belief, posterior=posterior)
+        seen, known = (
+            replace(situation, posteriors=(posterior,)),
+            replace(belief, posterior=posterior),
+        )
         for name, found in paths.items():
             found.append(plan_of(name, problem, seen, known).positions_m)
     np.testing.assert_array_equal(*paths["path_loss_only"])
@@ -83,7 +86,7 @@ def test_a_robot_outside_the_disc_comes_back():
     # A disc of 10 m; the robot is 30 m off.
     parameters = replace(belief.posterior.parameters, k_pl_db=-20.0, n_pl=2.0)
     posterior = replace(belief.posterior, theta=theta, parameters=parameters)
-    seen = replace(situation, posterior=posterior)
+    seen = replace(situation, posteriors=(posterior,))
     start = np.array([4.0, 34.0])
     plan = plan_of("informed_disk", problem, seen, belief, tuple(start))
     away = np.linalg.norm(plan.positions_m - np.array([4.0, 4.0]), axis=1)

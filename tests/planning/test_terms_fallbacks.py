@@ -109,10 +109,10 @@ def test_a_failed_solve_touches_nothing(name, monkeypatch):
 
 def test_no_number_from_a_callback(monkeypatch):
     """A worth of NaN inside IPOPT itself."""
-    local_worth = polish_module.local_worth
+    local_value = polish_module.local_value
 
     def broken(*arguments):
-        evaluate = local_worth(*arguments)
+        evaluate = local_value(*arguments)
 
         def at(path_m):
             found = evaluate(path_m)
@@ -121,7 +121,7 @@ def test_no_number_from_a_callback(monkeypatch):
         return at
 
     used, expected = fresh(), planned(fresh())
-    monkeypatch.setattr(polish_module, "local_worth", broken)
+    monkeypatch.setattr(polish_module, "local_value", broken)
     plan = planned(used)
     assert_sound(plan)
     # IPOPT gives its start back.

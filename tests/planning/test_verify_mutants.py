@@ -37,7 +37,7 @@ from scenes import (
 from unpriced import unpriced
 
 from planopt.planning.history import BEGINNING, History
-from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.context import VerifierContext
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -457,8 +457,8 @@ def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:
         (REACHABILITY, DETOURS, ("best_by_ways",)),
         (STEPS, REACHABILITY, ("best_margins_by_step",)),
         (STEPS, PATHS, ("build_goal_grid", "goal_costs", "price_path")),
-        (VERIFY, MOTION, ("judge_motion",)),
-        (VERIFY, STEPS, ("judge_single_steps",)),
+        (VERIFY, MOTION, ("verify_motion",)),
+        (VERIFY, STEPS, ("verify_single_steps",)),
     ):
         for name in names:
             setattr(modules[user], name, getattr(modules[used], name))
@@ -497,15 +497,15 @@ def said(verifier: Callable[..., tuple], case: Case) -> Said:
     path = np.array(case.path_m, dtype=float)
     start = path[0] if case.start_m is None else np.array(case.start_m)
     problem = case.problem if case.has_goal else unpriced(case.problem)
-    certificate, verdict = verifier(
+    context = VerifierContext(
         problem,
         index_obstacles(problem.workspace),
-        belief_of(problem, case.power_at).posterior,
+        belief_of(problem, case.power_at).posteriors,
         start,
-        path,
-        0.125,
-        Circumstances(history=case.history),
+        history=case.history,
     )
+    found = verifier(context, path, 0.125)
+    certificate, verdict = found.certificate, found.verdict
     shown = [[key for key in KEYS if key in reason] for reason in certificate.reasons]
     return Said(
         verdict=verdict.value,
@@ -652,7 +652,7 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
     "outage always priced": (STEPS, "if is_priced(problem):", "if True:"),
     "any price will do": (
         STEPS,
-        "reasons=tuple(_too_dear(problem, under.history, priced, best_margin_db)),",
+        "reasons=tuple(_too_dear(problem, context.history, priced, best_margin_db)),",
         "reasons=(),",
     ),
     "nowhere turned round": (

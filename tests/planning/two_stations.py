@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from planopt.channel.belief import Belief
 from planopt.planning.learn import Prepared
-from planopt.planning.proof.circumstances import Circumstances, circumstances_of
 from planopt.planning.proof.predictions import broad_prediction
 from planopt.problems.base_station import BaseStation
 from planopt.problems.problem import Problem
@@ -89,7 +89,8 @@ def swapped_belief(belief: Belief) -> Belief:
     return replace(belief.further[0], further=(alone_in(belief, 0),))
 
 
-def circumstances_in(problem: Problem, belief: Belief) -> Circumstances:
-    """What a plan from the start is judged under."""
-    assert (broad_prediction(problem, belief.posteriors) is None) == (len(problem.stations) == 1)
-    return circumstances_of(problem, belief.posteriors)
+def known_in(problem: Problem, belief: Belief) -> dict[str, Any]:
+    """Belief of all stations, and the prediction that the bound rests on."""
+    broad = broad_prediction(problem, belief.posteriors)
+    assert (broad is None) == (len(problem.stations) == 1)
+    return {"posteriors": belief.posteriors, "broad": broad}

@@ -21,7 +21,7 @@ from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary, summary_of
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems.base_station import BaseStation
 from planopt.problems.channel_setup import ChannelSetup
 from planopt.problems.constraints import Constraints

@@ -10,7 +10,7 @@ import numpy as np
 from planopt.objectives import LearningTerm, MappingTerm, TermsObjective, TrackingTerm
 from planopt.planning.loop.log import ChannelLog, TargetLog
 from planopt.planning.results import Run
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems.robot import Robot
 from planopt.problems.target import Target
 

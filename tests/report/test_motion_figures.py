@@ -16,7 +16,7 @@ from planopt.commands.pictures import picture_run, picture_solution
 from planopt.extend import Rung
 from planopt.planning.certificate import RuleResult
 from planopt.planning.results import Solution
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems import GivenParameters
 from planopt.report import draw_run, draw_run_series, draw_solution
 from planopt.report.motion_figures import MEANING, WORDS_LINES, plan_words

@@ -71,7 +71,7 @@ class SteeredPath(Protocol):
         ...
 
 
-class StepContext(Protocol):
+class TermContext(Protocol):
     """The knowledge with which a robot plans one step."""
 
     @property
@@ -205,7 +205,7 @@ class StepContext(Protocol):
 class Paths:
     """Many paths of one step, with predictions along them."""
 
-    at: StepContext  # What is known
+    at: TermContext  # What is known
     ways_m: NDArray[np.float64]  # (c, N, 2) places after each step
     stations: Sequence[LocalPaths]  # Each station's power along all of them
     moments: Sequence[Moments]  # Of measuring each station's anticipated channel along them
@@ -239,7 +239,7 @@ class Paths:
         return legs_m(self.at, self.ways_m)
 
 
-def legs_m(at: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def legs_m(at: TermContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the lengths of the steps of paths ``(c, N, 2)`` from where the robot is; (c, N)."""
     ends = np.concatenate([np.broadcast_to(at.position_m, (len(ways_m), 1, 2)), ways_m], axis=1)
     return np.linalg.norm(np.diff(ends, axis=1), axis=2)
@@ -249,7 +249,7 @@ def legs_m(at: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
 class NearPath:
     """One path of a solver, near the path that it began from."""
 
-    at: StepContext  # What is known
+    at: TermContext  # What is known
     places_m: NDArray[np.float64]  # (N, 2) places after each step
     predicted: Callable[[], StagePower]  # Predict the power that connectivity rests on
     # Each station's channel near the path, where terms couple its places; else none

@@ -23,7 +23,7 @@ from planopt.objectives.expression import (
 )
 from planopt.objectives.path_derivatives import PathDerivatives
 from planopt.objectives.stage_power import connectivity_derivatives
-from planopt.objectives.terms.context import NearPath, Paths, StepContext
+from planopt.objectives.terms.context import NearPath, Paths, TermContext
 from planopt.objectives.terms.term import Term, TermSetting
 from planopt.plain_values import make_plain
 from planopt.targets.rounding import Derivatives
@@ -83,7 +83,7 @@ class CasadiTerm(Term):
                     "stations",
                 )
 
-    def known(self, at: StepContext, steps: int) -> dict[str, NDArray[np.float64]]:
+    def known(self, at: TermContext, steps: int) -> dict[str, NDArray[np.float64]]:
         """Return the inputs that do not depend on the path: the start, and the target if any."""
         if self.steps != steps:
             raise InputError(
@@ -103,7 +103,7 @@ class CasadiTerm(Term):
             )
         return known
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return the expression of one path."""
         power = at.power(path_m)
         chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
@@ -207,7 +207,7 @@ class OwnTerm(Term):
         """Raise what keeps the expression from being planned for, as for any expression."""
         _written(self, setting.horizon).check(setting)
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return the expression of one path."""
         return _written(self, len(path_m)).value(at, path_m)
 

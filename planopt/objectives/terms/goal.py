@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.moments import TINY_M, Pull
-from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, StepContext
+from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, TermContext
 from planopt.objectives.terms.term import Steers, Structure, Term
 from planopt.targets.rounding import Derivatives, rounded_length
 
@@ -23,7 +23,7 @@ class SteeredTerm(Term):
         """Distances add up over the steps."""
         return "stagewise"
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return by how much the places of a path are nearer to the end than the robot, summed."""
         return 0.0 if at.steering is None else float(at.steering.gained_m(path_m))
 
@@ -52,7 +52,7 @@ class SteeredTerm(Term):
         length = np.maximum(np.linalg.norm(offset, axis=2), TINY_M)
         return Pull(by_position=offset / length[:, :, None])
 
-    def node_reward(self, at: StepContext, nodes: Nodes) -> NDArray[np.float64]:
+    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
         """Return minus the distance that is left from each node of a lattice; ``(ny, nx)``."""
         shape, steering = nodes.grid_m.shape[:2], at.steering
         if steering is None:

@@ -18,7 +18,7 @@ from planopt.objectives.information import (
     require_estimated_path_loss,
     square_root,
 )
-from planopt.objectives.terms.context import NodeChannel, StepContext
+from planopt.objectives.terms.context import NodeChannel, TermContext
 from planopt.objectives.terms.measured import MeasuredTerm
 
 LearningCriterion = Literal["T", "D", "A", "V"]
@@ -47,7 +47,7 @@ class LearningTerm(MeasuredTerm):
     summary: ClassVar[str] = "Learn the path loss."
     task: ClassVar[str | None] = "learn"
 
-    def gain(self, at: StepContext, posterior: ChannelPosterior) -> Gain:
+    def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
         """Return the gain of the criterion over measuring nowhere (equations 4.1 and 4.2)."""
         if self.criterion == "T":
             return VarianceRemoved(np.eye(2), universal=False)

@@ -13,7 +13,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.objectives.information import Gain, Information, PathUncertainty, VarianceRemoved
 from planopt.objectives.moments import Pull
-from planopt.objectives.terms.context import NearPath, NodeChannel, Nodes, Part, Paths, StepContext
+from planopt.objectives.terms.context import NearPath, NodeChannel, Nodes, Part, Paths, TermContext
 from planopt.objectives.terms.goal import SteeredTerm
 from planopt.objectives.terms.measured import MeasuredTerm
 from planopt.objectives.terms.term import Steers, Structure, Term, TermSetting
@@ -108,7 +108,7 @@ class MappingTerm(MeasuredTerm):
                 remedy="information, average or path, or leave one entry of stations",
             )
 
-    def gain(self, at: StepContext, posterior: ChannelPosterior) -> Gain:
+    def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
         """Return the gain of the form (equations 4.4 to 4.6)."""
         if self.form == "path":
             x, y = (float(each) for each in at.position_m)
@@ -127,7 +127,7 @@ class MappingTerm(MeasuredTerm):
             case _:
                 return variance
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return what the measurements along one path tell of the map, or the metres gained."""
         return DISTANCE.value(at, path_m) if self.form == "two_layer" else super().value(at, path_m)
 
@@ -145,7 +145,7 @@ class MappingTerm(MeasuredTerm):
             return DISTANCE.slope(paths, number)
         return super().slope(paths, number)
 
-    def node_reward(self, at: StepContext, nodes: Nodes) -> NDArray[np.float64]:
+    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
         """Return what measuring at each node alone would tell, or minus the distance to go."""
         if self.form == "two_layer":
             return DISTANCE.node_reward(at, nodes)

@@ -19,7 +19,7 @@ from planopt.objectives.terms.context import (
     Nodes,
     Part,
     Paths,
-    StepContext,
+    TermContext,
 )
 from planopt.objectives.terms.term import Term
 
@@ -33,7 +33,7 @@ class MeasuredTerm(Term):
         """The value is what measurements tell."""
         return True
 
-    def gain(self, at: StepContext, posterior: ChannelPosterior) -> Gain:
+    def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
         """Return what measurements of one station are worth."""
         raise self._without("gain")
 
@@ -41,12 +41,12 @@ class MeasuredTerm(Term):
         """Return what measuring at each node alone would tell of one station; (ny, nx)."""
         raise self._without("node_gain")
 
-    def _gain(self, at: StepContext, number: int) -> Gain:
+    def _gain(self, at: TermContext, number: int) -> Gain:
         """Return the gain of a station by its number, made once a step."""
         posterior = at.anticipated[number]
         return at.once((MeasuredTerm, self, number), lambda: self.gain(at, posterior))
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return what the measurements along one path tell, by the exact posterior."""
         taken = at.measuring.takes(path_m)
         if not taken.any():
@@ -79,7 +79,7 @@ class MeasuredTerm(Term):
         found = [self._gain(path.at, k).derivatives(local) for k, local in enumerate(path.measured)]
         return by_positions(reduce(PathDerivatives.plus, found), path.gates)
 
-    def node_reward(self, at: StepContext, nodes: Nodes) -> NDArray[np.float64]:
+    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
         """Return what measuring at each node alone would tell of all stations; (ny, nx)."""
         near = nodes.grid_m[nodes.window]
         found = np.sum(

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from planopt.objectives.moments import Pull, pull_of_lengths
 from planopt.objectives.path_derivatives import PathDerivatives, by_lengths
-from planopt.objectives.terms.context import NearPath, Paths, StepContext
+from planopt.objectives.terms.context import NearPath, Paths, TermContext
 from planopt.objectives.terms.term import Structure, Term
 from planopt.targets.rounding import rounded_length
 
@@ -32,7 +32,7 @@ class MotionEnergyTerm(Term):
         """A step couples its two ends."""
         return "chain"
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return minus the energy of a path."""
         lengths = np.linalg.norm(np.diff(np.vstack([at.position_m, path_m]), axis=0), axis=1)
         return -float(self._spent_j(lengths, at.standstill_m, at.step_s).sum())

@@ -24,7 +24,7 @@ from planopt.targets.sensor import Sensor
 
 if TYPE_CHECKING:
     from planopt.objectives.moments import Pull
-    from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, StepContext
+    from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, TermContext
 
 Weight = Annotated[
     float, Field(default=1.0, ge=0, le=1e9, description="In the sum of terms.", title="Weight")
@@ -145,7 +145,7 @@ class Term:
             "expression",
         )
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return the value of one path (N, 2), from all measurements: what is reported."""
         raise self._without("value")
 
@@ -154,7 +154,7 @@ class Term:
         raise self._without("values")
 
     def tried_values(
-        self, at: StepContext, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+        self, at: TermContext, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the values of paths (c, N, 2) by guessed chances of connection (c, N); ``(c,)``.
 
@@ -173,7 +173,7 @@ class Term:
         """
         raise self._without("slope")
 
-    def node_reward(self, at: StepContext, nodes: Nodes) -> NDArray[np.float64] | None:
+    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64] | None:
         """Return what ending a step at each node is worth by itself, (ny, nx), at any stage.
 
         Rewards of nodes stand in for the value in the search of the lattice. They are exact for
@@ -183,7 +183,7 @@ class Term:
 
     def stage_reward(
         self,
-        at: StepContext,
+        at: TermContext,
         places_m: NDArray[np.float64],
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
@@ -191,7 +191,7 @@ class Term:
         """Return the reward of ending step `stage`, from 0 on, at places (..., 2)."""
         return None
 
-    def largest_stage_reward(self, at: StepContext) -> float:
+    def largest_stage_reward(self, at: TermContext) -> float:
         """Return an upper limit of :meth:`stage_reward`."""
         return 0.0
 

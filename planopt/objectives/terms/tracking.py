@@ -12,7 +12,7 @@ from pydantic import Field, Strict
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.stage_power import connectivity_derivatives
-from planopt.objectives.terms.context import NearPath, Paths, StepContext
+from planopt.objectives.terms.context import NearPath, Paths, TermContext
 from planopt.objectives.terms.term import Structure, Term, TermSetting
 from planopt.objectives.tracking import Criterion, FilteredTracking, Tracking, left
 from planopt.objectives.tracking_recourse import (
@@ -141,7 +141,7 @@ class TrackingTerm(Term):
                 "no step counts", key="step_weights", remedy="give a step a weight above 0"
             )
 
-    def settings(self, at: StepContext) -> Tracking:
+    def settings(self, at: TermContext) -> Tracking:
         """Return the target and the sensor of one step."""
         target = at.target_m
         if target is None:
@@ -164,7 +164,7 @@ class TrackingTerm(Term):
         given = np.array(self.step_weights or (1.0,))
         return given[np.minimum(np.arange(steps), len(given) - 1)]
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return the information, or the covariance removed, of one path's packets."""
         chance = _chance(at, path_m)
         if self.tries_places:
@@ -174,7 +174,7 @@ class TrackingTerm(Term):
         return float(settings.weight @ (chance * sensing))
 
     def tried_values(
-        self, at: StepContext, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+        self, at: TermContext, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the values of the form ``recourse`` for predicted probabilities (c, N)."""
         settings, retreats, others, idle = at.once(
@@ -185,7 +185,7 @@ class TrackingTerm(Term):
         return idle - costs(ways_m, known, retreats, others, settings)
 
     def _tries(
-        self, at: StepContext
+        self, at: TermContext
     ) -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
         """The filter, retreats, the others' packets, and the cost without own packets."""
         own = self._filtered(at)
@@ -202,7 +202,7 @@ class TrackingTerm(Term):
             others += chance[at_last] * sensing
         return own, retreats, others, float(left(0.5 * others, own))
 
-    def _filtered(self, at: StepContext) -> FilteredTracking:
+    def _filtered(self, at: TermContext) -> FilteredTracking:
         """The station's filter over the horizon and the steps beyond it."""
         if at.information is None:
             raise AssertionError("this form of tracking needs the station's filter")
@@ -238,7 +238,7 @@ class TrackingTerm(Term):
 
     def stage_reward(
         self,
-        at: StepContext,
+        at: TermContext,
         places_m: NDArray[np.float64],
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
@@ -250,13 +250,13 @@ class TrackingTerm(Term):
         reward *= settings.weight[stage]
         return reward
 
-    def largest_stage_reward(self, at: StepContext) -> float:
+    def largest_stage_reward(self, at: TermContext) -> float:
         """Return the information of a packet from the best distance at the heaviest step."""
         heaviest = max(self.step_weights, default=1.0) * max(self.terminal_weight, 1.0)
         return heaviest / self.noise_floor_m2
 
 
-def _chance(at: StepContext, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _chance(at: TermContext, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Predicted chance of connection at places (n, 2)."""
     power = at.power(places_m)
     return connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])

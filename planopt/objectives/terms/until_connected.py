@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.objectives.path_derivatives import PathDerivatives
-from planopt.objectives.terms.context import NearPath, Paths, StepContext
+from planopt.objectives.terms.context import NearPath, Paths, TermContext
 from planopt.objectives.terms.term import Steers, Term
 from planopt.objectives.until_connected import (
     NOT_TRIED_DB,
@@ -48,7 +48,7 @@ class UntilConnectedTerm(Term):
         """The robot is steered to a place to try."""
         return "connection"
 
-    def search(self, at: StepContext) -> Search:
+    def search(self, at: TermContext) -> Search:
         """Return the settings of a search that ends where a try at the path's end failed.
 
         Where the robot is is no try (`at.tries`), and needs no condition.
@@ -62,7 +62,7 @@ class UntilConnectedTerm(Term):
             further_thresholds_dbm=at.thresholds_dbm[1:],
         )
 
-    def _after_try_m(self, at: StepContext) -> float:
+    def _after_try_m(self, at: TermContext) -> float:
         """Expected metres beyond the end of the path that the robot is steered along.
 
         R - D of :func:`planopt.objectives.until_connected.search_length_m`, from that path alone,
@@ -78,7 +78,7 @@ class UntilConnectedTerm(Term):
         return max(min(float(after[0]), most_m), 0.0)
 
     def search_length_m(
-        self, at: StepContext, length_m: NDArray[np.float64], chance: NDArray[np.float64]
+        self, at: TermContext, length_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the expected length of a search by tries at places so far away; ``(k,)``.
 
@@ -88,7 +88,7 @@ class UntilConnectedTerm(Term):
             return length_m + (1.0 - chance) * self.beyond_m
         return search_length_m(length_m, chance, at.decorrelation_m)
 
-    def charged_beyond_m(self, at: StepContext, ends_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def charged_beyond_m(self, at: TermContext, ends_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what a plan that ends at each place (n, 2) without connection is charged; (n,).
 
         The way that is left to where the robot is steered to, and what is expected from there.
@@ -96,7 +96,7 @@ class UntilConnectedTerm(Term):
         after = np.full(len(ends_m), self.search(at).beyond_m)
         return after if at.steering is None else after + at.steering.distance_m(ends_m)
 
-    def value(self, at: StepContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return minus the metres that a search along one path is charged."""
 
         def charged_m() -> float:
@@ -142,7 +142,7 @@ class UntilConnectedTerm(Term):
 
     def stage_reward(
         self,
-        at: StepContext,
+        at: TermContext,
         places_m: NDArray[np.float64],
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
@@ -150,7 +150,7 @@ class UntilConnectedTerm(Term):
         """Return the distance that connection at each place saves if it is the only try."""
         return self.search(at).beyond_m * chance
 
-    def largest_stage_reward(self, at: StepContext) -> float:
+    def largest_stage_reward(self, at: TermContext) -> float:
         """Return the distance that certain connection saves."""
         return self.search(at).beyond_m
 

@@ -13,7 +13,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Rung, Termination
 from planopt.planning.scene import Ground
 from planopt.planning.tolerances import CLEARANCE_PAD_M
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
 from planopt.world.clearance import inside_bounds, segments_clear
 
@@ -73,7 +73,7 @@ def free_ends(
     return inside_bounds(problem.workspace, ends_m) & clear
 
 
-def held(situation: Situation, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def held(situation: StepContext, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """A path of N steps that begins with `path` and then stands; (N, 2)."""
     horizon = situation.problem.planner.horizon
     last = path[-1] if path else situation.position_m

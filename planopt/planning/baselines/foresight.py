@@ -25,7 +25,7 @@ from planopt.planning.plan import Plan
 from planopt.planning.scene import build_ground
 from planopt.planning.search.lattice_search import LatticeSearch, MoveValues
 from planopt.planning.search.moving_moves import Window, move_table
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.targets.sensor import sensing_information
 from planopt.world.lattice import MOVES
@@ -41,9 +41,9 @@ class FollowingPlanner:
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         self._path_m = path_m
 
-    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Release the next steps; arguments as of the horizon planner, `warm` is not used."""
-        begun, first = perf_counter(), situation.circumstances.history.steps
+        begun, first = perf_counter(), situation.history.steps
         ahead = self._path_m[first : first + situation.problem.planner.horizon]
         return released(judge, held(situation, list(ahead)), begun)
 

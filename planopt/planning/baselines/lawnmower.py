@@ -20,7 +20,7 @@ from planopt.planning.plan import Plan
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.taut_way import stops_along
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
 from planopt.world.road_map import RoadMap, shortest_ways, way_from
 
@@ -37,7 +37,7 @@ class LawnmowerPlanner:
         self._stops_m: NDArray[np.float64] = np.empty((0, 2))
         self._next = 0
 
-    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is; arguments as of the horizon planner, `warm` is not used.
 
         The first plan begins the tour, and so does one from a place off it; once it is over, the
@@ -55,7 +55,7 @@ class LawnmowerPlanner:
         path = self._stops_m[self._next + 1 : self._next + 1 + horizon]
         return released(judge, held(situation, list(path)), begun)
 
-    def _begin(self, here_m: NDArray[np.float64], situation: Situation) -> None:
+    def _begin(self, here_m: NDArray[np.float64], situation: StepContext) -> None:
         """Lay the stops of the whole tour, or of what is left of it, from `here_m` (2,)."""
         road_map = self._ground.road_map
         nodes, lengths = first_moves(self._ground, self._problem, here_m)

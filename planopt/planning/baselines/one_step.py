@@ -24,24 +24,24 @@ from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.to_unmeasured import way_to_unmeasured
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.planning.worth.left_to_learn import learns
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.exploration import learns
 from planopt.problems.problem import Problem
 
 RINGS, HEADINGS = 10, 48
 """Places within a step: on so many circles in so many directions, and the robot's own."""
 
 
-Score = Callable[[Situation, NDArray[np.float64]], NDArray[np.float64]]
+Score = Callable[[StepContext, NDArray[np.float64]], NDArray[np.float64]]
 """From paths (c, N, 2) to what each is worth (c,)."""
 
 
-def as_ranked(situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def as_ranked(situation: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what paths (c, N, 2) are worth by the terms of the problem; ``(c,)``."""
     return LocalRanking(situation, ways_m)(ways_m)
 
 
-def end_deviation(situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def end_deviation(situation: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the standard deviation of predicted power where paths (c, N, 2) end, dB; ``(c,)``."""
     return situation.power(ways_m[:, -1]).deviation_db
 
@@ -63,7 +63,7 @@ class OneStepPlanner:
         rings = (radius[:, None, None] * circle).reshape(-1, 2)
         self._offsets_m = np.vstack([np.zeros((1, 2)), rings])
 
-    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is; arguments as of the horizon planner, `warm` is not used."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
@@ -78,7 +78,7 @@ class OneStepPlanner:
         return released(judge, held(situation, path), begun)
 
     def _best_step(
-        self, situation: Situation, path: list[NDArray[np.float64]]
+        self, situation: StepContext, path: list[NDArray[np.float64]]
     ) -> NDArray[np.float64] | None:
         """The best place to go to after `path`; None if there is none."""
         here = path[-1] if path else situation.position_m
@@ -86,7 +86,7 @@ class OneStepPlanner:
         allowed = free_ends(self._problem, self._ground, here, ends)
         begins = np.broadcast_to(here, ends.shape)
         before = np.broadcast_to(np.reshape(path, (-1, 2)), (len(ends), len(path), 2))
-        allowed &= steps_apart(situation.circumstances.moving, len(path), begins, ends)
+        allowed &= steps_apart(situation.moving, len(path), begins, ends)
         if self._measures:
             ahead = np.concatenate([before, ends[:, None]], axis=1)
             allowed &= situation.near_measuring.takes(ahead)[:, -1]

@@ -18,7 +18,7 @@ from planopt.planning.plan import Plan
 from planopt.planning.scene import Ground
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
 
 DRAWS = 64
@@ -45,7 +45,7 @@ class RandomPlanner:
         self._problem, self._ground = problem, ground
         self._generator, self._walk = generator, walk
 
-    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
@@ -56,7 +56,7 @@ class RandomPlanner:
             ends = here + (self._problem.step_length_m - STEP_PAD_M) * offsets
             free = free_ends(self._problem, self._ground, here, ends)
             begins = np.broadcast_to(here, ends.shape)
-            free &= steps_apart(situation.circumstances.moving, len(path), begins, ends)
+            free &= steps_apart(situation.moving, len(path), begins, ends)
             if not free.any():
                 break
             first = int(free.argmax())

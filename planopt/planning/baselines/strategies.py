@@ -27,8 +27,8 @@ from planopt.planning.plan import Plan
 from planopt.planning.scene import Ground
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import Problem
 
 EDGE_STD_DB = 0.1
@@ -76,7 +76,7 @@ class StrategyPlanner:
         inner = replace(problem, planner=replace(problem.planner, name="auto"))
         self._planner = HorizonPlanner(inner, ground)
 
-    def plan(self, situation: Situation, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is; arguments as of the horizon planner."""
         begun = perf_counter()
         believed = situation.posterior
@@ -87,18 +87,12 @@ class StrategyPlanner:
         path = self._home(situation) if self._assumed is informed_disk else None
         if path is None:
             # Whoever assumes a channel has learned nothing of it on the run either.
-            circumstances = replace(situation.circumstances, broad=None, history=BEGINNING)
-            seen = replace(situation, posterior=channel, circumstances=circumstances)
-            assuming = replace(
-                judge,
-                belief=replace(judge.belief, posterior=channel),
-                objective=PathWorth(seen),
-                circumstances=circumstances,
-            )
+            seen = replace(situation, posteriors=(channel,), broad=None, history=BEGINNING)
+            assuming = replace(judge, context=seen, objective=ObjectiveValue(seen))
             path = self._planner.plan(seen, assuming, warm).positions_m[1:]
         return released(judge, path, begun)
 
-    def _home(self, situation: Situation) -> NDArray[np.float64] | None:
+    def _home(self, situation: StepContext) -> NDArray[np.float64] | None:
         """The shortest path (N, 2) towards the station; None if the disc is within reach."""
         believed, station = situation.posterior, self._problem.stations[0]
         k_pl_db, n_pl = believed.theta

@@ -36,21 +36,21 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Pivot, Plan, Rung, Verdict
-from planopt.planning.proof.circumstances import Circumstances, circumstances_of
+from planopt.planning.proof.context import VerifierContext, verifier_context
 from planopt.planning.proof.goal_paths import GoalGrid
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.proof.verify import judge
+from planopt.planning.proof.verify import verify
 from planopt.planning.results import Run, Solution
 from planopt.planning.roads import build_roads
 from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
 from planopt.planning.team.reservations import beside, others_of
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.reach_cost import ReachCost
-from planopt.planning.worth.situation import Aim, Situation, counts_others, places_of_others
-from planopt.planning.worth.steering_way import steering_way
+from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
+from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.objective_value import ObjectiveValue
+from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.steered_path import steering_way
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.clearance import ObstacleIndex, index_obstacles
+from planopt.world.clearance import index_obstacles
 from planopt.world.road_map import RoadMap
 
 SAME_PLACE_M = 1e-6
@@ -166,14 +166,20 @@ def _planning(saved: Saved) -> Planning:
             for number, own in enumerate(owns):
                 moving = beside(problem, step, others_of(motions, number))
                 posteriors = at.beliefs[number].posteriors
-                under = circumstances_of(
-                    own, posteriors, at.histories[number], moving, grids[number]
+                under = verifier_context(
+                    own,
+                    index,
+                    posteriors,
+                    at.states[number],
+                    at.histories[number],
+                    moving,
+                    grids[number],
                 )
                 aim = by_robot[number][step].aim(at.watched[number])
                 if counts_others(own):
                     driven_m = places_of_others(at.driven_m, number)
                     aim = replace(aim, pending=replace(aim.pending, driven_m=driven_m))
-                case = _Case(own, index, region, posteriors, at.states[number], aim, under)
+                case = _Case(under, region, aim)
                 plans.append(_verified_again(case, by_robot[number][step]))
                 aims.append(aim)
                 grids[number] = under.laid_grid
@@ -220,31 +226,23 @@ def _is_cut_off(problem: Problem, place_m: NDArray[np.float64]) -> bool:
 class _Case:
     """Context of one plan of one robot."""
 
-    problem: Problem  # With this robot alone
-    index: ObstacleIndex
+    context: VerifierContext
     region: Region | None  # Where the map is wanted; None on the way to a goal
-    posteriors: Sequence[ChannelPosterior]
-    state: NDArray[np.float64]  # (s,)
     aim: Aim
-    circumstances: Circumstances
 
 
 def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
     """Return a saved plan with everything that follows from its trajectory."""
-    problem, said, path_m, drive = case.problem, saved.record, saved.path_m.copy(), saved.drive
-    path_m[0] = case.state[:2]
-    if drive is not None:
-        drive = replace(drive, states=np.vstack([case.state, drive.states[1:]]))
-    judgement = judge(
-        problem,
-        case.index,
-        case.posteriors[0],
-        case.state,
-        path_m,
-        said.residual,
-        case.circumstances,
-        drive,
+    problem, said, path_m, drive = (
+        case.context.problem,
+        saved.record,
+        saved.path_m.copy(),
+        saved.drive,
     )
+    path_m[0] = case.context.state[:2]
+    if drive is not None:
+        drive = replace(drive, states=np.vstack([case.context.state, drive.states[1:]]))
+    judgement = verify(case.context, path_m, said.residual, drive)
     power = judgement.power
     if power is None:
         raise AssertionError("saved places are finite")
@@ -257,7 +255,7 @@ def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
     if problem.task == "reach" and isinstance(said, RobotPlan) and said.route is not None:
         route_m = said.route.positions_m
         places = np.vstack([path_m, route_m])
-        ahead = search_prediction(case.posteriors[0], places, case.circumstances.broad)
+        ahead = search_prediction(case.context.posterior, places, case.context.broad)
         holes = holes_on(problem, ahead, places)
     return Plan(
         robot=problem.robots[0].name,
@@ -292,13 +290,13 @@ def _reach_cost(case: _Case, saved: SavedPlan, power: Prediction) -> float:
     def certified(places_m: NDArray[np.float64]) -> Prediction:
         if np.array_equal(places_m, saved.path_m):
             return power
-        return search_prediction(case.posteriors[0], places_m, case.circumstances.broad)
+        return search_prediction(case.context.posterior, places_m, case.context.broad)
 
     pivot = saved.pivot
 
     ahead = None if pivot is None else partial(_same_pivot, pivot)
     priced = saved.record.rung is not Rung.DIRECT
-    cost = ReachCost(case.problem, saved.path_m[0], certified, ahead, priced)
+    cost = ReachCost(case.context.problem, saved.path_m[0], certified, ahead, priced)
     return cost(saved.path_m[1:], saved.drive)
 
 
@@ -308,25 +306,15 @@ def _same_pivot(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
 
 def _worth(case: _Case, path_m: NDArray[np.float64]) -> float:
     """Return the weighted sum of the terms of a path."""
-    problem, aim = case.problem, case.aim
+    aim = case.aim
     if case.region is None:
         raise AssertionError("terms have a region")
-    steering = None
+    base = replace(case.context, state=path_m[0])
+    situation = step_context(base, case.region, aim)
     if aim.steering_turns_m is not None:
-        steering = steering_way(problem, case.index, aim.steering_turns_m)
-    situation = Situation(
-        problem,
-        case.posteriors[0],
-        path_m[0],
-        aim.target_m,
-        case.region,
-        steering,
-        aim.information,
-        circumstances=case.circumstances,
-        pending=aim.pending,
-        held=aim.held,
-    )
-    return PathWorth(situation)(path_m[1:])
+        steering = steering_way(base.problem, base.index, aim.steering_turns_m)
+        situation = replace(situation, steering=steering)
+    return ObjectiveValue(situation)(path_m[1:])
 
 
 def plan_reasons(problem: Problem, plan: Plan) -> list[str]:

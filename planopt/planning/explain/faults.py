@@ -25,7 +25,7 @@ from planopt.planning.tolerances import (
     MARGIN_TOLERANCE_DB,
     margins_asked_db,
 )
-from planopt.planning.worth.rule_rows import common_level
+from planopt.planning.values.rule_rows import common_level
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.robots.drive import braked_motion
 from planopt.world.clearance import index_obstacles

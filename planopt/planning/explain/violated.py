@@ -18,11 +18,12 @@ from planopt.planning.explain.faults import (
     met_nowhere,
 )
 from planopt.planning.explain.keys import MOST_DB, Key, Trials, least_amount, violated_keys
-from planopt.planning.history import BEGINNING
+from planopt.planning.proof.context import VerifierContext
 from planopt.planning.proof.predictions import broad_prediction, certified_prediction
 from planopt.planning.proof.rules.rule import PathCase, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.problems.problem import problem_of_robot
+from planopt.world.clearance import index_obstacles
 
 MOST_MOVING = 3
 """Removing moving obstacles is tried for at most so many."""
@@ -107,8 +108,9 @@ def _is_kept(case: Case, key: Key, amount: float) -> bool:
         broad = broad_prediction(problem, case.posteriors)
         power, _ = certified_prediction(first, plan.positions_m[1:], broad)
     if not rule.by_step:
-        path = PathCase(problem, BEGINNING, first, plan.positions_m, power, broad)
-        result = whole_plan_result(path)
+        index, start = index_obstacles(problem.workspace), plan.positions_m[0]
+        context = VerifierContext(problem, index, tuple(case.posteriors), start, broad=broad)
+        result = whole_plan_result(PathCase(context, plan.positions_m, power))
         return result.slack_db > 0.0 or not result.is_missed
     margins = margins_asked_db(problem, power) + (rule.slack_max_db or 0.0)
     kept = margins[[step - 1 for step in plan.certificate.relaxed_steps]] >= -MARGIN_TOLERANCE_DB

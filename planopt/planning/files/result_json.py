@@ -38,7 +38,7 @@ from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share
 from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.planning.team.reservations import worst_of_robots
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 
 

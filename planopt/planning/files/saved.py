@@ -52,7 +52,7 @@ from planopt.planning.files.run_tables import (
 from planopt.planning.holes import BlockedWay
 from planopt.planning.plan import Pivot, Plan, Verdict
 from planopt.planning.results import Run, Solution
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.robots.drive import Drive, braked_motion

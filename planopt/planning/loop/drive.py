@@ -25,7 +25,7 @@ from planopt.planning.loop.target_watch import TargetWatch
 from planopt.planning.plan import Plan
 from planopt.planning.results import Run
 from planopt.planning.stepping import Planning, Stepper
-from planopt.planning.worth.left_to_learn import workspace_region
+from planopt.planning.values.exploration import workspace_region
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import sense
 from planopt.world.road_map import RoadMap

@@ -13,14 +13,14 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.proof.motion import is_at_goal, stands
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
-from planopt.planning.worth.left_to_learn import learns, left_to_learn
-from planopt.planning.worth.situation import (
+from planopt.planning.values.context import (
     NOTHING_PENDING,
     Pending,
     anticipated,
     counts_others,
     places_of_others,
 )
+from planopt.planning.values.exploration import learns, left_to_learn
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 from planopt.world.lattice import build_lattice

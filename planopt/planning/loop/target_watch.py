@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.objectives.tracking import Held
 from planopt.planning.drawn_places import free_target_path
-from planopt.planning.worth.situation import Aim, target_model
+from planopt.planning.values.context import Aim, target_model
 from planopt.problems.problem import Problem
 from planopt.problems.target import Packets
 from planopt.targets.information_filter import (

@@ -1,4 +1,4 @@
-"""Judge a motion: its sweep, whether it can be driven, how far it keeps from others, arrival.
+"""Verify a motion: its sweep, whether it can be driven, how far it keeps from others, arrival.
 
 For the single integrator the way is straight from place to place. Any other robot says by states
 and inputs how it drives: from them every step is computed again by the robot's dynamics, and the
@@ -39,8 +39,8 @@ class Apart:
     reasons: tuple[str, ...]  # Which of them it comes too near to, in which step and by how much
 
 
-def judge_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = None) -> Apart:
-    """Judge a motion against what moves.
+def verify_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = None) -> Apart:
+    """Verify a motion against moving obstacles and robots.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def swept_motion(
 
 
 @dataclass(frozen=True)
-class MotionJudgement:
+class MotionFinding:
     """The findings on a motion."""
 
     clearance_m: float  # Least distance of the swept way to an obstacle
@@ -102,14 +102,14 @@ class MotionJudgement:
     reasons: tuple[str, ...]  # What is violated; empty if all is kept
 
 
-def judge_motion(
+def verify_motion(
     problem: Problem,
     index: ObstacleIndex,
     start: NDArray[np.float64],
     positions_m: NDArray[np.float64],
     drive: Drive | None,
-) -> MotionJudgement:
-    """Judge the motion of the problem's first robot along a finite path.
+) -> MotionFinding:
+    """Verify the motion of the problem's first robot along a finite path.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def judge_motion(
         return _straight(problem, index, start, positions_m)
     fault = drive_fault(dynamics, positions_m, drive)
     if drive is None or fault:
-        return MotionJudgement(0.0, np.inf, (fault,))
+        return MotionFinding(0.0, np.inf, (fault,))
     return _driven(problem, index, start, positions_m, drive, dynamics)
 
 
@@ -150,7 +150,7 @@ def _straight(
     index: ObstacleIndex,
     start_m: NDArray[np.float64],
     positions_m: NDArray[np.float64],
-) -> MotionJudgement:
+) -> MotionFinding:
     swept = swept_clearance_m(index, positions_m)
     clearance = float(np.min(swept, initial=np.inf))
     reasons = _clearance_reasons(problem, swept, "the swept path")
@@ -159,7 +159,7 @@ def _straight(
     defect = dynamics_defect_m(positions_m, start_m, problem.step_length_m)
     if defect > DYNAMICS_TOLERANCE_M:
         reasons.append(f"a step is {defect:.3g} m longer than robots[0].speed_max_m_s allows")
-    return MotionJudgement(clearance, defect, tuple(reasons))
+    return MotionFinding(clearance, defect, tuple(reasons))
 
 
 def _driven(
@@ -169,7 +169,7 @@ def _driven(
     positions_m: NDArray[np.float64],
     drive: Drive,
     dynamics: Dynamics,
-) -> MotionJudgement:
+) -> MotionFinding:
     step_s = problem.planner.step_s
     states = drive.states
     unit_m = np.array(dynamics.unit_m(step_s))
@@ -202,7 +202,7 @@ def _driven(
     ):
         if not defect <= DYNAMICS_TOLERANCE_M:
             reasons.append(f"{words}, by {defect:.3g} m a step")
-    return MotionJudgement(clearance, max(jump, off, over, still), tuple(reasons))
+    return MotionFinding(clearance, max(jump, off, over, still), tuple(reasons))
 
 
 def _clearance_reasons(problem: Problem, swept: NDArray[np.float64], what: str) -> list[str]:

@@ -14,24 +14,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
-from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.context import VerifierContext
 from planopt.planning.proof.goal_paths import (
     PricedPath,
     build_goal_grid,
     goal_costs,
     price_path,
 )
-from planopt.planning.proof.predictions import Broad, search_prediction
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
 from planopt.planning.proof.rules.each_step import counted_steps
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import Problem
-from planopt.world.clearance import ObstacleIndex
 
 MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """From positions (n, 2) to margins (n,) in dB."""
@@ -69,21 +67,16 @@ def is_priced(problem: Problem) -> bool:
     return problem.task == "reach" and problem.constraints.rule.is_plain
 
 
-def judge_single_steps(
-    problem: Problem,
-    under: Circumstances,
-    index: ObstacleIndex,
-    posterior: ChannelPosterior,
-    state: NDArray[np.float64],  # (s,) the robot's state, its place first
-    positions_m: NDArray[np.float64],
-    power: Prediction,
+def verify_single_steps(
+    context: VerifierContext, positions_m: NDArray[np.float64], power: Prediction
 ) -> StepsFinding:
-    """Judge the bound at the steps of a path (N + 1, 2) that it is asked of."""
+    """Verify the bound at those steps of a path (N + 1, 2) that it applies to."""
+    problem = context.problem
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     # Without a bound every margin is infinite.
     margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
-    asked = counted_steps(problem, under.history, len(margins))
+    asked = counted_steps(problem, context.history, len(margins))
     missed = np.nonzero((margins < -MARGIN_TOLERANCE_DB) & asked)[0] + 1
     steps = tuple(missed.tolist())
     relaxation = tuple(float(-margins[step - 1]) for step in missed)
@@ -94,7 +87,7 @@ def judge_single_steps(
     if missed.size == 0:
         return StepsFinding(result=result)
     if is_priced(problem):
-        priced, best_margin_db = _priced(problem, under, index, posterior, positions_m)
+        priced, best_margin_db = _priced(context, positions_m)
         return StepsFinding(
             steps,
             relaxation,
@@ -102,23 +95,21 @@ def judge_single_steps(
             best_cost_m=priced.best_m,
             step_cost_m=priced.step_m,
             step_excess_m=priced.excess_m,
-            reasons=tuple(_too_dear(problem, under.history, priced, best_margin_db)),
+            reasons=tuple(_too_dear(problem, context.history, priced, best_margin_db)),
             is_compared=priced.is_compared,
             result=result,
         )
-    best = under.best_margins(
-        posterior,
-        state,
+    best = context.best_margins(
         steps,
         lambda: best_margins_by_step(
-            index,
+            context.index,
             problem.workspace.bounds_m,
-            _margins_of(problem, posterior, under.broad),
-            state[:2],
+            _margins_of(context),
+            context.position_m,
             problem.step_length_m,
             missed,
             constraints.clearance_m,
-            may_reach_from(problem, state),
+            may_reach_from(problem, context.state),
         ),
     )
     reasons = [
@@ -171,35 +162,30 @@ def _beyond_slack(
     ]
 
 
-def _priced(
-    problem: Problem,
-    under: Circumstances,
-    index: ObstacleIndex,
-    posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
-) -> tuple[PricedPath, float]:
+def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple[PricedPath, float]:
     """Return the cost of a path (N + 1, 2) with the rest of the way, and the cheapest found.
 
     And the largest connectivity margin found in the workspace.
     """
+    problem = context.problem
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
 
     def contact_at(
         places_m: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        power = search_prediction(posterior, places_m, under.broad)
+        power = search_prediction(context.posterior, places_m, context.broad)
         margin = bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
         chance = connection_probability(power.mean_db, power.deviation_db, threshold)
         everywhere = problem.reach.charges_everywhere
         return outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere), margin
 
     price = problem.reach.outage_price
-    grid, costs = under.goal_costs(
-        posterior,
-        lambda: build_goal_grid(problem, index),
+    grid, costs = context.goal_costs(
+        lambda: build_goal_grid(problem, context.index),
         lambda grid: goal_costs(grid, contact_at, price),
     )
-    priced = price_path(grid, index, costs, price, positions_m, contact_at(positions_m)[0])
+    share = contact_at(positions_m)[0]
+    priced = price_path(grid, context.index, costs, price, positions_m, share)
     return priced, costs.best_margin_db
 
 
@@ -233,16 +219,12 @@ def _too_dear(
     ]
 
 
-def _margins_of(problem: Problem, posterior: ChannelPosterior, broad: Broad | None) -> MarginAt:
+def _margins_of(context: VerifierContext) -> MarginAt:
     """Connectivity margin by position, as searches look at it."""
+    threshold, p_min = context.problem.stations[0].threshold_dbm, context.problem.constraints.p_min
 
     def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        power = search_prediction(posterior, places, broad)
-        return bound_margin_db(
-            power.mean_db,
-            power.deviation_db,
-            problem.stations[0].threshold_dbm,
-            problem.constraints.p_min,
-        )
+        power = search_prediction(context.posterior, places, context.broad)
+        return bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
 
     return margin_db

@@ -1,4 +1,4 @@
-"""Judge a plan: clearance, motion, connectivity, from the problem and the belief alone.
+"""Verify a plan: clearance, motion, connectivity, from the problem and the belief alone.
 
 Imports nothing of the transcription or the solvers. A plan is verified when the whole swept path
 keeps the clearance, the workspace and its distance from all that moves, every step keeps the speed,
@@ -15,19 +15,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.circumstances import Circumstances, obstacles_ahead
-from planopt.planning.proof.motion import is_at_goal, judge_apart, judge_motion, swept_motion
+from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.motion import is_at_goal, swept_motion, verify_apart, verify_motion
 from planopt.planning.proof.predictions import certified_prediction
 from planopt.planning.proof.rules.rule import PathCase, rule_reasons, whole_plan_result
-from planopt.planning.proof.single_steps import judge_single_steps
+from planopt.planning.proof.single_steps import StepsFinding, verify_single_steps
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
-from planopt.world.clearance import ObstacleIndex
 
 UNCOMPARED = (
     "steps are below constraints.p_min, and the verifier's grid, half a step wide, has no path "
@@ -58,98 +55,67 @@ class Judgement:
 
 
 def verify(
-    problem: Problem,
-    index: ObstacleIndex,
-    posterior: ChannelPosterior,
-    start_m: NDArray[np.float64],
+    context: VerifierContext,
     positions_m: NDArray[np.float64],
     kkt_residual: float | None = None,
-    circumstances: Circumstances | None = None,
-    drive: Drive | None = None,
-) -> tuple[Certificate, Verdict]:
-    """Certificate and verdict of a path: see :func:`judge`."""
-    judgement = judge(
-        problem, index, posterior, start_m, positions_m, kkt_residual, circumstances, drive
-    )
-    return judgement.certificate, judgement.verdict
-
-
-def judge(
-    problem: Problem,
-    index: ObstacleIndex,
-    posterior: ChannelPosterior,
-    start_m: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
-    kkt_residual: float | None = None,
-    circumstances: Circumstances | None = None,
     drive: Drive | None = None,
 ) -> Judgement:
-    """Judge a path (N + 1, 2) of the problem's first robot, which is at `start_m`.
+    """Verify a path (N + 1, 2) of the context's robot.
 
     Parameters
     ----------
-    problem, index
-        The problem and the index of its obstacles.
-    posterior
-        What is believed of the channel; of the first station's, if `circumstances` has several.
-    start_m, positions_m
-        Where the robot is (its whole state, where it has more than a place), and the planned path
-        from there.
+    context
+        The problem, the belief, the robot's state and everything else that is known.
+    positions_m
+        The planned path from the robot's position on.
     kkt_residual
         Passed on into the certificate.
-    circumstances
-        What it is judged under; None for the problem's moving obstacles from time 0 on alone.
     drive
         How the robot drives along the path; None for the single integrator.
     """
-    constraints = problem.constraints
-    radio = problem.stations[0]
+    problem = context.problem
     if not np.isfinite(positions_m).all():
         broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))
         return Judgement(broken, Verdict.VIOLATED, None)
-    under = circumstances or Circumstances(obstacles_ahead(problem, 0))
-    motion = judge_motion(problem, index, start_m, positions_m, drive)
+    motion = verify_motion(problem, context.index, context.state, positions_m, drive)
     reasons = list(motion.reasons)
     swept = swept_motion(problem, positions_m, drive)
-    apart = judge_apart(under.moving, swept, len(positions_m) - 1)
+    apart = verify_apart(context.moving, swept, len(positions_m) - 1)
     reasons += apart.reasons
 
-    power, kind = certified_prediction(posterior, positions_m, under.broad)
-    mean, deviation = power.mean_db[1:], power.deviation_db[1:]
-    probability = connection_probability(mean, deviation, radio.threshold_dbm)
-    result, steps = None, None
-    if constraints.rule.by_step:
-        steps = judge_single_steps(problem, under, index, posterior, start_m, positions_m, power)
-        result = steps.result
-        reasons += steps.reasons
+    power, kind = certified_prediction(context.posterior, positions_m, context.broad)
+    planned = Prediction(power.mean_db[1:], power.deviation_db[1:])
+    probability = connection_probability(
+        planned.mean_db, planned.deviation_db, problem.stations[0].threshold_dbm
+    )
+    if problem.constraints.rule.by_step:
+        steps = verify_single_steps(context, positions_m, power)
     else:
-        planned = Prediction(mean, deviation)
-        result = whole_plan_result(
-            PathCase(problem, under.history, posterior, positions_m, planned, under.broad)
-        )
-        reasons += rule_reasons(problem, result)
+        result = whole_plan_result(PathCase(context, positions_m, planned))
+        steps = StepsFinding(reasons=tuple(rule_reasons(problem, result)), result=result)
+    reasons += steps.reasons
     certificate = Certificate(
         min_clearance_m=motion.clearance_m,
         min_connectivity=float(probability.min()),
         dynamics_defect=motion.defect_m,
         kkt_residual=kkt_residual,
         posterior=kind,
-        relaxed_steps=() if steps is None else steps.relaxed_steps,
-        relaxation_db=() if steps is None else steps.relaxation_db,
-        best_margin_db=() if steps is None else steps.best_margin_db,
-        path_cost_m=None if steps is None else steps.path_cost_m,
-        best_cost_m=None if steps is None else steps.best_cost_m,
-        step_cost_m=None if steps is None else steps.step_cost_m,
-        step_excess_m=None if steps is None else steps.step_excess_m,
+        relaxed_steps=steps.relaxed_steps,
+        relaxation_db=steps.relaxation_db,
+        best_margin_db=steps.best_margin_db,
+        path_cost_m=steps.path_cost_m,
+        best_cost_m=steps.best_cost_m,
+        step_cost_m=steps.step_cost_m,
+        step_excess_m=steps.step_excess_m,
         reasons=tuple(reasons),
         min_separation_m=apart.min_separation_m,
         min_moving_clearance_m=apart.min_moving_clearance_m,
-        rule=result,
+        rule=steps.result,
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     missing = [
-        *([UNCOMPARED] if steps is not None and not steps.is_compared else []),
-        *([STANDING] if _gets_nowhere(problem, under, positions_m, drive) else []),
+        *([UNCOMPARED] if not steps.is_compared else []),
+        *([STANDING] if _gets_nowhere(context, positions_m, drive) else []),
     ]
     if missing and not reasons:
         certificate = replace(certificate, reasons=tuple(missing))
@@ -159,13 +125,11 @@ def judge(
 
 
 def _gets_nowhere(
-    problem: Problem,
-    under: Circumstances,
-    positions_m: NDArray[np.float64],
-    drive: Drive | None,
+    context: VerifierContext, positions_m: NDArray[np.float64], drive: Drive | None
 ) -> bool:
     """Return whether a robot stands short of its goal, with nothing moving to wait for."""
-    if problem.task != "reach" or len(under.moving) or is_at_goal(problem, positions_m[0]):
+    problem = context.problem
+    if problem.task != "reach" or len(context.moving) or is_at_goal(problem, positions_m[0]):
         return False
     track = positions_m if drive is None else drive.states
     return bool(np.abs(track - track[0]).max() <= STANDSTILL_M)

@@ -35,7 +35,7 @@ from planopt.planning.search.local_ranking import LocalRanking, can_climb
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.way_search import APART_STEPS, climb_ways, distinct, search_ways
 from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, clearance_m, inside_bounds, segments_clear
 from planopt.world.moving_obstacle import ways_gap_m
@@ -102,7 +102,7 @@ SAMPLES = (0.5, 1.0)
 
 
 def straight_starts(
-    situation: Situation, index: ObstacleIndex, rough: RoughClearance, horizon: int
+    situation: StepContext, index: ObstacleIndex, rough: RoughClearance, horizon: int
 ) -> NDArray[np.float64]:
     """Ways (c, N, 2) at full speed, every one of them free."""
     heading, turn = (
@@ -118,7 +118,7 @@ def straight_starts(
 
 
 def driven_ways(
-    situation: Situation,
+    situation: StepContext,
     index: ObstacleIndex,
     rough: RoughClearance,
     turn_rad: NDArray[np.float64],  # (N, c) before each step, the first one from the x axis
@@ -137,8 +137,8 @@ def driven_ways(
     ways[:, 1:] += situation.position_m
     places = ways[:, :-1, None] + moves.transpose(1, 0, 2)[:, :, None] * shares
     free = np.asarray(rough.is_free(places, clear).all(axis=2))
-    for k in range(len(turn_rad) if len(situation.circumstances.moving) else 0):
-        free[:, k] &= steps_apart(situation.circumstances.moving, k, ways[:, k], ways[:, k + 1])
+    for k in range(len(turn_rad) if len(situation.moving) else 0):
+        free[:, k] &= steps_apart(situation.moving, k, ways[:, k], ways[:, k + 1])
     rest = np.flatnonzero(~free.all(axis=1))
     if len(rest):
         first = int(free[rest].argmin(axis=1).min())
@@ -149,7 +149,7 @@ def driven_ways(
 
 
 def _turned_aside(
-    situation: Situation,
+    situation: StepContext,
     rough: RoughClearance,
     ways_m: NDArray[np.float64],
     heading_rad: NDArray[np.float64],
@@ -172,7 +172,7 @@ def _turned_aside(
         ways[:, k + 1] = ways[:, k] + ahead
         places = ways[:, k, None] + ahead[:, None] * shares
         ahead_free = rough.is_free(places, clear).all(axis=1)
-        ahead_free &= steps_apart(situation.circumstances.moving, k, ways[:, k], ways[:, k + 1])
+        ahead_free &= steps_apart(situation.moving, k, ways[:, k], ways[:, k + 1])
         blocked = np.flatnonzero(~ahead_free)
         if not len(blocked):
             continue
@@ -181,7 +181,7 @@ def _turned_aside(
         places = ways[blocked, k][:, None, None] + moves[:, :, None] * shares
         free = rough.is_free(places, clear).all(axis=2)
         begins = np.broadcast_to(ways[blocked, k][:, None], moves.shape)
-        free &= steps_apart(situation.circumstances.moving, k, begins, begins + moves)
+        free &= steps_apart(situation.moving, k, begins, begins + moves)
         chosen = free.argmax(axis=1)
         rows = np.arange(len(blocked))
         turned[blocked] += aside[chosen]
@@ -190,7 +190,7 @@ def _turned_aside(
 
 
 def _stopped(
-    situation: Situation,
+    situation: StepContext,
     index: ObstacleIndex,
     rough: RoughClearance,
     ways_m: NDArray[np.float64],
@@ -299,7 +299,7 @@ class CoupledStarts:
 
     def find_ways(
         self,
-        situation: Situation,
+        situation: StepContext,
         known_m: list[NDArray[np.float64]],
         budget: Budget = UNLIMITED,
     ) -> list[NDArray[np.float64]]:
@@ -338,8 +338,8 @@ class CoupledStarts:
         )
         return list(found)
 
-    def _is_apart(self, situation: Situation, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _is_apart(self, situation: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether ways (c, N, 2) keep from all that moves; ``(c,)``."""
         begin = np.broadcast_to(situation.position_m, (len(ways_m), 1, 2))
         whole = np.concatenate([begin, ways_m], axis=1)
-        return ways_gap_m(situation.circumstances.moving, whole) >= -CLEARANCE_TOLERANCE_M
+        return ways_gap_m(situation.moving, whole) >= -CLEARANCE_TOLERANCE_M

@@ -3,7 +3,7 @@
 The cost-to-go is the length of the cheapest path to the goal, a metre counting
 ``1 + outage_price (1 - P)`` metres; the path of N steps is found by dynamic programming with the
 same charges, so that both agree about every metre. A rule of connectivity over several steps is
-searched for under guides (:class:`planopt.planning.worth.rule_rows.Guide`); of the paths that
+searched for under guides (:class:`planopt.planning.values.rule_rows.Guide`); of the paths that
 keep it the cheapest is taken, unless it comes less than half as near to the goal as the cheapest
 path of all: a robot that keeps its rule by standing still would never arrive.
 """
@@ -31,9 +31,9 @@ from planopt.planning.search.timed_search import (
     timed_places,
 )
 from planopt.planning.tolerances import MARGIN_PAD_DB, STANDSTILL_M, STEP_PAD_M
-from planopt.planning.worth.path_worth import rule_missing
-from planopt.planning.worth.rule_rows import Guide, find_guided, step_rows
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.objective_value import rule_missing
+from planopt.planning.values.rule_rows import Guide, find_guided, step_rows
 from planopt.problems.problem import Problem
 from planopt.world.moving_obstacle import MovingDiscs
 from planopt.world.road_map import Ways, shortest_ways, way_from
@@ -102,13 +102,13 @@ class GlobalSearch:
         self._here_m = np.inf
         self._table = move_table(scene.road_map.lattice)
 
-    def find_start(self, situation: Situation) -> GlobalStart | None:
+    def find_start(self, situation: StepContext) -> GlobalStart | None:
         """Search from where the robot is; None if no node is in reach."""
         problem, scene = self._problem, self._scene
-        broad = situation.circumstances.broad
+        broad = situation.broad
         self.margins.refresh(situation.posterior, broad, situation.power)
         ways = scene.ways
-        if self._has_wandered(situation.circumstances.history):
+        if self._has_wandered(situation.history):
             nodes = self._shortest(situation, ways)
             return None if nodes is None else self._start(situation, ways, nodes, direct=True)
         if problem.reach.cost_to_go == "connected":
@@ -223,7 +223,7 @@ class GlobalSearch:
         return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
     def _within_rule(
-        self, situation: Situation, ways: Ways, cheapest: NDArray[np.intp]
+        self, situation: StepContext, ways: Ways, cheapest: NDArray[np.intp]
     ) -> NDArray[np.intp]:
         """The cheapest path that keeps the rule and comes near enough to the goal; else nearer.
 
@@ -255,12 +255,12 @@ class GlobalSearch:
                 return all_nodes[k]
         return cheapest
 
-    def _nearest_cost_m(self, situation: Situation, ways: Ways) -> float:
+    def _nearest_cost_m(self, situation: StepContext, ways: Ways) -> float:
         """Cost-to-go from where the robot is."""
         nodes, lengths = first_moves(self._scene.ground, self._problem, situation.position_m)
         return float((lengths + ways.cost_m[nodes]).min())
 
-    def _cost_s(self, situation: Situation, ways: Ways, nodes: NDArray[np.intp]) -> float:
+    def _cost_s(self, situation: StepContext, ways: Ways, nodes: NDArray[np.intp]) -> float:
         """Cost of a path and of the way on from its end."""
         problem, road_map = self._problem, self._scene.road_map
         places = np.vstack([situation.position_m, road_map.nodes_m[nodes]])
@@ -277,7 +277,7 @@ class GlobalSearch:
         charged = problem.reach.outage_price * charged_length_m(lengths, share)
         return cost + self._rate * (charged + float(ways.cost_m[nodes[-1]]))
 
-    def _shortest(self, situation: Situation, ways: Ways) -> NDArray[np.intp] | None:
+    def _shortest(self, situation: StepContext, ways: Ways) -> NDArray[np.intp] | None:
         """Nodes (N,) of a shortest path: of the fastest one, if no path is shorter than it."""
         places, position = self._scene.road_map.nodes_m, situation.position_m
         fastest = self._cheapest(situation, ways, None, priced=False, effort_s2_m2=0.0)
@@ -295,7 +295,7 @@ class GlobalSearch:
         horizon = self._problem.planner.horizon
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
-    def _gets_nowhere(self, situation: Situation, nodes: NDArray[np.intp]) -> bool:
+    def _gets_nowhere(self, situation: StepContext, nodes: NDArray[np.intp]) -> bool:
         """Return whether a path stays where the robot is, short of the goal."""
         places = self._scene.road_map.nodes_m[nodes]
         farthest = np.linalg.norm(places - situation.position_m, axis=1).max()
@@ -304,7 +304,7 @@ class GlobalSearch:
 
     def _cheapest(
         self,
-        situation: Situation,
+        situation: StepContext,
         ways: Ways,
         guide: Guide | None,
         *,
@@ -318,7 +318,7 @@ class GlobalSearch:
         if effort_s2_m2 is None:
             effort_s2_m2 = self._problem.reach.effort_weight_s2_m2
         problem, scene, margins = self._problem, self._scene, self.margins
-        moving: MovingDiscs = situation.circumstances.moving
+        moving: MovingDiscs = situation.moving
         places = scene.road_map.nodes_m
         first_nodes, first_lengths = first_moves(scene.ground, problem, situation.position_m)
         kept = first_steps_apart(moving, situation.position_m, places[first_nodes])
@@ -367,7 +367,7 @@ class GlobalSearch:
         return penalty
 
     def _start(
-        self, situation: Situation, ways: Ways, nodes: NDArray[np.intp], *, direct: bool = False
+        self, situation: StepContext, ways: Ways, nodes: NDArray[np.intp], *, direct: bool = False
     ) -> GlobalStart:
         """Return the initial guess of a path."""
         problem, road_map = self._problem, self._scene.road_map

@@ -94,7 +94,7 @@ def _reached(
     if not len(places):
         return places, np.zeros(0), np.zeros(0)
     margins = judge.margins_db(
-        search_prediction(judge.belief.posterior, places, judge.circumstances.broad)
+        search_prediction(judge.context.posterior, places, judge.context.broad)
     )
     tried = _promise(margins, np.linalg.norm(places - ways.start_m, axis=1))[:MEASURED]
     length = way_lengths_m(ways, places[tried])

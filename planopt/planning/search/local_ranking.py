@@ -1,9 +1,9 @@
 """Value many ways at once, from the measurements near them all, to choose among them.
 
-The terms are those of :mod:`planopt.planning.worth.path_worth`, by the same formulae, batched over
-ways. One set of measurements serves them all, so that the cost grows neither with their number nor,
-by much, with that of the ways. Where the set is all there are, nothing but rounding is between the
-two, the largest products being in single precision; what is chosen here is valued again there.
+The terms are those of :mod:`planopt.planning.values.objective_value`, by the same formulae, batched
+over ways. One set of measurements serves them all, so that the cost grows neither with their number
+nor, by much, with that of the ways. Where the set is all there are, nothing but rounding is between
+the two, the largest products being in single precision; what is chosen here is valued again there.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from planopt.objectives.moments import LocalPaths, Pull
 from planopt.objectives.terms.context import Paths
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
-from planopt.planning.worth.left_to_learn import region_along
-from planopt.planning.worth.rule_rows import missing, missing_slope
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.exploration import region_along
+from planopt.planning.values.rule_rows import missing, missing_slope
 from planopt.problems.problem import Problem
 
 ANCHORS, REGION_ANCHORS = 24, 64
@@ -64,7 +64,7 @@ class _Station:
 class LocalRanking:
     """Values ways of one situation."""
 
-    def __init__(self, situation: Situation, about_m: NDArray[np.float64]) -> None:
+    def __init__(self, situation: StepContext, about_m: NDArray[np.float64]) -> None:
         self._situation = situation
         most = MAPPED_NEIGHBOURS if _averages_map(situation.problem) else MOST_NEIGHBOURS
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)

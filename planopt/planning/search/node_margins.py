@@ -18,7 +18,7 @@ from planopt.channel.tile_map import TileMap
 from planopt.objectives.reach import outage_share
 from planopt.planning.proof.predictions import Broad, Serving, search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 from planopt.world.lattice import Lattice, node_positions
 from planopt.world.road_map import RoadMap
 
@@ -146,18 +146,18 @@ class NodeField:
         self._map = LatticeMap(lattice)
         self._exact = np.zeros(lattice.shape, dtype=bool)
         self._lattice = lattice
-        self._situation: Situation | None = None
+        self._situation: StepContext | None = None
         self.grid_m = node_positions(lattice)
         self.mean_db = self._map.mean_db
         self.deviation_db = self._map.deviation_db
         self.window = slice(0, 0), slice(0, 0)
 
-    def refresh(self, situation: Situation, reach_m: float) -> None:
+    def refresh(self, situation: StepContext, reach_m: float) -> None:
         """Follow the belief within `reach_m` of the robot along both axes."""
         low, high = situation.position_m - reach_m, situation.position_m + reach_m
         self._map.refresh(
             situation.posterior,
-            situation.circumstances.broad,
+            situation.broad,
             (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
         )
         self.mean_db, self.deviation_db = self._map.mean_db, self._map.deviation_db

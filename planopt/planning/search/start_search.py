@@ -34,9 +34,9 @@ from planopt.planning.tolerances import (
     STANDSTILL_M,
     STEP_PAD_M,
 )
-from planopt.planning.worth.path_worth import PathWorth, rule_missing
-from planopt.planning.worth.rule_rows import Guide, find_guided
-from planopt.planning.worth.situation import Situation, bends_starts, shares_places
+from planopt.planning.values.context import StepContext, bends_starts, shares_places
+from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
+from planopt.planning.values.rule_rows import Guide, find_guided
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
 from planopt.world.lattice_size import LONGEST_MOVE
@@ -53,7 +53,7 @@ costs as much as all steps can gain: no reward is worth it."""
 class StageRewards:
     """Rewards of one situation, as the lattice search asks for them."""
 
-    def __init__(self, situation: Situation, field: NodeField, guide: Guide) -> None:
+    def __init__(self, situation: StepContext, field: NodeField, guide: Guide) -> None:
         self._situation = situation
         self._guide = guide
         self._field = field
@@ -172,7 +172,7 @@ class Start:
     path_m: NDArray[np.float64]  # (N, 2)
     worth: float  # What it is worth by all terms
     # By how much it misses the rule of connectivity, as
-    # :func:`planopt.planning.worth.path_worth.rule_missing` counts
+    # :func:`planopt.planning.values.objective_value.rule_missing` counts
     missing_db: float
     # How a robot drives it that cannot turn or stop at will; None for any other
     drive: Drive | None = None
@@ -213,7 +213,7 @@ class StartSearch:
 
     def find_starts(
         self,
-        situation: Situation,
+        situation: StepContext,
         shifted_m: NDArray[np.float64] | None,  # (N, 2) the last plan, one step later, or None
         budget: Budget = UNLIMITED,
     ) -> list[Start]:
@@ -242,7 +242,7 @@ class StartSearch:
         paths = list({path.tobytes(): path for path in self._apart(situation, paths)}.values())
         starts = [
             Start(path, worth, rule_missing(situation, path))
-            for path, worth in zip(paths, PathWorth(situation).of_each(paths), strict=True)
+            for path, worth in zip(paths, ObjectiveValue(situation).of_each(paths), strict=True)
         ]
         starts.sort(key=lambda start: (round(start.missing_db, 2), -start.worth))
         count = max(self._starts, COUPLED_STARTS) if bends else self._starts
@@ -255,10 +255,10 @@ class StartSearch:
         return kept
 
     def _apart(
-        self, situation: Situation, paths: list[NDArray[np.float64]]
+        self, situation: StepContext, paths: list[NDArray[np.float64]]
     ) -> list[NDArray[np.float64]]:
         """The paths that keep from all that moves; all of them where none does."""
-        moving = situation.circumstances.moving
+        moving = situation.moving
         if not len(moving):
             return paths
         kept = [
@@ -270,7 +270,7 @@ class StartSearch:
         return kept or paths
 
     def _lattice_paths(
-        self, situation: Situation, ends: int, budget: Budget
+        self, situation: StepContext, ends: int, budget: Budget
     ) -> list[NDArray[np.float64]]:
         """The best paths on the lattice, under every guide that suits the rule of connectivity.
 
@@ -289,12 +289,12 @@ class StartSearch:
         return find_guided(situation, search, lambda path: rule_missing(situation, path) == 0.0)
 
     def _guided_paths(
-        self, situation: Situation, guide: Guide, ends: int, budget: Budget
+        self, situation: StepContext, guide: Guide, ends: int, budget: Budget
     ) -> list[NDArray[np.float64]]:
         """The best paths under a guide; the first with good values where it rests on them."""
         nodes, lengths = first_moves(self._ground, self._problem, situation.position_m)
         road_map = self._ground.road_map
-        moving = situation.circumstances.moving
+        moving = situation.moving
         kept = first_steps_apart(moving, situation.position_m, road_map.nodes_m[nodes])
         nodes, lengths = nodes[kept], lengths[kept]
         if not len(nodes):

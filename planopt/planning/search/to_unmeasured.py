@@ -15,14 +15,14 @@ from planopt.planning.scene import Ground
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.planning.worth.left_to_learn import left_to_learn
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.exploration import left_to_learn
 
 STEPS_MORE = 2
 """Places that so many more steps lead to than to the nearest are compared with it."""
 
 
-def way_to_unmeasured(situation: Situation, ground: Ground) -> NDArray[np.float64] | None:
+def way_to_unmeasured(situation: StepContext, ground: Ground) -> NDArray[np.float64] | None:
     """The first N steps of the way there, (N, 2), standing where it ends; None if none is left."""
     problem, here = situation.problem, situation.position_m
     lattice, nodes = ground.road_map.lattice, ground.road_map.nodes_m

@@ -24,8 +24,8 @@ from planopt.planning.scene import Ground
 from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.planning.worth.path_worth import tried_worth
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.objective_value import tried_worth
 from planopt.problems.problem import Problem
 from planopt.world.clearance import inside_bounds
 
@@ -67,7 +67,7 @@ class TriedPlaces:
         reach_m = problem.planner.horizon * self._longest_m
         self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
 
-    def find_ways(self, situation: Situation, field: NodeField) -> list[NDArray[np.float64]]:
+    def find_ways(self, situation: StepContext, field: NodeField) -> list[NDArray[np.float64]]:
         """Return the best paths (N, 2), best first."""
         places = self._places(situation)
         seen = free_ends(self._problem, self._ground, situation.position_m, places)
@@ -88,7 +88,7 @@ class TriedPlaces:
 
     def _best(
         self,
-        situation: Situation,
+        situation: StepContext,
         paths: NDArray[np.float64],
         chance: NDArray[np.float64],
         count: int,
@@ -120,12 +120,12 @@ class TriedPlaces:
         """The free nodes of the lattice."""
         return PlaceTree(self._ground.road_map.nodes_m)
 
-    def _chance(self, situation: Situation, power: Prediction) -> NDArray[np.float64]:
+    def _chance(self, situation: StepContext, power: Prediction) -> NDArray[np.float64]:
         return connection_probability(
             power.mean_db, power.deviation_db, situation.thresholds_dbm[0]
         )
 
-    def _places(self, situation: Situation) -> NDArray[np.float64]:
+    def _places(self, situation: StepContext) -> NDArray[np.float64]:
         """Return the place of the robot, the others on circles, and known ones within reach."""
         here, known = situation.position_m, situation.links.connected_m
         circles = here + self._offsets_m
@@ -152,7 +152,7 @@ class TriedPlaces:
         return np.where((share >= 1.0)[..., None], places_m[:, None], ways)
 
     def _round(
-        self, situation: Situation, hidden_m: NDArray[np.float64]
+        self, situation: StepContext, hidden_m: NDArray[np.float64]
     ) -> list[NDArray[np.float64]]:
         """Ways round obstacles to the places (n, 2) that are nearest to the target."""
         target, horizon = situation.target_m, self._problem.planner.horizon

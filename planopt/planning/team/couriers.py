@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Plan, Rung, Verdict
-from planopt.planning.proof.circumstances import obstacles_ahead
+from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.reach_planner import Outlook, ReachPlanner
 from planopt.planning.scene import Scene

@@ -12,7 +12,7 @@ from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Planning, PlanStep
 from planopt.planning.team.couriers import Couriers
 from planopt.planning.team.team_step import build_team, plan_together
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from planopt.planning.certificate import Certificate, dearest, worst_result
 from planopt.planning.plan import Plan
-from planopt.planning.proof.circumstances import obstacles_ahead, steps_ahead
-from planopt.planning.proof.motion import judge_apart
+from planopt.planning.proof.context import obstacles_ahead, steps_ahead
+from planopt.planning.proof.motion import verify_apart
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion, standing_motion
 from planopt.world.least_distance import step_distances_m
@@ -93,7 +93,7 @@ def beside_each_other(problem: Problem, driven: int, plans: Sequence[Plan]) -> l
     found: list[Plan] = []
     for number, plan in enumerate(plans):
         moving = beside(problem, driven, others_of(motions, number))
-        apart = judge_apart(moving, motions[number], len(plan.positions_m) - 1)
+        apart = verify_apart(moving, motions[number], len(plan.positions_m) - 1)
         certificate = replace(plan.certificate, min_separation_m=apart.min_separation_m)
         found.append(replace(plan, certificate=certificate))
     return found

@@ -25,7 +25,7 @@ from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.planners import Planner, asked_plan, planner_for
-from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.context import verifier_context
 from planopt.planning.proof.predictions import SEARCH_EXACT_LIMIT
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.stepping import TeamMoment
@@ -36,22 +36,23 @@ from planopt.planning.team.reservations import (
     reserved_motion,
 )
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import (
+from planopt.planning.values.context import (
     NOTHING_PENDING,
     Aim,
     Pending,
-    Situation,
+    StepContext,
     counts_others,
     places_of_others,
+    step_context,
 )
-from planopt.planning.worth.steering import ConnectionSteering, GoalSteering, Steering
-from planopt.planning.worth.steering_way import SteeringWay, steering_way
+from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.objective_value import ObjectiveValue
+from planopt.planning.values.steered_path import SteeringWay, steering_way
+from planopt.planning.values.steering import ConnectionSteering, GoalSteering, Steering
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
 
-Steer = Callable[[Situation], SteeringWay | None]
+Steer = Callable[[StepContext], SteeringWay | None]
 
 STEERINGS: Mapping[Steers, Callable[[Problem, Ground, Any], Any]] = {
     "variance": Steering,
@@ -84,30 +85,16 @@ class Member:
         pending: Pending = NOTHING_PENDING,
     ) -> tuple[Plan, Aim]:
         """Plan from `state` (s,) on what this robot believes."""
-        position_m = state[:2]
-        circumstances = circumstances_of(self.problem, belief.posteriors, history, moving)
-        situation = Situation(
-            self.problem,
-            belief.posterior,
-            position_m,
-            watched.target_m,
-            self.region,
-            information=watched.information,
-            circumstances=circumstances,
-            pending=pending,
-            held=watched.held,
+        base = verifier_context(
+            self.problem, self.ground.index, belief.posteriors, state, history, moving
         )
+        situation = step_context(base, self.region, replace(watched, pending=pending))
         if self.steer is not None:
             situation = replace(situation, steering=self.steer(situation))
         judge = Judge(
-            self.problem,
-            self.ground.index,
-            belief,
-            position_m,
-            PathWorth(situation),
-            circumstances,
+            situation,
+            ObjectiveValue(situation),
             reserved_m[1:] if reserved_m is not None and len(moving) else None,
-            state[2:],
         )
         plan = _valued_alone(asked_plan(self.planner, situation, judge, warm), situation)
         steered = None if situation.steering is None else situation.steering.turns_m
@@ -115,25 +102,16 @@ class Member:
 
     def worth(self, plan: Plan, belief: Belief, aim: Aim, history: History) -> float:
         """Return what the path of a plan is worth for an aim, on what this robot believes."""
-        steering = None
+        index, place = self.ground.index, plan.positions_m[0]
+        base = verifier_context(self.problem, index, belief.posteriors, place, history)
+        situation = step_context(base, self.region, aim)
         if aim.steering_turns_m is not None:
-            steering = steering_way(self.problem, self.ground.index, aim.steering_turns_m)
-        situation = Situation(
-            self.problem,
-            belief.posterior,
-            plan.positions_m[0],
-            aim.target_m,
-            self.region,
-            steering,
-            aim.information,
-            circumstances_of(self.problem, belief.posteriors, history),
-            aim.pending,
-            aim.held,
-        )
-        return PathWorth(situation)(plan.positions_m[1:])
+            steering = steering_way(self.problem, index, aim.steering_turns_m)
+            situation = replace(situation, steering=steering)
+        return ObjectiveValue(situation)(plan.positions_m[1:])
 
 
-def _valued_alone(plan: Plan, situation: Situation) -> Plan:
+def _valued_alone(plan: Plan, situation: StepContext) -> Plan:
     """The plan with the worth that its path has for who looks at it alone.
 
     Beyond `SEARCH_EXACT_LIMIT` measurements, places are predicted in groups, and those of a search
@@ -141,7 +119,7 @@ def _valued_alone(plan: Plan, situation: Situation) -> Plan:
     """
     if len(situation.posterior.measurements) <= SEARCH_EXACT_LIMIT:
         return plan
-    worth = PathWorth(replace(situation))(plan.positions_m[1:])
+    worth = ObjectiveValue(replace(situation))(plan.positions_m[1:])
     unpolished = plan.lattice_objective == plan.objective
     start = worth if unpolished else plan.lattice_objective
     return replace(plan, objective=worth, lattice_objective=start)

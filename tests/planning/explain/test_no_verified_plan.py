@@ -16,7 +16,7 @@ from planopt.planning.proof.goal_paths import build_goal_grid
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.results import Solution
 from planopt.planning.scene import build_scene
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 

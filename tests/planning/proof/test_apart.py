@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.planning.proof.motion import judge_apart
+from planopt.planning.proof.motion import verify_apart
 from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
 from planopt.world.timed_motion import TimedMotion
 
@@ -30,7 +30,7 @@ def test_least_distances_are_those_of_dense_samples(seed):
     path = np.cumsum(generator.normal(scale=2.0, size=(STEPS + 1, 2)), axis=0)
     radius, least = np.array([0.0, 0.0, 0.4, 0.9]), np.array([1.5, 1.5, 0.5, 0.5])
     discs = discs_of(centres, radius, least, [True, True, False, False])
-    found = judge_apart(discs, TimedMotion(path))
+    found = verify_apart(discs, TimedMotion(path))
     times = np.linspace(0.0, STEPS, 8001)
     own = np.stack([np.interp(times, range(STEPS + 1), path[:, a]) for a in (0, 1)])
     away = []
@@ -60,12 +60,12 @@ def test_exactly_the_least_distance_is_enough():
     for lower, count in ((0.0, 0), (1e-5, 1)):
         other = path + np.array([0.0, 2.0 - lower])
         discs = discs_of([other], [0.5], [1.5], [False])
-        assert len(judge_apart(discs, TimedMotion(path)).reasons) == count
+        assert len(verify_apart(discs, TimedMotion(path)).reasons) == count
 
 
 def test_nothing_moves():
     """Neither distance exists."""
-    found = judge_apart(NOTHING_MOVES, TimedMotion(np.zeros((STEPS + 1, 2))))
+    found = verify_apart(NOTHING_MOVES, TimedMotion(np.zeros((STEPS + 1, 2))))
     assert found.min_separation_m is None
     assert found.min_moving_clearance_m is None
     assert not found.reasons

@@ -150,7 +150,7 @@ def judgements(changed: str = "", source: str = "") -> list[object]:
     for now in (0.0, 1.0):
         found = moving.predicted_discs(carts, now, 1.0, 3, 0.5)
         said.append(np.round(found.apart_m, 9).tolist())
-        said.append(apart.judge_apart(found, timed.TimedMotion(path)))
+        said.append(apart.verify_apart(found, timed.TimedMotion(path)))
     limit = np.array([[0.0, 2.5], [1.0, 2.5], [2.0, 2.5], [3.0, 2.5]])
     line = limit - np.array([0.0, 2.5])
     for lower in (0.0, 0.5 * CLEARANCE_TOLERANCE_M, 2.0 * CLEARANCE_TOLERANCE_M):
@@ -158,9 +158,9 @@ def judgements(changed: str = "", source: str = "") -> list[object]:
         robots = discs.MovingDiscs(
             ("near", "far"), others, np.zeros((2, 3)), np.full(2, 2.5), np.ones(2, dtype=bool)
         )
-        said.append(apart.judge_apart(robots, timed.TimedMotion(line)))
+        said.append(apart.verify_apart(robots, timed.TimedMotion(line)))
     said += [
-        apart.judge_apart(others, own, planned)
+        apart.verify_apart(others, own, planned)
         for others, own, planned in driven(timed.TimedMotion, discs.MovingDiscs)
     ]
     return [_plain(each) for each in said]

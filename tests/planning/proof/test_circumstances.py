@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scenes import bad_band, belief_of, small_problem
 
-from planopt.planning.proof.circumstances import circumstances_of
+from planopt.planning.proof.context import verifier_context
 from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid, build_goal_grid, goal_costs
 from planopt.world.clearance import index_obstacles
 
@@ -13,15 +13,16 @@ from planopt.world.clearance import index_obstacles
 def test_the_grid_of_a_run_is_laid_once() -> None:
     """A step that needs the verifier's grid hands it on; costs are those of each step's belief."""
     problem = small_problem()
+    index = index_obstacles(problem.workspace)
     laid: list[GoalGrid] = []
 
     def build() -> GoalGrid:
-        laid.append(build_goal_grid(problem, index_obstacles(problem.workspace)))
+        laid.append(build_goal_grid(problem, index))
         return laid[-1]
 
     def cost(low_m: float, grid: GoalGrid | None) -> tuple[GoalGrid | None, GoalCosts | None]:
         posteriors = belief_of(problem, bad_band(low_m, low_m + 4.0)).posteriors
-        under = circumstances_of(problem, posteriors, goal_grid=grid)
+        under = verifier_context(problem, index, posteriors, np.zeros(2), goal_grid=grid)
         assert under.laid_grid is grid
 
         def value(there: GoalGrid) -> GoalCosts:
@@ -31,7 +32,7 @@ def test_the_grid_of_a_run_is_laid_once() -> None:
                 10.0,
             )
 
-        _, costs = under.goal_costs(posteriors[0], build, value)
+        _, costs = under.goal_costs(build, value)
         return under.laid_grid, costs
 
     grid, first = cost(10.0, None)

@@ -9,7 +9,7 @@ import pytest
 from motion_scene import DOUBLE, WHEELS, driven_problem
 from terms_scene import LEARNING
 
-from planopt.planning.proof.motion import judge_motion
+from planopt.planning.proof.motion import verify_motion
 from planopt.robots.drive import Drive, rolled_out
 from planopt.world.clearance import index_obstacles
 
@@ -27,7 +27,7 @@ def scene(dynamics):
 
 def judged(problem, index, state, drive):
     """Reasons of a drive."""
-    return judge_motion(problem, index, state, drive.positions_m, drive)
+    return verify_motion(problem, index, state, drive.positions_m, drive)
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
@@ -64,7 +64,7 @@ def test_an_edited_state_is_rejected(dynamics, row: int) -> None:
         edited = Drive(dynamics, states, drive.inputs)
         assert judged(problem, index, state, edited).reasons
         # The path says something else than the states.
-        assert judge_motion(problem, index, state, drive.positions_m, edited).reasons
+        assert verify_motion(problem, index, state, drive.positions_m, edited).reasons
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
@@ -74,7 +74,7 @@ def test_another_start_is_rejected(dynamics) -> None:
     for column in range(len(state)):
         moved = state.copy()
         moved[column] += 1e-3
-        found = judge_motion(problem, index, moved, drive.positions_m, drive)
+        found = verify_motion(problem, index, moved, drive.positions_m, drive)
         assert any("do not begin where the robot is" in reason for reason in found.reasons)
 
 
@@ -144,7 +144,7 @@ def test_missing_or_broken_drives_are_rejected() -> None:
         Drive(DOUBLE, drive.states, drive.inputs[:, :1]),
         Drive(DOUBLE, states, drive.inputs),
     ):
-        found = judge_motion(problem, index, state, path, broken)
+        found = verify_motion(problem, index, state, path, broken)
         assert found.reasons
         assert found.defect_m == np.inf
 

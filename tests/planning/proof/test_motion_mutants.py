@@ -54,7 +54,7 @@ def judge_of(source: str) -> Callable:
     module = ModuleType("mutant_of_motion")
     sys.modules[module.__name__] = module
     exec(compile(source, "<mutant>", "exec"), module.__dict__)
-    return module.judge_motion
+    return module.verify_motion
 
 
 def cases() -> Iterator[tuple]:
@@ -133,7 +133,7 @@ def said(judge: Callable) -> list[tuple]:
     return found
 
 
-TRUE = said(motion.judge_motion)
+TRUE = said(motion.verify_motion)
 
 
 def test_source_as_it_is() -> None:

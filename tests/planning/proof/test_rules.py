@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 from rules_scene import hand_made
-from scenes import THRESHOLD_DBM, bad_band, bad_everywhere, belief_of, good_everywhere
+from scenes import THRESHOLD_DBM, bad_band, bad_everywhere, belief_of, good_everywhere, verified
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
@@ -16,13 +16,11 @@ from planopt.channel.connection.joint_connectivity import joint_connectivity
 from planopt.channel.joint import sample_power
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.proof.rules.each_step import counted_steps
 from planopt.planning.proof.rules.joint import ACCURACY, SEED, joint_result
 from planopt.planning.proof.rules.outage import longest_run
 from planopt.planning.proof.rules.path_draws import path_prediction, share_at_least
 from planopt.planning.proof.rules.rule import rule_of
-from planopt.planning.proof.verify import judge
 from planopt.world.clearance import index_obstacles
 
 ALONG = np.array([[16.0, 15.0], [18.0, 15.0], [20.0, 15.0], [22.0, 15.0], [24.0, 15.0]])
@@ -39,8 +37,8 @@ def judged(problem, power_at, path_m=ALONG, **history):
     """The judgement of a path, and the channel."""
     posterior = belief_of(problem, power_at).posterior
     index = index_obstacles(problem.workspace)
-    past = Circumstances(history=History(**history))
-    return judge(problem, index, posterior, path_m[0], path_m, circumstances=past), posterior
+    past = History(**history)
+    return verified(problem, index, posterior, path_m[0], path_m, history=past), posterior
 
 
 def chances(posterior, path_m=ALONG):

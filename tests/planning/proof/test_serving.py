@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import verified
 from scipy.special import ndtr
 
 from planopt.channel.belief import Belief
@@ -13,8 +14,6 @@ from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.planning.history import History
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.circumstances import circumstances_of
-from planopt.planning.proof.verify import judge
 from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
@@ -23,8 +22,8 @@ from tests.planning.two_stations import (
     alone,
     alone_in,
     belief_in,
-    circumstances_in,
     east_power,
+    known_in,
     swapped,
     swapped_belief,
     two_station_problem,
@@ -36,9 +35,9 @@ POWERS = (west_power, east_power)
 
 def judged(problem: Problem, belief, path: np.ndarray) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path."""
-    under = circumstances_in(problem, belief)
+    under = known_in(problem, belief)
     index = index_obstacles(problem.workspace)
-    found = judge(problem, index, belief.posterior, path[0], path, circumstances=under)
+    found = verified(problem, index, belief.posterior, path[0], path, **under)
     return found.certificate, found.verdict
 
 
@@ -120,9 +119,9 @@ def test_connectivity_is_that_of_independent_stations(by_db: float) -> None:
     base, path = across()
     problem = raised(base, by_db)
     belief = belief_in(problem, POWERS)
-    under = circumstances_in(problem, belief)
+    under = known_in(problem, belief)
     index = index_obstacles(problem.workspace)
-    found = judge(problem, index, belief.posterior, path[0], path, circumstances=under)
+    found = verified(problem, index, belief.posterior, path[0], path, **under)
     power, expected = found.power, any_of(problem, belief, path)
     assert power is not None
     threshold = problem.stations[0].threshold_dbm
@@ -137,11 +136,11 @@ def test_joint_probability_of_one_step_is_that_of_any() -> None:
     problem = with_rule(raised(base, 19.0), 0.5, connectivity="joint")
     belief = belief_in(problem, POWERS)
     index = index_obstacles(problem.workspace)
-    under = circumstances_in(problem, belief)
+    under = known_in(problem, belief)
     achieved = []
     for steps in (1, 2):
         path = np.array([[18.5, 15.0], [20.0, 15.0], [20.5, 15.0]])[: steps + 1]
-        found = judge(problem, index, belief.posterior, path[0], path, circumstances=under)
+        found = verified(problem, index, belief.posterior, path[0], path, **under)
         assert found.certificate.rule is not None
         achieved.append(found.certificate.rule.achieved)
     one, two = any_of(problem, belief, np.array([[20.0, 15.0], [20.5, 15.0]]))
@@ -159,9 +158,9 @@ def test_probable_data_of_one_step_are_the_probability_of_any() -> None:
     belief = belief_in(problem, POWERS)
     (expected,) = any_of(problem, belief, path[1:])
     assert 0.2 < expected < 0.9
-    under = circumstances_in(problem, belief)
+    under = known_in(problem, belief)
     index = index_obstacles(problem.workspace)
-    found = judge(problem, index, belief.posterior, path[0], path, circumstances=under)
+    found = verified(problem, index, belief.posterior, path[0], path, **under)
     assert found.certificate.rule is not None
     assert expected - 0.03 < found.certificate.rule.achieved < expected + 0.005
 
@@ -230,7 +229,8 @@ def test_history_counts_with_several_stations() -> None:
     base, path = across()
     problem = with_rule(base, 0.95, connectivity="average")
     belief = belief_in(problem, POWERS)
-    spoilt = circumstances_of(problem, belief.posteriors, History(steps=20))
+    under = known_in(problem, belief)
     index = index_obstacles(problem.workspace)
-    found = judge(problem, index, belief.posterior, path[0], path, circumstances=spoilt)
+    under["history"] = History(steps=20)
+    found = verified(problem, index, belief.posterior, path[0], path, **under)
     assert found.verdict is Verdict.VIOLATED

@@ -35,7 +35,7 @@ USERS = (
     RULE,
     JOINT,
     DRAWS,
-    "planopt.planning.proof.circumstances",
+    "planopt.planning.proof.context",
     "planopt.planning.proof.rules.data",
     "planopt.planning.proof.verify",
     "planopt.planning.proof.single_steps",

@@ -27,6 +27,7 @@ from scenes import (
     kriged,
     small_problem,
     straight_path,
+    verified,
 )
 from unpriced import unpriced
 
@@ -38,8 +39,7 @@ from planopt.channel.posterior import condition
 from planopt.planning.certificate import Certificate
 from planopt.planning.history import History
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.circumstances import Circumstances
-from planopt.planning.proof.verify import STANDING, UNCOMPARED, judge, verify
+from planopt.planning.proof.verify import STANDING, UNCOMPARED
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
@@ -51,7 +51,8 @@ def judged(
     path = np.asarray(path_m, dtype=float)
     start = path[0] if start_m is None else np.asarray(start_m, dtype=float)
     belief = belief_of(problem, power_at)
-    return verify(problem, index_obstacles(problem.workspace), belief.posterior, start, path)
+    found = verified(problem, index_obstacles(problem.workspace), belief.posterior, start, path)
+    return found.certificate, found.verdict
 
 
 def assert_rejected(judgement: tuple[Certificate, Verdict], *words: str) -> Certificate:
@@ -117,7 +118,7 @@ def test_connectivity_counts_the_uncertainty_of_theta():
     posterior = condition(known.parameters, some)
     path = straight_path(problem)
     index = index_obstacles(problem.workspace)
-    certificate, _ = verify(problem, index, posterior, path[0], path)
+    certificate = verified(problem, index, posterior, path[0], path).certificate
 
     parameters, station = known.parameters, problem.stations[0].site
 
@@ -149,7 +150,8 @@ def test_good_plan():
     path = straight_path(problem)
     belief = belief_of(problem)
     index = index_obstacles(problem.workspace)
-    certificate, verdict = verify(problem, index, belief.posterior, path[0], path, 0.25)
+    found = verified(problem, index, belief.posterior, path[0], path, 0.25)
+    certificate, verdict = found.certificate, found.verdict
     assert verdict is Verdict.VERIFIED
     assert certificate.min_clearance_m == pytest.approx(19.9 - path[-1, 0])
     assert certificate.kkt_residual == 0.25
@@ -178,7 +180,9 @@ def test_prediction_is_that_of_the_whole_path():
     """The judgement hands on what it predicted, the robot's own place first."""
     problem = small_problem()
     belief, path = belief_of(problem, bad_disc(8.0, 15.0, 3.0)), straight_path(problem)
-    judgement = judge(problem, index_obstacles(problem.workspace), belief.posterior, path[0], path)
+    judgement = verified(
+        problem, index_obstacles(problem.workspace), belief.posterior, path[0], path
+    )
     mean, deviation = kriged(belief, path)
     assert np.allclose(judgement.power.mean_db, mean, atol=1e-8)
     assert np.allclose(judgement.power.deviation_db, deviation, atol=1e-6)
@@ -437,24 +441,24 @@ def test_a_run_may_not_waste_more_than_one_plan(beyond_m):
     left = single_steps.COST_TOLERANCE * driven + leeway - certificate.step_excess_m
     history = History(crossing_cost_m=70.0, crossing_excess_m=left + beyond_m)
     index, belief = index_obstacles(problem.workspace), belief_of(problem, WIDE)
-    judgement = judge(
+    judgement = verified(
         problem,
         index,
         belief.posterior,
         CROSSING[0],
         CROSSING,
-        circumstances=Circumstances(history=history),
+        history=history,
     )
     assert (judgement.verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
     assert all("of the run so far" in reason for reason in judgement.certificate.reasons)
     # A plan that keeps the bound is not held to account for what has been.
-    free = judge(
+    free = verified(
         problem,
         index,
         belief_of(problem).posterior,
         CROSSING[0],
         CROSSING,
-        circumstances=Circumstances(history=history),
+        history=history,
     )
     assert free.verdict is Verdict.VERIFIED
 
@@ -555,7 +559,7 @@ def test_posterior_of_neighbours_beyond_the_limit(monkeypatch):
     count = len(belief.posterior.measurements)
 
     def certificate():
-        return verify(problem, index, belief.posterior, path[0], path)[0]
+        return verified(problem, index, belief.posterior, path[0], path).certificate
 
     monkeypatch.setattr(predictions, "EXACT_LIMIT", count)
     exact = certificate()
@@ -631,9 +635,10 @@ def test_nothing_to_compare_with_is_neither_refused_nor_verified(start_x_m):
     path = np.column_stack([start_x_m + 1.9 * np.arange(5), np.full(5, 15.5)])
     hole = belief_of(problem, bad_disc(start_x_m + 3.0, 15.5, 2.0))
     index = index_obstacles(problem.workspace)
-    certificate, verdict = verify(problem, index, hole.posterior, path[0], path)
+    found = verified(problem, index, hole.posterior, path[0], path)
+    certificate, verdict = found.certificate, found.verdict
     assert certificate.relaxed_steps
     assert verdict is Verdict.FEASIBLE_UNVERIFIED
     assert certificate.reasons == (UNCOMPARED,)
     clear = belief_of(problem)
-    assert verify(problem, index, clear.posterior, path[0], path)[1] is Verdict.VERIFIED
+    assert verified(problem, index, clear.posterior, path[0], path).verdict is Verdict.VERIFIED

@@ -63,7 +63,7 @@ def test_order_of_measurements_changes_nothing(terms):
     before = situation.posterior
     order = np.random.default_rng(0).permutation(len(before.measurements))
     shuffled = replace(
-        situation, posterior=condition(before.parameters, before.measurements.take(order))
+        situation, posteriors=(condition(before.parameters, before.measurements.take(order)),)
     )
     np.testing.assert_allclose(plan_for(shuffled, belief).positions_m, plan.positions_m, atol=1e-3)
 
@@ -132,7 +132,7 @@ def test_kilometres_for_metres_give_the_scaled_plan(terms, monkeypatch):
         replace(
             situation,
             problem=scaled,
-            posterior=posterior,
+            posteriors=(posterior,),
             position_m=1e3 * situation.position_m,
             region=replace(situation.region, grid_m=1e3 * situation.region.grid_m),
         ),

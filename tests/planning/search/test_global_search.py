@@ -19,12 +19,12 @@ from scenes import (
     search_of,
     situation_of,
     small_problem,
+    verified,
 )
 
 from planopt.objectives.reach import outage_share
 from planopt.planning.history import BEGINNING
 from planopt.planning.programme.pivot import Ahead
-from planopt.planning.proof.verify import verify
 from planopt.planning.search import global_search
 from planopt.planning.search.global_search import FORBIDDEN, GlobalStart
 
@@ -47,10 +47,9 @@ def test_path_is_one_that_can_be_driven(cost_to_go, horizon):
     start = search.find_start(situation_of(problem, belief, at))
     assert start.path_m.shape == (horizon, 2)
     assert (scene.road_map.nodes_m[start.nodes] == start.path_m).all()
-    certificate, _ = verify(
-        problem, scene.index, belief.posterior, at, np.vstack([at, start.path_m])
-    )
-    assert certificate.reasons == ()
+    path = np.vstack([at, start.path_m])
+    found = verified(problem, scene.index, belief.posterior, at, path)
+    assert found.certificate.reasons == ()
     assert not start.is_direct and not start.is_blocked
 
 

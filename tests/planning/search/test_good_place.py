@@ -17,6 +17,7 @@ from planopt.channel.prediction import bound_margin_db
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.proof.context import VerifierContext
 from planopt.planning.search.good_place import ways_to_good_place
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 
@@ -89,7 +90,8 @@ def test_nothing_is_looked_for_where_the_first_candidate_is_verified(monkeypatch
 def standing(problem, start, steps):
     """The judge of a step, and a candidate that stands still."""
     index = index_obstacles(problem.workspace)
-    judge = Judge(problem, index, belief_of(problem, LEFT_BAD), start, lambda _: 0.0)
+    posteriors = belief_of(problem, LEFT_BAD).posteriors
+    judge = Judge(VerifierContext(problem, index, posteriors, start), lambda _: 0.0)
     path = np.tile(start, (steps, 1))
     return judge, judge.judged(judge.candidate(path, Rung.STOP, Termination.NO_PATH))
 
@@ -106,7 +108,7 @@ def test_the_way_leads_round_an_obstacle():
     assert way.shape == (6, 2)
     assert swept_clearance_m(judge.index, way).min() >= problem.constraints.clearance_m
     assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= problem.step_length_m
-    margins = judge.margins_db(predict(judge.belief.posterior, way[1:]))
+    margins = judge.margins_db(predict(judge.context.posterior, way[1:]))
     assert (margins >= 0.0).tolist() == [False, False, False, True, True]
 
 

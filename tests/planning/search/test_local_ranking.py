@@ -10,7 +10,7 @@ from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
 
 from planopt.channel.posterior import condition
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.values.objective_value import ObjectiveValue
 
 
 def mapping(form):
@@ -46,7 +46,7 @@ def test_values_are_the_exact_worths(terms, horizon, stations):
     if stations > 1 and terms[0].get("form") == "two_layer":
         return  # refused when it is loaded
     situation, _ = situation_of(terms_problem(*terms, horizon=horizon, stations=stations))
-    ways, worth = ways_of(situation), PathWorth(situation)
+    ways, worth = ways_of(situation), ObjectiveValue(situation)
     exact = [worth(way) for way in ways]
     near = 3e-2 if terms[0].get("form") == "average" else 2e-4
     np.testing.assert_allclose(LocalRanking(situation, ways)(ways), exact, rtol=near, atol=2e-4)
@@ -91,7 +91,7 @@ def test_order_of_measurements_changes_nothing():
     shuffled = condition(before.parameters, before.measurements.take(order))
     ways = ways_of(situation)
     np.testing.assert_allclose(
-        LocalRanking(replace(situation, posterior=shuffled), ways)(ways),
+        LocalRanking(replace(situation, posteriors=(shuffled,)), ways)(ways),
         LocalRanking(situation, ways)(ways),
         rtol=1e-4,
     )

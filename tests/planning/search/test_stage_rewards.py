@@ -10,8 +10,8 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 
 from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.start_search import StageRewards
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.rule_rows import Guide
+from planopt.planning.values.objective_value import ObjectiveValue
+from planopt.planning.values.rule_rows import Guide
 
 
 def rewards_of(problem, reach_m=6.0):
@@ -48,7 +48,7 @@ def test_rewards_along_a_path_are_the_windows_and_its_worth():
     assert field.correct(nodes)
     assert not field.correct(nodes)
     rewards.corrected(nodes)
-    worth = PathWorth(situation)(field.places_m(nodes))
+    worth = ObjectiveValue(situation)(field.places_m(nodes))
     assert rewards.along(nodes).sum() == pytest.approx(worth, rel=1e-9)
 
 

@@ -8,7 +8,7 @@ from terms_scene import CONNECT, judge_of, situation_of, terms_problem
 from planopt.planning.history import history_of
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.search.start_search import StartSearch, without_waiting
-from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.values.objective_value import ObjectiveValue
 
 
 def test_waiting_is_put_off() -> None:
@@ -26,13 +26,13 @@ def test_a_search_does_not_begin_with_the_waiting_of_the_last_plan() -> None:
     """The same plan without its waiting is another start, and a better one."""
     problem = terms_problem(CONNECT, horizon=6)
     situation, belief = situation_of(problem)
-    situation = replace(situation, position_m=np.array([3.5, 2.6]))
+    situation = replace(situation, state=np.array([3.5, 2.6]))
     judge, ground = judge_of(situation, belief)
     polished = HorizonPlanner(problem, ground).plan(situation, judge).positions_m[1:]
     waits = np.vstack([np.tile(situation.position_m, (2, 1)), polished[:-2]])
     search = StartSearch(problem, ground)
     offered = without_waiting(situation.position_m, waits)
-    worth = PathWorth(situation)
+    worth = ObjectiveValue(situation)
     assert worth(offered) > worth(waits)
     assert search.find_starts(situation, waits)[0].worth >= worth(offered)
     # No other search has it.
@@ -53,7 +53,7 @@ def test_places_missed_beside_connected_measurements_are_tried_once() -> None:
     track = np.vstack([situation.position_m, place, situation.position_m, situation.position_m])
     for last, tried in (([False, False, False], False), ([True, False, False], True)):
         history = history_of(problem, track, np.array(last))
-        after = replace(situation, circumstances=replace(situation.circumstances, history=history))
+        after = replace(situation, history=history)
         assert after.tries.is_open(place).all() == tried
     far = situation.position_m + 12.0
     assert after.tries.is_open(far[None]) == situation.tries.is_open(far[None])

@@ -24,7 +24,7 @@ def fan_of(horizon, position_m=None):
     problem = terms_problem(LEARNING, horizon=horizon)
     situation, belief = situation_of(problem)
     if position_m is not None:
-        situation = replace(situation, position_m=np.asarray(position_m))
+        situation = replace(situation, state=np.asarray(position_m))
     _, ground = judge_of(situation, belief)
     rough = rough_clearance(problem, ground.index)
     return straight_starts(situation, ground.index, rough, horizon), situation, ground, rough

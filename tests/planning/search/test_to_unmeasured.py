@@ -100,7 +100,7 @@ def test_with_all_measured_there_is_no_way():
         measurements=replace(everywhere, positions_m=places.reshape(-1, 2)),
         parameters=situation.posterior.parameters,
     )
-    hemmed = replace(situation, posterior=inside)
+    hemmed = replace(situation, posteriors=(inside,))
     assert way_to_unmeasured(hemmed, ground) is None
     assert situation.measuring.is_open(ground.road_map.nodes_m).any()
 

@@ -14,8 +14,8 @@ from planopt.planning.planners import planner_for
 from planopt.planning.search import tried_places
 from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.tried_places import COMPARED, TRIED, TriedPlaces
-from planopt.planning.worth import situation as situation_module
-from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.values import context as situation_module
+from planopt.planning.values.objective_value import ObjectiveValue
 
 RECOURSE = {**TRACKING, "form": "recourse"}
 
@@ -73,7 +73,7 @@ def test_the_best_of_all_places_is_among_the_compared(seed, monkeypatch):
     problem = terms_problem(RECOURSE, horizon=6)
     situation, belief = situation_of(problem, seed)
     _, ground = judge_of(situation, belief)
-    worth = PathWorth(situation)
+    worth = ObjectiveValue(situation)
     best = max(worth(way) for way in found_ways(problem, situation, ground))
     monkeypatch.setattr(tried_places, "COMPARED", 10**6)
     assert best >= 0.99 * max(worth(way) for way in found_ways(problem, situation, ground))

@@ -77,7 +77,7 @@ def _worth_together(solution):
     from planopt.planning.history import BEGINNING
     from planopt.planning.initial_data import team_seeds
     from planopt.planning.team.team_step import build_team
-    from planopt.planning.worth.situation import Pending
+    from planopt.planning.values.context import Pending
 
     members = build_team(solution.problem, team_seeds(solution.problem, solution.seed))
     total, made = 0.0, []

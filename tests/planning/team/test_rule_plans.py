@@ -19,7 +19,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
 from planopt.planning.start_polish import RETURNED
-from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.constraints import ConnectivityRule
 
 SEED = 3
@@ -95,7 +95,7 @@ def test_slack_of_single_steps_has_its_price():
     assert plan.verdict is Verdict.VERIFIED
     assert 0.0 < missing
     assert max(plan.certificate.relaxation_db) <= 2.0 + 1e-6
-    terms = sum(PathWorth(situation).by_term(plan.positions_m[1:]))
+    terms = sum(ObjectiveValue(situation).by_term(plan.positions_m[1:]))
     assert plan.objective == pytest.approx(terms - 0.5 * missing, abs=1e-6)
 
 

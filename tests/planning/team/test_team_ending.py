@@ -25,7 +25,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.ending import STALL_STEPS, Progress, terms_ending
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.worth.left_to_learn import left_to_learn
+from planopt.planning.values.exploration import left_to_learn
 from planopt.world.workspace import Obstacle
 
 HERE = np.array([10.0, 15.0])

@@ -7,8 +7,8 @@ import planopt.planning.proof.predictions as predictions
 import planopt.planning.team.team_step as team_step
 from planopt.planning.initial_data import team_seeds
 from planopt.planning.team.team_step import build_team
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import Aim
+from planopt.planning.values.context import Aim
+from planopt.planning.values.objective_value import ObjectiveValue
 
 
 @pytest.mark.parametrize("name", ["auto", "lattice", "one_step"])
@@ -22,4 +22,4 @@ def test_the_objective_is_the_paths_own(name, monkeypatch):
     member = build_team(problem, team_seeds(problem, 0))[0]
     plan, _ = member.plan(belief, member.start, Aim(situation.target_m, None), None)
     alone, _ = situation_of(problem)
-    assert plan.objective == pytest.approx(PathWorth(alone)(plan.positions_m[1:]), rel=1e-12)
+    assert plan.objective == pytest.approx(ObjectiveValue(alone)(plan.positions_m[1:]), rel=1e-12)

@@ -84,7 +84,7 @@ class Data(Rule):
         station, p_min = case.problem.stations[0], case.problem.constraints.p_min
         if p_min == 0.0:
             return super().by_slack(case)
-        drawn_dbm = path_draws_dbm(case.posterior, case.positions_m[1:], case.broad)
+        drawn_dbm = path_draws_dbm(case.context.posterior, case.positions_m[1:], case.context.broad)
         needed = self.pace_mbit(case.history, drawn_dbm.shape[1])
 
         def result(slack_db: float) -> RuleResult:

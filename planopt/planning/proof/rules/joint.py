@@ -63,10 +63,10 @@ class Joint(Rule):
         """
         problem, path_m = case.problem, case.positions_m[1:]
         threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
-        if not isinstance(case.broad, Serving):
-            prediction = path_prediction(case.posterior, path_m)
+        if not isinstance(case.context.broad, Serving):
+            prediction = path_prediction(case.context.posterior, path_m)
             return lambda slack_db: joint_result(prediction, threshold - slack_db, p_min)
-        least_dbm = path_draws_dbm(case.posterior, path_m, case.broad).min(axis=1)
+        least_dbm = path_draws_dbm(case.context.posterior, path_m, case.context.broad).min(axis=1)
 
         def drawn(slack_db: float) -> RuleResult:
             kept = int((least_dbm >= threshold - slack_db).sum())

@@ -15,13 +15,13 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.parts import class_name
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
-from planopt.planning.proof.predictions import Broad, Serving
+from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.predictions import Serving
 from planopt.problems.problem import Problem
 
 BySlack = Callable[[float], RuleResult]
@@ -39,19 +39,27 @@ HALVINGS = 22
 
 @dataclass(frozen=True, eq=False)
 class PathCase:
-    """A path that is judged by a rule over all its steps."""
+    """A path that is verified by a rule over all its steps."""
 
-    problem: Problem
-    history: History
-    posterior: ChannelPosterior  # Rules on correlated steps need more than `power`
-    positions_m: NDArray[np.float64]  # (N + 1, 2) the path, the robot's own place first
-    power: Prediction  # At the N places after each step
-    broad: Broad | None = None  # The stations, where there are several
+    context: VerifierContext
+    positions_m: NDArray[np.float64]  # (N + 1, 2) the path, the robot's own position first
+    power: Prediction  # At the N positions after each step
+
+    @property
+    def problem(self) -> Problem:
+        """The problem."""
+        return self.context.problem
+
+    @property
+    def history(self) -> History:
+        """Steps executed so far."""
+        return self.context.history
 
     def probability(self, slack_db: float) -> NDArray[np.float64]:
         """Return the probability of connection after each step, (N,), with so much slack."""
-        if isinstance(self.broad, Serving) and slack_db > 0.0:
-            return self.broad.probability(self.positions_m[1:], slack_db)
+        broad = self.context.broad
+        if isinstance(broad, Serving) and slack_db > 0.0:
+            return broad.probability(self.positions_m[1:], slack_db)
         threshold = self.problem.stations[0].threshold_dbm - slack_db
         return connection_probability(self.power.mean_db, self.power.deviation_db, threshold)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from terms_scene import TRACKING, situation_of, terms_problem
 
-from planopt.planning.worth.left_to_learn import region_along, region_near, workspace_region
+from planopt.planning.values.exploration import region_along, region_near, workspace_region
 from planopt.world.clearance import clearance_m, index_obstacles
 
 

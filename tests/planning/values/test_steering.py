@@ -10,8 +10,8 @@ import shapely
 from terms_scene import judge_of, situation_of, terms_problem
 
 from planopt.channel.posterior import extend
-from planopt.planning.worth.steering import Steering
-from planopt.planning.worth.steering_way import SteeringWay
+from planopt.planning.values.steered_path import SteeringWay
+from planopt.planning.values.steering import Steering
 from planopt.world.clearance import clearance_m, index_obstacles, swept_clearance_m
 from planopt.world.workspace import Obstacle
 
@@ -24,7 +24,7 @@ TWO_LAYER = {
 
 
 def scene(obstacles=None, **changes):
-    """Situation, belief, ground and problem with a two-layer term."""
+    """StepContext, belief, ground and problem with a two-layer term."""
     problem = terms_problem({**TWO_LAYER, **changes})
     if obstacles is not None:
         named = tuple(Obstacle(f"{k}", shape) for k, shape in enumerate(obstacles))
@@ -134,7 +134,7 @@ def test_measured_places_are_left_out():
     first = steering.find_way(situation).end_m
     measured = situation.posterior.measurements.take(np.array([0]))
     posterior = extend(situation.posterior, replace(measured, positions_m=first[None]))
-    second = steering.find_way(replace(situation, posterior=posterior)).end_m
+    second = steering.find_way(replace(situation, posteriors=(posterior,))).end_m
     assert np.linalg.norm(second - first) > 0.5
 
 
@@ -154,7 +154,7 @@ def test_a_robot_that_cannot_move_is_steered_nowhere():
     """In the middle of the obstacle no first move is open."""
     situation, _, ground, problem = scene()
     steering = Steering(problem, ground, problem.terms[0])
-    assert steering.find_way(replace(situation, position_m=np.array([20.0, 20.0]))) is None
+    assert steering.find_way(replace(situation, state=np.array([20.0, 20.0]))) is None
 
 
 def test_a_walled_off_part_is_steered_nowhere_near():

@@ -1,7 +1,7 @@
 """The worth of a path near a start path, with exact derivatives, at a cost that does not grow.
 
 The channel is that of the measurements nearest to the start path; cusps are rounded. What a solver
-returns is valued again by :mod:`planopt.planning.worth.path_worth` and judged by the verifier.
+returns is valued again by :mod:`planopt.planning.values.objective_value` and verified.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from planopt.planning.programme.margin_source import (
     remembering,
 )
 from planopt.planning.proof.predictions import Broad, Serving
-from planopt.planning.worth.left_to_learn import region_along
-from planopt.planning.worth.rule_rows import RuleRows, has_step_rows, rule_rows
-from planopt.planning.worth.situation import Situation, shares_places, structure_of
+from planopt.planning.values.context import StepContext, shares_places, structure_of
+from planopt.planning.values.exploration import region_along
+from planopt.planning.values.rule_rows import RuleRows, has_step_rows, rule_rows
 from planopt.targets.rounding import Derivatives
 
 JOINT_NEIGHBOURS = 128
 """Measurements shared by the places of a path in terms that couple them."""
 
 
-def local_worth(
-    situation: Situation, path_m: NDArray[np.float64], rows: RuleRows | None = None
+def local_value(
+    situation: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
 ) -> EvaluatePath:
     """Worth about a start path (N, 2), and what a solver must bound by `rows`."""
     problem, posterior = situation.problem, situation.posterior
@@ -47,7 +47,7 @@ def local_worth(
 
     @cache
     def predictor() -> StagePredictor | ServingStages:
-        broad = situation.circumstances.broad
+        broad = situation.broad
         return stage_predictor(posterior, broad, path_m, problem.planner.neighbours)
 
     anticipated = _joint_channels(situation, situation.anticipated, path_m)
@@ -118,7 +118,7 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
 
 
 def _joint_channels(
-    situation: Situation, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
+    situation: StepContext, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
 ) -> list[tuple[LocalChannel, LocalGrid | None]]:
     """Return each station's channel and map, where a term couples the places; else none."""
     problem = situation.problem

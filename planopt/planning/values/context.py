@@ -28,11 +28,11 @@ from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
 from planopt.objectives.moments import KnownPlaces, Region, known_places
 from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held
-from planopt.planning.proof.circumstances import Circumstances
+from planopt.planning.proof.context import VerifierContext
 from planopt.planning.proof.predictions import Serving, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.worth.left_to_learn import explores, region_near
-from planopt.planning.worth.steering_way import SteeringWay
+from planopt.planning.values.exploration import explores, region_near
+from planopt.planning.values.steered_path import SteeringWay
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 
@@ -144,24 +144,17 @@ else:
     from functools import cached_property
 
 
-@dataclass(frozen=True, eq=False)
-class Situation:
-    """Everything that the worth of a path depends on."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StepContext(VerifierContext):
+    """Everything that the objective value of a path depends on."""
 
-    problem: Problem  # With the one robot that is planned for
-    # What is believed of the channel; of several stations, the first one's
-    posterior: ChannelPosterior
-    position_m: NDArray[np.float64]  # (2,) where the robot is
     # (N, 2) where the target is expected at the end of each step; None without target
-    target_m: NDArray[np.float64] | None
-    region: Region  # Where the map is wanted, for the terms that look at the workspace
-    # The way that the two-layer form steers along, or that leads to a try for connection; None if
-    # there is no such place, or nothing steers
+    target_m: NDArray[np.float64] | None = None
+    region: Region  # Where the map is wanted, for the terms that average it
+    # The path that the robot is steered along; None if nothing steers, or leads nowhere
     steering: SteeringWay | None = None
     # (4, 4) J_{t|t}, what the station's filter knows; None without target
     information: NDArray[np.float64] | None = None
-    # What else is known at the step
-    circumstances: Circumstances = field(default_factory=Circumstances)
     pending: Pending = NOTHING_PENDING  # Where the other robots measure
     held: Held | None = None  # The robot's unsent target measurements, where packets have estimates
     _power: dict[bytes, tuple[float, float]] = field(
@@ -216,9 +209,7 @@ class Situation:
         if new:
             new |= self._soon
             self._soon.clear()
-            found = search_prediction(
-                self.posterior, np.array(list(new.values())), self.circumstances.broad
-            )
+            found = search_prediction(self.posterior, np.array(list(new.values())), self.broad)
             values = zip(found.mean_db.tolist(), found.deviation_db.tolist(), strict=True)
             self._power.update(zip(new, values, strict=True))
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)
@@ -244,13 +235,11 @@ class Situation:
     @property
     def stations(self) -> tuple[ChannelPosterior, ...]:
         """Return the posterior of each station's channel."""
-        broad = self.circumstances.broad
-        return broad.posteriors if isinstance(broad, Serving) else (self.posterior,)
+        return self.posteriors
 
     def law(self, powers: Sequence[Prediction]) -> Prediction:
         """Return the power that connectivity rests on, from each station's prediction."""
-        broad = self.circumstances.broad
-        return broad.law(powers) if isinstance(broad, Serving) else powers[0]
+        return self.broad.law(powers) if isinstance(self.broad, Serving) else powers[0]
 
     @cached_property
     def measuring(self) -> MeasuringRule:
@@ -284,7 +273,7 @@ class Situation:
         is, unless its last step was connected, or was before without one: near a measurement with
         connection it takes no other.
         """
-        history = self.circumstances.history
+        history = self.history
         lost = history.steps == 0 or history.outage_steps > 0
         here = self.position_m[None] if lost else np.zeros((0, 2))
         known = [
@@ -305,7 +294,7 @@ class Situation:
     @cached_property
     def links(self) -> KnownLinks:
         """Places where the robot knows whether it is connected."""
-        history = self.circumstances.history
+        history = self.history
         return known_links(
             self.stations,
             self.thresholds_dbm,
@@ -331,3 +320,22 @@ class Situation:
     def decorrelation_m(self) -> float:
         """The longest decorrelation distance of the stations' shadowing."""
         return max(station.parameters.decorrelation_m for station in self.stations)
+
+
+def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext:
+    """Return the context of a step with the external inputs of its objective, not yet steered."""
+    return StepContext(
+        base.problem,
+        base.index,
+        base.posteriors,
+        base.state,
+        base.moving,
+        base.history,
+        base.broad,
+        base.goal_grid,
+        region=region,
+        target_m=aim.target_m,
+        information=aim.information,
+        pending=aim.pending,
+        held=aim.held,
+    )

@@ -8,7 +8,7 @@ import numpy as np
 from terms_scene import TRACKING, situation_of, terms_problem
 
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.worth import situation as module
+from planopt.planning.values import context as module
 
 
 def test_power_is_the_search_prediction_made_once(monkeypatch):

@@ -13,9 +13,9 @@ from terms_scene import ENERGY, LEARNING, judge_of, situation_of, terms_problem
 
 from planopt import InputError, check, load, load_result, simulate, solve
 from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.steering import GoalSteering
-from planopt.planning.worth.steering_way import SteeringWay
+from planopt.planning.values.objective_value import ObjectiveValue
+from planopt.planning.values.steered_path import SteeringWay
+from planopt.planning.values.steering import GoalSteering
 from planopt.problems.problem import problem_from_tables
 from planopt.problems.save import problem_to_dict
 from planopt.world.clearance import index_obstacles
@@ -52,7 +52,7 @@ def test_without_obstacles_the_worth_is_the_distance_gained():
     np.testing.assert_allclose(way.turns_m, [problem.robots[0].start_m, problem.goal_m])
     path = situation.position_m + np.random.default_rng(0).normal(size=(5, 2)).cumsum(axis=0)
     left = np.linalg.norm(path - problem.goal_m, axis=1)
-    worth = PathWorth(replace(situation, steering=way))(path)
+    worth = ObjectiveValue(replace(situation, steering=way))(path)
     assert worth == pytest.approx((20.0 - left).sum())
 
 

@@ -7,7 +7,7 @@ a map that follows the belief, so that the cost does not grow with the measureme
 To connect, a search that begins with a try at the place z is expected to take R(z) metres
 (:func:`planopt.objectives.until_connected.search_length_m`), which is short where z is near and
 where it is likely to be connected. The robot is steered to the place of the shortest search, of
-those that are tries (:attr:`planopt.planning.worth.situation.Situation.tries`).
+those that are tries (:attr:`planopt.planning.values.context.StepContext.tries`).
 
 On the way to a goal a sum of terms does not leave contact at a price, so the way leaves it only
 where every way does, and as little as can be. It turns where it must, for an obstacle or for a
@@ -35,9 +35,9 @@ from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import LatticeMap, NodeMargins
 from planopt.planning.search.taut_way import WaysFrom
 from planopt.planning.tolerances import CLEARANCE_PAD_M
-from planopt.planning.worth.left_to_learn import workspace_region
-from planopt.planning.worth.situation import Situation
-from planopt.planning.worth.steering_way import SteeringWay, steering_way
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.steered_path import SteeringWay, steering_way
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.road_map import shortest_ways, way_from
@@ -71,7 +71,7 @@ class Steering:
         away: NDArray[np.float64] = np.linalg.norm(beside - places, axis=1)
         self._beside_m = np.where(clear, away, np.inf)
 
-    def find_way(self, situation: Situation) -> SteeringWay | None:
+    def find_way(self, situation: StepContext) -> SteeringWay | None:
         """The way to steer along; None if no place that can be come to is above the threshold."""
         (own,), (posterior,) = situation.stations, situation.anticipated
         if posterior is own:
@@ -124,7 +124,7 @@ class ConnectionSteering:
         self._map = LatticeMap(ground.road_map.lattice)
         self._radius_m = FIRST_RADIUS_STEPS * problem.step_length_m
 
-    def find_way(self, situation: Situation) -> SteeringWay | None:
+    def find_way(self, situation: StepContext) -> SteeringWay | None:
         """Return the way to the place of the shortest search; None if no place can be tried."""
         road_map, here = self._ground.road_map, situation.position_m
         widest = situation.workspace_diagonal_m
@@ -149,12 +149,12 @@ class ConnectionSteering:
             self._radius_m *= WIDER
 
     def _chance(
-        self, situation: Situation, nodes: NDArray[np.intp], radius_m: float
+        self, situation: StepContext, nodes: NDArray[np.intp], radius_m: float
     ) -> NDArray[np.float64]:
         """Chance of a connection at some nodes within `radius_m` of the robot; ``(k,)``."""
         low, high = situation.position_m - radius_m, situation.position_m + radius_m
         window = float(low[0]), float(low[1]), float(high[0]), float(high[1])
-        self._map.refresh(situation.posterior, situation.circumstances.broad, window)
+        self._map.refresh(situation.posterior, situation.broad, window)
         at = self._ground.road_map.rows[nodes], self._ground.road_map.columns[nodes]
         threshold = self._problem.stations[0].threshold_dbm
         mean, deviation = self._map.mean_db[at], self._map.deviation_db[at]
@@ -178,13 +178,13 @@ class GoalSteering:
         nodes, lengths = first_moves(ground, problem, self._goal_m)
         self._goal_node = int(nodes[lengths.argmin()]) if len(nodes) else None
 
-    def find_way(self, situation: Situation) -> SteeringWay | None:
+    def find_way(self, situation: StepContext) -> SteeringWay | None:
         """Return the cheapest way on what is believed now; None if obstacles cut the goal off."""
         road_map, here = self._ground.road_map, situation.position_m
         nodes, lengths = first_moves(self._ground, self._problem, here)
         if self._goal_node is None or not len(nodes):
             return None
-        self._margins.refresh(situation.posterior, situation.circumstances.broad)
+        self._margins.refresh(situation.posterior, situation.broad)
         metre_cost = np.where(self._margins.outside & self._bounded, FORBIDDEN, 1.0)
         ways = shortest_ways(road_map, self._goal_node, metre_cost)
         cost = lengths * metre_cost[nodes] + ways.cost_m[nodes]

@@ -15,9 +15,9 @@ from terms_scene import (
     terms_problem,
 )
 
-from planopt.planning.worth.local_worth import local_worth
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import structure_of
+from planopt.planning.values.context import structure_of
+from planopt.planning.values.local_value import local_value
+from planopt.planning.values.objective_value import ObjectiveValue
 
 
 def mapping(form):
@@ -97,7 +97,7 @@ def test_derivatives_are_those_of_the_value(stations, terms, p_min):
     problem = terms_problem(*terms, p_min=p_min, stations=stations)
     situation, _ = situation_of(problem)
     path = a_path(situation)
-    evaluate = local_worth(situation, path)
+    evaluate = local_value(situation, path)
     at = evaluate(path)
     n, step = len(path), 1e-4
     gradient, hessian = np.empty(2 * n), np.empty((2 * n, 2 * n))
@@ -125,7 +125,7 @@ def test_value_is_near_the_exact_worth(stations, terms):
     problem = terms_problem(*terms, stations=stations)
     situation, _ = situation_of(problem)
     path, other = a_path(situation), a_path(situation)[::-1]
-    evaluate, worth = local_worth(situation, path), PathWorth(situation)
+    evaluate, worth = local_value(situation, path), ObjectiveValue(situation)
     # Constants may differ: what a start costs is not a solver's matter.
     local = evaluate(path).value.value - evaluate(other).value.value
     exact = worth(path) - worth(other)
@@ -138,8 +138,8 @@ def test_worth_is_the_weighted_sum_of_its_terms():
     situation, _ = situation_of(terms_problem(once, LEARNING, ENERGY))
     doubled, _ = situation_of(terms_problem(twice, LEARNING, ENERGY))
     path = a_path(situation)
-    parts, more = PathWorth(situation).by_term(path), PathWorth(doubled).by_term(path)
+    parts, more = ObjectiveValue(situation).by_term(path), ObjectiveValue(doubled).by_term(path)
     assert more[0] == pytest.approx(2.0 * parts[0])
     assert more[1:] == pytest.approx(parts[1:])
-    assert PathWorth(situation)(path) == pytest.approx(sum(parts))
+    assert ObjectiveValue(situation)(path) == pytest.approx(sum(parts))
     assert parts[2] < 0.0

@@ -23,8 +23,8 @@ from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.rule import Rule, rule_of
 from planopt.planning.tolerances import margins_asked_db
-from planopt.planning.worth.path_worth import rule_result
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.objective_value import rule_result
 from planopt.problems.problem import Problem
 
 UNASKED = 0.5
@@ -76,9 +76,9 @@ def has_step_rows(problem: Problem) -> bool:
     return problem.constraints.asks_connection and not has_sum_row(problem)
 
 
-def rule_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
+def rule_rows(situation: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     """The rows for a polish that starts from `path_m` (N, 2)."""
-    problem, history = situation.problem, situation.circumstances.history
+    problem, history = situation.problem, situation.history
     legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path_m]), axis=0), axis=1)
     rule, p_min, count = rule_of(problem, legs), problem.constraints.p_min, len(path_m)
     threshold = problem.stations[0].threshold_dbm
@@ -104,13 +104,13 @@ LARGEST_FACTOR = 4.0
 
 
 def scaled_value(
-    rule: Rule, situation: Situation, achieved: float, count: int, result: RuleResult
+    rule: Rule, situation: StepContext, achieved: float, count: int, result: RuleResult
 ) -> float:
     """Return the value whose shortfall has the risk that is allowed (equation 5.7).
 
     The shortfall from certain connection is scaled by the risk allowed over the risk verified.
     """
-    most = float(rule.valued(np.ones(count), situation.circumstances.history))
+    most = float(rule.valued(np.ones(count), situation.history))
     factor = (1.0 - result.asked) / max(1.0 - result.achieved, 1e-12)
     return most - (most - achieved) * float(np.clip(factor, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR))
 
@@ -126,7 +126,7 @@ USED_UP_SHARE = 0.97
 
 
 def rows_again(
-    situation: Situation,
+    situation: StepContext,
     rows: RuleRows,
     path_m: NDArray[np.float64],
     tried: list[tuple[float, RuleResult]],
@@ -137,7 +137,7 @@ def rows_again(
     By the secant between the last path within the risk and the last beyond, once there are both,
     or half-way where that does not change sides. `tried` grows by the path.
     """
-    rule, history = rule_of(situation.problem), situation.circumstances.history
+    rule, history = rule_of(situation.problem), situation.history
     if not rule.correlates(situation.problem.constraints.p_min) or rows.weight is None:
         return None
     allowed, found = 1.0 - result.asked, 1.0 - result.achieved
@@ -162,7 +162,7 @@ def rows_again(
     return replace(rows, weight=slope, total=value - float(achieved) + float(slope @ chance))
 
 
-def step_rows(situation: Situation, path_m: NDArray[np.float64]) -> RuleRows:
+def step_rows(situation: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     """The rows of a programme that bounds single steps only, about a path (N, 2).
 
     A bound on a sum becomes one on each of its steps: what the path has to spare, or lacks, is
@@ -209,10 +209,10 @@ PATTERNS = 4
 
 
 def find_guided(
-    situation: Situation, search: GuidedSearch, is_kept: IsKept
+    situation: StepContext, search: GuidedSearch, is_kept: IsKept
 ) -> list[NDArray[np.float64]]:
     """Return paths (N, 2) of a search under the guides that suit the rule."""
-    problem, history = situation.problem, situation.circumstances.history
+    problem, history = situation.problem, situation.history
     rule, count = rule_of(problem), problem.planner.horizon
     no_credit = np.zeros(count)
     if rule.holds_steps:
@@ -253,9 +253,9 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
     return min(high, 1.0 - LEAST_LEVEL)
 
 
-def _held_patterns(rule: Rule, situation: Situation, count: int) -> list[NDArray[np.bool_]]:
+def _held_patterns(rule: Rule, situation: StepContext, count: int) -> list[NDArray[np.bool_]]:
     """Return masks (N,) of steps that suffice: as late as may be, the first earlier, and all."""
-    history, asks = situation.circumstances.history, situation.problem.constraints.asks_connection
+    history, asks = situation.history, situation.problem.constraints.asks_connection
     every = np.ones(count, dtype=np.bool_)
     latest = rule.held(every, history)
     if rule.by_step or not latest.any():
@@ -269,13 +269,13 @@ def _held_patterns(rule: Rule, situation: Situation, count: int) -> list[NDArray
     return [*found, every]
 
 
-def missing(at: Situation, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
+def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
     """Return by how much each path misses the rule, 0 where it keeps it; (c,).
 
     In dB of all steps that count; of other rules in steps that would have to be connected.
     """
     # Shapes: legs_m (c, N).
-    constraints, history = at.problem.constraints, at.circumstances.history
+    constraints, history = at.problem.constraints, at.history
     rule, shape = rule_of(at.problem, legs_m), legs_m.shape
     if rule.by_step:
         margins = margins_asked_db(at.problem, power).reshape(shape)
@@ -288,16 +288,16 @@ def missing(at: Situation, legs_m: NDArray[np.float64], power: Prediction) -> ND
     return short / _value_of_step(rule, at, shape)
 
 
-def _value_of_step(rule: Rule, at: Situation, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Return the mean gain of a connected step, of paths of steps (c, N); ``(c,)``."""
-    history = at.circumstances.history
+    history = at.history
     gained = rule.valued(np.ones(shape), history) - rule.valued(np.zeros(shape), history)
     return np.maximum(gained / shape[1], 1e-9)
 
 
-def missing_slope(at: Situation, batch: LocalPaths) -> Pull:
+def missing_slope(at: StepContext, batch: LocalPaths) -> Pull:
     """Return the derivatives of :func:`missing` by the powers; none of the length of outages."""
-    problem, history, power = at.problem, at.circumstances.history, batch.power
+    problem, history, power = at.problem, at.history, batch.power
     rule, threshold = rule_of(problem), problem.stations[0].threshold_dbm
     if rule.by_step:
         quantile = bound_quantile(problem.constraints.p_min)

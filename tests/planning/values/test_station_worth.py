@@ -16,43 +16,42 @@ from terms_scene import (
 from planopt.channel.cholesky import semidefinite_factor
 from planopt.channel.joint import joint_prediction
 from planopt.objectives.until_connected import counted_legs_m
-from planopt.planning.proof.circumstances import Circumstances
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.objective_value import ObjectiveValue
 
 DRAWS = 200_000
 
 
-def a_path(situation: Situation) -> np.ndarray:
+def a_path(situation: StepContext) -> np.ndarray:
     """A path between the stations."""
     steps = np.array([1.2, 0.3]) + 0.2 * np.random.default_rng(3).normal(size=(5, 2))
     return situation.position_m + np.cumsum(steps, axis=0)
 
 
-def alone(situation: Situation, station: int) -> Situation:
+def alone(situation: StepContext, station: int) -> StepContext:
     """What is known, with one of the stations."""
     problem = replace(situation.problem, stations=(situation.problem.stations[station],))
     posterior = situation.stations[station]
-    return replace(situation, problem=problem, posterior=posterior, circumstances=Circumstances())
+    return replace(situation, problem=problem, posteriors=(posterior,), broad=None)
 
 
-def raised(situation: Situation, by_db: float) -> Situation:
+def raised(situation: StepContext, by_db: float) -> StepContext:
     """The same with all thresholds higher."""
     stations = tuple(
         replace(radio, threshold_dbm=radio.threshold_dbm + by_db)
         for radio in situation.problem.stations
     )
-    broad = situation.circumstances.broad
+    broad = situation.broad
     higher = replace(broad, thresholds_dbm=tuple(r.threshold_dbm for r in stations))
     return replace(
         situation,
         problem=replace(situation.problem, stations=stations),
-        circumstances=replace(situation.circumstances, broad=higher),
+        broad=higher,
     )
 
 
-def drawn_connected(situation: Situation, path: np.ndarray) -> np.ndarray:
+def drawn_connected(situation: StepContext, path: np.ndarray) -> np.ndarray:
     """Whether each step is connected to any station, in drawn channels; (DRAWS, N)."""
     generator = np.random.default_rng(11)
     found = np.zeros((DRAWS, len(path)), dtype=bool)
@@ -74,9 +73,9 @@ def test_distance_until_connected_is_that_of_drawn_channels(by_db: float) -> Non
     lost = np.cumprod(~drawn_connected(situation, path), axis=1)
     before = np.hstack([np.ones((DRAWS, 1)), lost])
     charged = before @ np.append(counted_legs_m(legs, situation.step_length_m), 20.0)
-    assert -PathWorth(situation)(path) == pytest.approx(charged.mean(), rel=0.03)
-    each = [-PathWorth(alone(situation, station))(path) for station in (0, 1)]
-    assert -PathWorth(situation)(path) < min(each)
+    assert -ObjectiveValue(situation)(path) == pytest.approx(charged.mean(), rel=0.03)
+    each = [-ObjectiveValue(alone(situation, station))(path) for station in (0, 1)]
+    assert -ObjectiveValue(situation)(path) < min(each)
 
 
 def test_search_looks_at_nearly_the_same_distance() -> None:
@@ -85,7 +84,7 @@ def test_search_looks_at_nearly_the_same_distance() -> None:
     situation = raised(situation, 5.0)
     path = a_path(situation)
     (found,) = LocalRanking(situation, path[None])(path[None])
-    assert found == pytest.approx(PathWorth(situation)(path), rel=0.03)
+    assert found == pytest.approx(ObjectiveValue(situation)(path), rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -102,5 +101,5 @@ def test_what_measurements_tell_of_each_station_adds_up(term: dict[str, object])
     """Stations fade independently of each other."""
     situation, _ = situation_of(terms_problem(term, stations=2))
     path = a_path(situation)
-    each = [PathWorth(alone(situation, station))(path) for station in (0, 1)]
-    assert PathWorth(situation)(path) == pytest.approx(sum(each), rel=1e-9)
+    each = [ObjectiveValue(alone(situation, station))(path) for station in (0, 1)]
+    assert ObjectiveValue(situation)(path) == pytest.approx(sum(each), rel=1e-9)

@@ -22,8 +22,8 @@ from planopt.objectives.until_connected import (
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.scene import build_ground
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.steering import ConnectionSteering
+from planopt.planning.values.objective_value import ObjectiveValue
+from planopt.planning.values.steering import ConnectionSteering
 from planopt.world.clearance import is_clear, swept_clearance_m
 
 THRESHOLD_DBM = -33.0
@@ -39,13 +39,13 @@ def search_problem(start_m=(32.0, 34.0), threshold_dbm=THRESHOLD_DBM, **planner)
 
 
 def known(problem, count=20):
-    """Situation and ground with few measurements, so that every prediction rests on all."""
+    """StepContext and ground with few measurements, so that every prediction rests on all."""
     situation, belief = situation_of(problem)
     few = situation.posterior
     kept = measured(few.measurements.positions_m[:count], few.measurements.power_dbm[:count])
     posterior = condition(few.parameters, kept)
     _, ground = judge_of(situation, belief)
-    return replace(situation, posterior=posterior, steering=None), ground
+    return replace(situation, posteriors=(posterior,), steering=None), ground
 
 
 def measured(places_m, power_dbm):
@@ -128,7 +128,7 @@ def test_what_was_measured_without_connection_is_no_try_again():
     situation, ground = known(search_problem())
     first = steered(situation, ground).end_m
     low = measured(first[None], np.array([THRESHOLD_DBM - 20.0]))
-    later = replace(situation, posterior=extend(situation.posterior, low))
+    later = replace(situation, posteriors=(extend(situation.posterior, low),))
     again = steered(later, ground).end_m
     assert np.linalg.norm(again - first) >= situation.problem.channel.measure_spacing_m
 
@@ -153,9 +153,9 @@ def test_a_plan_is_charged_the_way_that_is_left():
     expected = charged_distance_m(
         situation.posterior, path, replace(term.search(situation), beyond_m=after)
     )
-    assert PathWorth(situation)(path) == pytest.approx(-expected, rel=1e-6)
+    assert ObjectiveValue(situation)(path) == pytest.approx(-expected, rel=1e-6)
     still = np.tile(situation.position_m, (3, 1))
-    assert PathWorth(situation)(path) > PathWorth(situation)(still)
+    assert ObjectiveValue(situation)(path) > ObjectiveValue(situation)(still)
 
 
 @pytest.mark.parametrize("horizon", [1, 5])
@@ -195,10 +195,10 @@ def test_small_steps_and_waiting_are_no_tries():
     legs = np.linalg.norm(np.diff(np.vstack([here, small]), axis=0), axis=1)
     beyond = problem.terms[0].charged_beyond_m(situation, small[-1:])[0]
     length = float(counted_legs_m(legs, problem.step_length_m).sum())
-    assert PathWorth(situation)(small) == pytest.approx(-length - beyond)
+    assert ObjectiveValue(situation)(small) == pytest.approx(-length - beyond)
     still = np.tile(here, (3, 1))
     waited = 3.0 * WAITING * problem.step_length_m
-    assert PathWorth(situation)(still) == pytest.approx(-waited - beyond)
+    assert ObjectiveValue(situation)(still) == pytest.approx(-waited - beyond)
 
 
 def test_a_mirrored_scene_steers_to_the_mirrored_place():
@@ -218,7 +218,7 @@ def test_a_mirrored_scene_steers_to_the_mirrored_place():
     there = tuple(float(part) for part in mirror(situation.position_m))
     problem = search_problem(there, -36.0)
     other = replace(
-        situation, problem=problem, posterior=posterior, position_m=mirror(situation.position_m)
+        situation, problem=problem, posteriors=(posterior,), state=mirror(situation.position_m)
     )
     found = steered(other, build_ground(problem, other.position_m))
     np.testing.assert_allclose(mirror(found.turns_m), way.turns_m, atol=1e-9)
@@ -232,4 +232,4 @@ def test_waiting_never_pays(start, threshold):
     situation = replace(situation, steering=way)
     path = way.path_m(4, situation.problem.step_length_m)
     waited = [np.vstack([np.tile(situation.position_m, (k, 1)), path[: 4 - k]]) for k in range(5)]
-    assert (np.diff([PathWorth(situation)(each) for each in waited]) < 0.0).all()
+    assert (np.diff([ObjectiveValue(situation)(each) for each in waited]) < 0.0).all()

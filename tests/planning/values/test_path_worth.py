@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
 
-from planopt.planning.worth import situation as situation_module
-from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.values import context as context_module
+from planopt.planning.values.objective_value import ObjectiveValue
 
 TERMS = {
     "tries": ({**TRACKING, "form": "recourse"},),
@@ -29,9 +29,9 @@ def step(request):
 def test_several_paths_are_valued_as_each(step):
     """To the last bit in one situation, where a place has one prediction."""
     situation, paths = step
-    worth = PathWorth(situation)
+    worth = ObjectiveValue(situation)
     assert worth.of_each(paths) == [worth(path) for path in paths]
-    alone = [PathWorth(replace(situation))(path) for path in paths]
+    alone = [ObjectiveValue(replace(situation))(path) for path in paths]
     np.testing.assert_allclose(worth.of_each(paths), alone, rtol=1e-9)
 
 
@@ -40,12 +40,12 @@ def test_several_paths_are_predicted_at_once(monkeypatch):
     situation, _ = situation_of(terms_problem(*TERMS["tries"], horizon=4))
     paths = list(situation.position_m + np.random.default_rng(6).uniform(-3, 3, (5, 4, 2)))
     asked: list[int] = []
-    predict = situation_module.search_prediction
+    predict = context_module.search_prediction
 
     def counted(posterior, places, broad=None):
         asked.append(len(places))
         return predict(posterior, places, broad)
 
-    monkeypatch.setattr(situation_module, "search_prediction", counted)
-    PathWorth(situation).of_each(paths)
+    monkeypatch.setattr(context_module, "search_prediction", counted)
+    ObjectiveValue(situation).of_each(paths)
     assert asked[0] == 20 and len(asked) == 2

@@ -9,8 +9,8 @@ from terms_scene import LEARNING, situation_of, terms_problem
 from planopt.channel.fields.truth import measure
 from planopt.channel.kriging import predict
 from planopt.planning.learn import learn_measured, prepare
-from planopt.planning.worth.local_worth import local_worth
-from planopt.planning.worth.path_worth import PathWorth
+from planopt.planning.values.local_value import local_value
+from planopt.planning.values.objective_value import ObjectiveValue
 
 THRESHOLD_DB2, DECAY_PER_M = 6.0, 0.03
 
@@ -89,7 +89,7 @@ def test_worth_is_what_the_loop_collects(name, seed, stations):
     """Also where a path stands, comes back, or passes by measured places."""
     problem = terms_problem(TERMS[name], stations=stations)
     situation, _ = situation_of(problem, seed)
-    worth, counts = PathWorth(situation), {}
+    worth, counts = ObjectiveValue(situation), {}
     for kind, path in paths(situation).items():
         wanted, counts[kind] = collected(problem, seed, name, path, situation)
         assert worth(path) == pytest.approx(wanted, rel=1e-6, abs=1e-9)
@@ -106,9 +106,9 @@ def test_what_a_solver_counts_is_the_worth(name):
     Within 2 %, for rounded cusps; the path form's threshold gives 3/16 of its width a step.
     """
     situation, _ = situation_of(terms_problem(TERMS[name]))
-    worth = PathWorth(situation)
+    worth = ObjectiveValue(situation)
     for path in paths(situation).values():
-        evaluate = local_worth(situation, path)
+        evaluate = local_value(situation, path)
         nothing = np.tile(situation.posterior.measurements.positions_m[0], (5, 1))
         found = evaluate(path).value.value - evaluate(nothing).value.value
         near = 0.15 if name == "path" else 0.05
@@ -119,7 +119,7 @@ def test_what_a_solver_counts_is_the_worth(name):
 def test_a_measurement_more_never_hurts(name):
     """What a path collects does not fall when it drives on."""
     situation, _ = situation_of(terms_problem(TERMS[name]))
-    worth = PathWorth(situation)
+    worth = ObjectiveValue(situation)
     for path in paths(situation).values():
         values = [worth(path[:count]) for count in range(1, 6)]
         assert np.diff(values).min() >= -1e-9

@@ -1,7 +1,7 @@
 """The objective value of a path: the weighted sum of its terms, from all measurements.
 
 This is what plans are compared by and what is reported. Solvers work with
-:mod:`planopt.planning.worth.local_worth`, which is close to it and has derivatives. What a path's
+:mod:`planopt.planning.values.local_value`, which is close to it and has derivatives. What a path's
 connectivity costs is by how much it misses the rule, and the price of its slack.
 """
 
@@ -22,14 +22,14 @@ from planopt.planning.certificate import RuleResult
 from planopt.planning.proof.rules.each_step import counted_steps
 from planopt.planning.proof.rules.rule import PathCase, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
-from planopt.planning.worth.situation import Situation
+from planopt.planning.values.context import StepContext
 
 
 @dataclass(frozen=True)
-class PathWorth:
+class ObjectiveValue:
     """The worth of paths in one situation."""
 
-    situation: Situation
+    situation: StepContext
 
     def __call__(self, path_m: NDArray[np.float64]) -> float:
         """Weighted sum of the terms for a path (N, 2), less the price of its slack."""
@@ -75,7 +75,7 @@ class PathWorth:
 
 
 def tried_worth(
-    at: Situation, number: int, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+    at: StepContext, number: int, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return what a term that tries places contributes to paths, its weight included; ``(c,)``."""
     # Shapes: ways_m (c, N, 2); chance (c, N).
@@ -88,7 +88,7 @@ def tried_worth(
 
 
 @contextmanager
-def _named(at: Situation, number: int) -> Generator[None]:
+def _named(at: StepContext, number: int) -> Generator[None]:
     """Say in errors of which term they are."""
     try:
         yield
@@ -108,7 +108,7 @@ SHARE_IN_DB = 100.0
 """What all of what a rule over a whole plan asks counts in dB, where it is missed."""
 
 
-def slack_cost(at: Situation, path_m: NDArray[np.float64]) -> float:
+def slack_cost(at: StepContext, path_m: NDArray[np.float64]) -> float:
     """Return the cost of a path's (N, 2) slack, in the objective's unit."""
     rule = at.problem.constraints.rule
     if rule.slack_price == 0.0:
@@ -120,7 +120,7 @@ def slack_cost(at: Situation, path_m: NDArray[np.float64]) -> float:
     return rule.slack_price * ((rule.slack_max_db or 0.0) if beyond else result.slack_db)
 
 
-def rule_missing(at: Situation, path_m: NDArray[np.float64]) -> float:
+def rule_missing(at: StepContext, path_m: NDArray[np.float64]) -> float:
     """Return by how much a path (N, 2) misses the rule beyond its slack; 0 where it does not.
 
     In dB, of all steps together; of a rule over a whole plan as a share of what is asked times
@@ -138,18 +138,16 @@ def rule_missing(at: Situation, path_m: NDArray[np.float64]) -> float:
     return SHARE_IN_DB * result.missing / max(result.asked, 1.0)
 
 
-def _missed_db(at: Situation, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _missed_db(at: StepContext, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return by how much each step that is asked for misses the bound; (N,)."""
     power, problem = at.power(path_m), at.problem
     margins = margins_asked_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB
-    asked = counted_steps(problem, at.circumstances.history, len(path_m))
+    asked = counted_steps(problem, at.history, len(path_m))
     return np.where(missed & asked, -margins, 0.0)
 
 
-def rule_result(at: Situation, path_m: NDArray[np.float64]) -> RuleResult:
+def rule_result(at: StepContext, path_m: NDArray[np.float64]) -> RuleResult:
     """Return the verifier's result of a path (N, 2) by a rule over the whole plan."""
-    under, places_m = at.circumstances, np.vstack([at.position_m, path_m])
-    return whole_plan_result(
-        PathCase(at.problem, under.history, at.posterior, places_m, at.power(path_m), under.broad)
-    )
+    places_m = np.vstack([at.position_m, path_m])
+    return whole_plan_result(PathCase(at, places_m, at.power(path_m)))

@@ -8,9 +8,9 @@ from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, situation_of, terms
 
 from planopt.objectives.moments import posterior_moments
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.planning.worth.local_worth import local_worth
-from planopt.planning.worth.path_worth import PathWorth
-from planopt.planning.worth.situation import MOST_DRIVEN, Pending, anticipated
+from planopt.planning.values.context import MOST_DRIVEN, Pending, anticipated
+from planopt.planning.values.local_value import local_value
+from planopt.planning.values.objective_value import ObjectiveValue
 
 
 def mapping(form):
@@ -59,9 +59,9 @@ def test_values_given_the_others_add_up(form):
     situation, belief = situation_of(terms_problem(term))
     first, second, third = paths(situation)
     added = (
-        PathWorth(situation)(first)
-        + PathWorth(beside(situation, first))(second)
-        + PathWorth(beside(situation, first, second))(third)
+        ObjectiveValue(situation)(first)
+        + ObjectiveValue(beside(situation, first))(second)
+        + ObjectiveValue(beside(situation, first, second))(third)
     )
     places = np.vstack([first, second, third])
     assert situation.measuring.takes(places[None]).all()
@@ -85,17 +85,17 @@ def test_the_same_path_twice_brings_little():
     """The second robot is not paid for what the first brings: by the spacing, nothing at all."""
     situation, _ = situation_of(terms_problem(mapping("information")))
     path = paths(situation)[0]
-    assert PathWorth(beside(situation, path))(path) == 0.0
-    near = PathWorth(beside(situation, path))(path + 0.8)
-    assert 0.0 < near < 0.8 * PathWorth(situation)(path + 0.8)
+    assert ObjectiveValue(beside(situation, path))(path) == 0.0
+    near = ObjectiveValue(beside(situation, path))(path + 0.8)
+    assert 0.0 < near < 0.8 * ObjectiveValue(situation)(path + 0.8)
 
 
 def test_places_driven_count_like_places_planned():
     """Whether a plan is still ahead or behind makes no difference to what it tells."""
     situation, _ = situation_of(terms_problem(mapping("average")))
     first, second, _ = paths(situation)
-    driven = PathWorth(beside(situation, driven_m=first))(second)
-    assert driven == pytest.approx(PathWorth(beside(situation, first))(second), rel=1e-12)
+    driven = ObjectiveValue(beside(situation, driven_m=first))(second)
+    assert driven == pytest.approx(ObjectiveValue(beside(situation, first))(second), rel=1e-12)
 
 
 def test_only_the_nearest_of_many_driven_places_count():
@@ -116,10 +116,10 @@ def test_searches_and_solvers_count_the_others(terms, stations):
     situation, _ = situation_of(terms_problem(*terms, stations=stations))
     first, second, path = paths(situation)
     at = beside(situation, first, second)
-    exact = PathWorth(at)(path)
-    assert exact != pytest.approx(PathWorth(situation)(path), rel=1e-3)
+    exact = ObjectiveValue(at)(path)
+    assert exact != pytest.approx(ObjectiveValue(situation)(path), rel=1e-3)
     assert LocalRanking(at, path[None])(path[None])[0] == pytest.approx(exact, rel=0.1)
-    evaluate, worth = local_worth(at, path), PathWorth(at)
+    evaluate, worth = local_value(at, path), ObjectiveValue(at)
     found = evaluate(path).value
     other = path[::-1] + 0.3
     assert found.value - evaluate(other).value.value == pytest.approx(
@@ -140,7 +140,7 @@ def test_packets_of_the_others_are_counted():
     """A second robot on the same path is worth less; far from the target it changes nothing."""
     situation, _ = situation_of(terms_problem({**TRACKING, "form": "recourse"}))
     target = situation.target_m
-    alone = PathWorth(situation)(target)
-    assert 0.0 < PathWorth(beside(situation, target))(target) < 0.999 * alone
+    alone = ObjectiveValue(situation)(target)
+    assert 0.0 < ObjectiveValue(beside(situation, target))(target) < 0.999 * alone
     away = target + 1e5
-    assert PathWorth(beside(situation, away))(target) == pytest.approx(alone, rel=5e-3)
+    assert ObjectiveValue(beside(situation, away))(target) == pytest.approx(alone, rel=5e-3)

@@ -1,0 +1,121 @@
+"""The data that a plan is verified with: problem, belief, state, history, moving obstacles.
+
+Moving obstacles are predicted over a plan's steps, and while robots brake after them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.posterior import ChannelPosterior
+from planopt.planning.history import BEGINNING, History
+from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid
+from planopt.planning.proof.predictions import Broad, broad_prediction
+from planopt.problems.problem import Problem
+from planopt.world.clearance import ObstacleIndex
+from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs, predicted_discs
+
+
+@dataclass(frozen=True, eq=False)
+class VerifierContext:
+    """One robot at one step: its problem and all that is known."""
+
+    problem: Problem  # With this robot alone
+    index: ObstacleIndex  # Of the problem's obstacles
+    posteriors: tuple[ChannelPosterior, ...]  # Belief of each station's channel
+    state: NDArray[np.float64]  # (s,) the robot's state, its position first
+    moving: MovingDiscs = NOTHING_MOVES  # Moving obstacles and other robots during the steps
+    history: History = BEGINNING  # Steps executed so far: rules over the whole run count them
+    # Prediction that the bound rests on, if not the posterior alone: with uncertain parameters, or
+    # of several stations
+    broad: Broad | None = None
+    # The verifier's grid of paths to the goal; None: laid when it is needed
+    goal_grid: GoalGrid | None = None
+    _goal_costs: list[tuple[GoalGrid, GoalCosts]] = field(
+        default_factory=list[tuple[GoalGrid, GoalCosts]], init=False, repr=False
+    )
+    _best_margins: dict[tuple[int, ...], tuple[float, ...]] = field(
+        default_factory=dict[tuple[int, ...], tuple[float, ...]], init=False, repr=False
+    )
+
+    @property
+    def posterior(self) -> ChannelPosterior:
+        """Belief of the first station's channel."""
+        return self.posteriors[0]
+
+    @property
+    def position_m(self) -> NDArray[np.float64]:
+        """``(2,)`` where the robot is."""
+        return self.state[:2]
+
+    @property
+    def laid_grid(self) -> GoalGrid | None:
+        """The grid that was needed so far; the same for every step of a robot's run."""
+        return self._goal_costs[0][0] if self._goal_costs else self.goal_grid
+
+    def goal_costs(
+        self, build: Callable[[], GoalGrid], value: Callable[[GoalGrid], GoalCosts]
+    ) -> tuple[GoalGrid, GoalCosts]:
+        """The verifier's grid and its costs by the belief, made once for all candidates."""
+        if not self._goal_costs:
+            grid = self.goal_grid or build()
+            self._goal_costs.append((grid, value(grid)))
+        return self._goal_costs[0]
+
+    def best_margins(
+        self, steps: tuple[int, ...], search: Callable[[], tuple[float, ...]]
+    ) -> tuple[float, ...]:
+        """Return what the search within reach finds by some steps, made once for all candidates."""
+        if steps not in self._best_margins:
+            self._best_margins[steps] = search()
+        return self._best_margins[steps]
+
+
+def verifier_context(
+    problem: Problem,
+    index: ObstacleIndex,
+    posteriors: Sequence[ChannelPosterior],
+    state: NDArray[np.float64],
+    history: History = BEGINNING,
+    moving: MovingDiscs | None = None,  # None: the problem's moving obstacles alone
+    goal_grid: GoalGrid | None = None,
+) -> VerifierContext:
+    """Return the context of the step after `history`."""
+    if moving is None:
+        moving = obstacles_ahead(problem, history.steps)
+    broad = broad_prediction(problem, posteriors)
+    return VerifierContext(
+        problem, index, tuple(posteriors), state, moving, history, broad, goal_grid
+    )
+
+
+def steps_ahead(problem: Problem) -> int:
+    """Steps for which it counts where everything is: planned ones, then the longest braking."""
+    settings = problem.planner
+    braking = [
+        robot.dynamics.longest_stop_steps(settings.step_s)
+        for robot in problem.robots
+        if robot.dynamics is not None
+    ]
+    return settings.horizon + max(braking, default=0)
+
+
+def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
+    """Return the predicted discs over the steps ahead, after `driven` steps of a run.
+
+    They are predicted anew at every step: what is not known of their way counts from then on.
+    """
+    if not problem.workspace.moving:
+        return NOTHING_MOVES
+    settings = problem.planner
+    return predicted_discs(
+        problem.workspace.moving,
+        driven * settings.step_s,
+        settings.step_s,
+        steps_ahead(problem),
+        problem.constraints.clearance_m,
+    )

@@ -202,14 +202,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
         "reliability": {
             "all": reliability_json(comparison.reliability),
             "settings": [
-                {
-                    "problem": runs[0].problem,
-                    "sweep": runs[0].sweep,
-                    "horizon": runs[0].horizon,
-                    "planner": runs[0].planner,
-                    "cost_to_go": runs[0].cost_to_go,
-                    "bins": reliability_json(runs_reliability(runs)),
-                }
+                {**_setting_json(runs[0]), "bins": reliability_json(runs_reliability(runs))}
                 for runs in runs_by_setting(comparison.runs)
             ],
         },
@@ -242,6 +235,11 @@ def _row_json(row: Row) -> dict[str, Any]:
     return {name: finite(v) if isinstance(v, float) else v for name, v in table.items()}
 
 
+def _setting_json(run: RunSummary) -> dict[str, Any]:
+    names = "problem", "sweep", "horizon", "planner", "cost_to_go"
+    return {name: getattr(run, name) for name in names}
+
+
 def manifest(comparison: Comparison, tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return all that a reader needs to make the same runs: program, machine, seeds, settings."""
     settings = runs_by_setting(comparison.runs)
@@ -256,16 +254,7 @@ def manifest(comparison: Comparison, tables: Sequence[Mapping[str, Any]]) -> dic
         "problems": [
             {"name": each["problem"]["name"], "sha256": digest_of_tables(each)} for each in tables
         ],
-        "settings": [
-            {
-                "problem": runs[0].problem,
-                "sweep": runs[0].sweep,
-                "horizon": runs[0].horizon,
-                "planner": runs[0].planner,
-                "cost_to_go": runs[0].cost_to_go,
-            }
-            for runs in settings
-        ],
+        "settings": [_setting_json(runs[0]) for runs in settings],
         "seeds": [run.seed for run in settings[0]],
         "runs": len(comparison.runs),
         "wall_s": finite(comparison.wall_s),

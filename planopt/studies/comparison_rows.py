@@ -21,66 +21,40 @@ SettingKey = tuple[str, str, str | None, str, int]
 """Problem, sweep in words, cost-to-go, planner and horizon."""
 
 NOT_DONE = 4
-"""Exit code of runs that did not do what was asked."""
+"""Exit code of runs that did not complete their task."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One metric of one setting over all seeds.
+    """One metric of one setting over all seeds; None where there is no value.
 
-    Attributes
-    ----------
-    horizon, planner, cost_to_go
-        The setting.
-    seeds
-        How many runs.
-    stalled
-        How many of them did not do what the problem asks: reach the goal, connect, go on.
-    metric
-        Its name (`goal_time_s`, `true_connected_share`, ...).
-    mean, ci_low, ci_high
-        Mean over the runs for which the metric exists and its 95 % Student interval, cut to the
-        values that the metric can have; None if there is none. With fewer than five runs the
-        interval is None.
-    count
-        How many runs the mean is over: `goal_time_s` exists only where the goal was reached.
-    paired_ratio
-        Geometric mean over seeds of this metric divided by that of the reference setting (the
-        first), where both exist and are positive; None otherwise.
-    verified_rate
-        Share of released steps that were verified, over all runs; None where nothing is verified.
-    p50_step_s, p95_step_s
-        Median and 95 % quantile of the planning time of a step, over all runs; None without steps.
-    paired_difference, difference_low, difference_high
-        Mean over seeds of this metric less that of the reference setting, where both exist, and
-        its 95 % Student interval; None if there is none. Metrics in dB have no ratios.
-    ratio_low, ratio_high
-        95 % Student interval of the paired ratio, over logarithms; None if there is none.
-    problem, sweep
-        Name of the problem, and what was changed of it.
+    The reference is the first setting of the problem. Intervals are 95 % Student intervals, cut to
+    the possible values of the metric; there are none from fewer than five seeds.
     """
 
-    horizon: int
+    horizon: int  # The setting
     planner: str
     cost_to_go: str | None
-    seeds: int
-    stalled: int
-    metric: str
-    mean: float | None
+    seeds: int  # Number of runs
+    stalled: int  # Number of runs that did not do what the problem asks
+    metric: str  # goal_time_s, true_connected_share, ...
+    mean: float | None  # Over the `count` runs for which the metric exists
     ci_low: float | None
     ci_high: float | None
     count: int
+    # Geometric mean over seeds of the ratio to the reference, where both exist and are positive
     paired_ratio: float | None
-    verified_rate: float | None
-    p50_step_s: float | None
+    verified_rate: float | None  # Share of released steps that were verified, over all runs
+    p50_step_s: float | None  # Median and 95 % quantile of the planning time of a step
     p95_step_s: float | None
+    # Mean over seeds of the difference from the reference, where both exist
     paired_difference: float | None = None
     difference_low: float | None = None
     difference_high: float | None = None
-    ratio_low: float | None = None
+    ratio_low: float | None = None  # Interval of the paired ratio, over logarithms
     ratio_high: float | None = None
     problem: str = ""
-    sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])  # Changed keys, values
 
 
 @dataclass(frozen=True)
@@ -97,7 +71,7 @@ class Setting:
 
     @property
     def stalled(self) -> int:
-        """How many runs did not do what the problem asks."""
+        """Number of runs that did not complete their task."""
         return sum(run.exit_code == NOT_DONE for run in self.runs)
 
 
@@ -111,7 +85,7 @@ def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Se
 
 
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
-    """Tabulate runs, which stand setting by setting with the same seeds in the same order.
+    """Tabulate runs, setting by setting with the same seeds in the same order.
 
     Each setting is paired with the first of its problem; where every problem has only one, with
     that of the first problem.
@@ -124,18 +98,20 @@ def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
 
 
 def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> list[Row]:
-    """Rows of one setting, one a metric; `reference` holds the same seeds in the same order."""
-    each = [run.step_s for run in runs]
-    steps = np.concatenate(each)
+    """Return the rows of one setting, one a metric; the reference has the same seeds in order."""
+    one = runs[0]
+    steps = np.concatenate([run.step_s for run in runs])
     rates = np.array([run.verified_rate for run in runs])
+    released = np.array([sum(run.rungs.values()) for run in runs], dtype=float)
     judged = np.isfinite(rates)
-    counts = np.array([sum(run.rungs.values()) for run in runs], dtype=float)
-    released = float(counts[judged].sum())
-    verified = float((rates[judged] * counts[judged]).sum())
-    rate = verified / released if released else 1.0
+    count = released[judged].sum()
+    rate = float(rates[judged] @ released[judged] / count) if count else 1.0
     rows: list[Row] = []
     for metric in dict.fromkeys(name for run in runs for name in run.metrics):
-        values, others = _values(runs, metric), _values(reference, metric)
+        values, others = (
+            np.array([run.metrics.get(metric, np.nan) for run in each], dtype=float)
+            for each in (runs, reference)
+        )
         there = values[np.isfinite(values)]
         low, high = mean_interval(there, POSSIBLE.get(metric, ANY))
         differences = (values - others)[np.isfinite(values) & np.isfinite(others)]
@@ -146,9 +122,9 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
         )
         rows.append(
             Row(
-                horizon=runs[0].horizon,
-                planner=runs[0].planner,
-                cost_to_go=runs[0].cost_to_go,
+                horizon=one.horizon,
+                planner=one.planner,
+                cost_to_go=one.cost_to_go,
                 seeds=len(runs),
                 stalled=sum(run.exit_code == NOT_DONE for run in runs),
                 metric=metric,
@@ -165,8 +141,8 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
                 difference_high=difference_high,
                 ratio_low=ratio_low,
                 ratio_high=ratio_high,
-                problem=runs[0].problem,
-                sweep=runs[0].sweep,
+                problem=one.problem,
+                sweep=one.sweep,
             )
         )
     return rows
@@ -175,10 +151,10 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
 def mean_interval(
     values: NDArray[np.float64], possible: tuple[float, float] = ANY
 ) -> tuple[float | None, float | None]:
-    """Student interval of the mean at `CONFIDENCE`, cut to the values that are possible.
+    """Return the Student interval of the mean at `CONFIDENCE`, cut to the possible values.
 
-    The mean is one of these, so that cutting takes nothing from the confidence. None for fewer
-    than `FEWEST_GROUPS` values, whose interval tells of their number rather than of them.
+    Cutting does not reduce the confidence, since the mean is possible. None for fewer than
+    `FEWEST_GROUPS` values, whose interval depends on their number rather than on them.
     """
     if values.size < FEWEST_GROUPS:
         return None, None
@@ -190,13 +166,9 @@ def mean_interval(
 
 
 def log_ratios(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Logarithms of the ratios where both are positive and finite; their mean is paired."""
+    """Return the logarithms of paired ratios where both values are positive and finite."""
     both = np.isfinite(values) & np.isfinite(others) & (values > 0.0) & (others > 0.0)
     return np.log(values[both] / others[both])
-
-
-def _values(runs: Sequence[RunSummary], metric: str) -> NDArray[np.float64]:
-    return np.array([run.metrics.get(metric, np.nan) for run in runs], dtype=float)
 
 
 def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
@@ -259,18 +231,13 @@ def setting_words(
 
 
 def short_keys(settings: Iterable[RunSummary | Row]) -> dict[str, str]:
-    """Return the swept keys with as many of their last parts as tell them apart."""
+    """Return the swept keys with as many of their last parts as distinguish them."""
     keys = list(dict.fromkeys(key for one in settings for key in one.sweep))
-    if len(keys) < 2:
-        return {key: key for key in keys}
-    ends = {key: [key.split(".")[-n:] for n in range(1, key.count(".") + 2)] for key in keys}
-    return {
-        key: ".".join(
-            next(
-                end
-                for end in ends[key]
-                if end == ends[key][-1] or sum(end in ends[other] for other in keys) == 1
-            )
-        )
-        for key in keys
-    }
+    found = {key: key for key in keys}
+    if len(keys) > 1:
+        for key in keys:
+            for count in range(key.count(".") + 1, 0, -1):
+                end = ".".join(key.split(".")[-count:])
+                if sum(f".{other}".endswith(f".{end}") for other in keys) == 1:
+                    found[key] = end
+    return found

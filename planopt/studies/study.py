@@ -1,10 +1,8 @@
-"""Run studies: many results in processes, each kept and recorded when it is finished.
+"""Run studies: many results in parallel, each kept in a file when it is finished.
 
-A study that was stopped, in whatever way, goes on when it is run again with the same record.
-
-Each closed-loop run has a file, named by a digest of all that decides its result: the problem with
-the content of the files that it names, the seed, and the program. Whichever process drove the run
-writes its file when it is finished, whole.
+An interrupted study resumes when it is run again with the same record. The file of a closed-loop
+run is named by a digest of all that decides its result: the problem with the content of the files
+that it names, the seed, and the program. The process that drove the run writes its file atomically.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ from planopt.problems.read_toml import FILE_KEYS
 from planopt.problems.save import problem_to_dict
 
 UNDECIDING = ("report", "compare")
-"""Tables that decide nothing of a run: what is drawn, and which runs a comparison makes."""
+"""Tables that do not affect a run: its figures, and the runs of a comparison."""
 
 LIBRARIES = ("casadi", "clarabel", "numpy", "scipy", "shapely")
 """Packages whose version may change a result."""
@@ -65,36 +63,40 @@ class FinishedRuns:
     folder: Path  # Made when the first run is kept
 
     def find(self, key: Mapping[str, Any], kind: type[Value]) -> Value | None:
-        """Return the result that was kept for `key`, or None: of another type, or damaged."""
-        try:
-            record = json.loads(read_text(self._file(key)))
-            if record["key"] != key:
-                return None
-            return decoded(kind, record["result"])
-        except (InputError, ValueError, KeyError, TypeError, RecursionError):
-            return None
+        """Return the result that was kept for `key`; None without one, or if it is damaged."""
+        found = _read_record(self._file(key), kind)
+        return None if found is None or found[0] != key else found[1]
 
     def all(self, kind: type[Value]) -> list[Value]:
         """Return every result of a type that is kept, whatever its key; damaged ones left out."""
-        found: list[Value] = []
-        # Hidden files are those of processes that are writing, or were killed while they did.
-        for file in sorted(self.folder.glob("[!.]*.json")):
-            try:
-                found.append(decoded(kind, json.loads(read_text(file))["result"]))
-            except (InputError, ValueError, KeyError, TypeError, RecursionError):
-                continue
-        return found
+        # Hidden files belong to processes that are writing, or were killed while they wrote.
+        files = sorted(self.folder.glob("[!.]*.json"))
+        found = (_read_record(file, kind) for file in files)
+        return [record[1] for record in found if record is not None]
+
+    def has(self, key: Mapping[str, Any]) -> bool:
+        """Return whether there is a file for `key`."""
+        return self._file(key).is_file()
 
     def keep(self, key: Mapping[str, Any], result: object) -> None:
         """Keep a result, whole or not at all."""
         write_text(self._file(key), strict_text({"key": key, "result": encoded(result)}))
 
     def tidy(self) -> None:
-        """Remove what processes left that were killed while they kept a result."""
+        """Remove the unfinished files of processes that were killed."""
         remove_remains(self.folder)
 
     def _file(self, key: Mapping[str, Any]) -> Path:
         return self.folder / f"{_digest(strict_text(key).encode())[:32]}.json"
+
+
+def _read_record(file: Path, kind: type[Value]) -> tuple[Any, Value] | None:
+    """Return the key and the result of a file; None if it is missing or damaged."""
+    try:
+        record = json.loads(read_text(file))
+        return record["key"], decoded(kind, record["result"])
+    except (InputError, ValueError, KeyError, TypeError, RecursionError):
+        return None
 
 
 def run_key(problem: Problem | Mapping[str, Any], seed: int) -> dict[str, Any]:
@@ -109,12 +111,12 @@ def digest_of_tables(tables: Mapping[str, Any]) -> str:
 
 
 def _deciding(tables: Mapping[str, Any]) -> Any:
-    """The tables of a problem that decide what a run gives, and the content of its files."""
+    """Return the tables of a problem that affect a run, and the content of its files."""
     return _with_contents({key: each for key, each in tables.items() if key not in UNDECIDING})
 
 
 def _with_contents(value: Any, name: str = "") -> Any:
-    """`value` with digests in place of the names of files, whose contents decide the result."""
+    """Return `value` with digests in place of the names of files, whose content is decisive."""
     if isinstance(value, Mapping):
         table = cast("Mapping[str, Any]", value)
         return {key: _with_contents(part, key) for key, part in table.items()}
@@ -138,7 +140,7 @@ def program() -> tuple[tuple[str, str], ...]:
 
 
 def cpu_name() -> str:
-    """Return the processor's name, as far as the system tells."""
+    """Return the processor's name, as far as it is known."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -154,17 +156,16 @@ def _digest(content: bytes) -> str:
 
 
 CHECK_EVERY_S = 1.0
-"""How often a worker looks for its parent."""
+"""Interval at which a worker looks for its parent."""
 
 Item = TypeVar("Item")
 Shared = TypeVar("Shared")
 Result = TypeVar("Result")
-Group = TypeVar("Group")
 
 
 @dataclass(frozen=True)
 class Study(Generic[Item, Shared, Result]):
-    """The functions that do each item of a study; they must be picklable."""
+    """The functions that compute each item of a study; they must be picklable."""
 
     kind: type[Result]  # Type of a result, as :mod:`planopt.files.typed_json` reads it back
     # Makes what the items of one group share, from the first of them that is not finished
@@ -189,7 +190,7 @@ def run_study(
     backend: str = "loky",
     record: FinishedRuns | None = None,
 ) -> Iterator[list[Finished[Result]]]:
-    """Do all items; yield the results of each group, in order, when it is finished."""
+    """Compute all items; yield the results of each group, in order, when it is finished."""
     if workers < 1:
         raise InputError(
             f"{workers} is less than 1",
@@ -202,33 +203,28 @@ def run_study(
     results = BACKENDS[backend](_group_results, jobs, workers)
     if record is None:
         return results
-    if backend != "loky":
-        return _kept(study, groups, record, results)
-    return _tidied(record, results)
+    return _recorded(study, groups, record, results, elsewhere=backend != "loky")
 
 
-def _tidied(record: FinishedRuns, results: Iterator[Group]) -> Generator[Group]:
-    """Yield results; workers that were killed, now or earlier, leave nothing half-written."""
-    record.tidy()
-    try:
-        yield from results
-    finally:
-        record.tidy()
-
-
-def _kept(
+def _recorded(
     study: Study[Item, Shared, Result],
     groups: Sequence[Sequence[Item]],
     record: FinishedRuns,
     results: Iterator[list[Finished[Result]]],
-) -> Iterator[list[Finished[Result]]]:
-    """Keep results that came from machines with other folders."""
-    for group, found in zip(groups, results, strict=True):
-        for item, one in zip(group, found, strict=True):
-            key = study.key(item)
-            if record.find(key, study.kind) is None:
-                record.keep(key, one.result)
-        yield found
+    *,
+    elsewhere: bool,
+) -> Generator[list[Finished[Result]]]:
+    """Yield results; keep those from machines with other folders, and no unfinished files."""
+    record.tidy()
+    try:
+        for group, found in zip(groups, results, strict=True):
+            for item, one in zip(group, found, strict=True) if elsewhere else ():
+                key = study.key(item)
+                if not record.has(key):
+                    record.keep(key, one.result)
+            yield found
+    finally:
+        record.tidy()
 
 
 def _on_joblib(
@@ -243,7 +239,7 @@ def _on_joblib(
 def _on_loky(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
 ) -> Iterator[Any]:
-    # Workers watch from their beginning: one that never gets a job would wait for minutes.
+    # Workers watch from their start: one that never gets a job would wait for minutes.
     watch = {"initializer": _end_with_parent, "initargs": (os.getpid(),)}
     return _on_joblib(work, jobs, workers, backend="loky", **watch)
 
@@ -266,10 +262,10 @@ def _on_ray(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
 ) -> Generator[Any]:
     """Ray's own tasks: its backend of joblib gives no result before the last one."""
-    # Nothing is sent to anybody unless the user asks for it.
+    # No usage statistics are sent unless the user enables them.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     ray = cast("Any", import_module("ray"))
-    # Modules that this process finds, its workers must find as well: own terms may be in them.
+    # Workers must find the same modules, which may contain registered terms.
     found = {"env_vars": {"PYTHONPATH": os.pathsep.join(sys.path)}}
     local = (
         {}
@@ -281,7 +277,7 @@ def _on_ray(
     handler = signal.getsignal(signal.SIGTERM)
     with nullcontext() if running else ray.init(**local, **quiet):
         if threading.current_thread() is threading.main_thread():
-            # Ray puts its own in the place of ours, by which a comparison ends cleanly.
+            # Ray replaces our handler, by which a comparison ends cleanly.
             signal.signal(signal.SIGTERM, handler)
         task = ray.remote(num_cpus=1)(work)
         for result in [task.remote(*job) for job in jobs]:
@@ -296,10 +292,10 @@ BACKENDS: Mapping[str, Callable[..., Iterator[Any]]] = {
     "dask": _on_dask,
     "ray": _on_ray,
 }
-"""Where groups are done, by name: this machine, or a cluster of the package of that name."""
+"""Backends by name: this machine, or a cluster of the package of that name."""
 
 PACKAGES = {"dask": "distributed", "ray": "ray"}
-"""What a backend needs beside joblib."""
+"""Package that a backend needs in addition to joblib."""
 
 
 def require_backend(backend: str, key: str = "backend") -> None:
@@ -321,7 +317,7 @@ def _group_results(
     rules: Sequence[type[Any]],
     parent: int,
 ) -> list[Finished[Result]]:
-    """Do the items of a group, but for those that are finished."""
+    """Compute the items of a group that are not finished."""
     if os.getpid() != parent:
         for kind in planners:
             register_planner(kind)
@@ -332,24 +328,22 @@ def _group_results(
     shared: list[Shared] = []
     results: list[Finished[Result]] = []
     for item in group:
-        key = None if record is None else study.key(item)
-        found = None if record is None or key is None else record.find(key, study.kind)
-        if found is not None:
-            results.append(Finished(found, resumed=True))
-            continue
-        if not shared:
-            shared.append(study.prepare(item))
-        made = study.work(item, shared[0])
-        if record is not None and key is not None:
-            record.keep(key, made)
-        results.append(Finished(made, resumed=False))
+        found = None if record is None else record.find(study.key(item), study.kind)
+        resumed = found is not None
+        if found is None:
+            if not shared:
+                shared.append(study.prepare(item))
+            found = study.work(item, shared[0])
+            if record is not None:
+                record.keep(study.key(item), found)
+        results.append(Finished(found, resumed))
     return results
 
 
 def _end_with_parent(parent: int) -> None:
-    """End this process, without further ado, soon after the process `parent` has ended.
+    """End this process soon after the process `parent` has ended.
 
-    A process that is killed cannot tell its workers to stop, and theirs would go on for hours.
+    A killed process cannot stop its workers, which would go on for hours.
     """
 
     def watch() -> None:

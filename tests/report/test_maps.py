@@ -1,7 +1,5 @@
 """Maps: the prediction grid, outlines, rasters, contours, places, the shown window."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import shapely
@@ -79,12 +77,6 @@ def test_ground_has_metres_and_equal_scale(panel, problem):
     assert len(panel.collections[0].get_paths()) == 2
 
 
-def test_ground_without_obstacles(figure, panel, problem):
-    """An empty workspace is drawn without complaint."""
-    draw_ground(panel, replace(problem.workspace, obstacles=()), "map")
-    drawn(figure)
-
-
 def test_layer_is_the_raster_in_place(figure, panel):
     """Row 0 is at the smallest y; the extent reaches half a cell beyond the centres."""
     raster = Raster(np.array([0.0, 2.0, 4.0]), np.array([10.0, 11.0]), np.arange(6.0).reshape(2, 3))
@@ -107,13 +99,6 @@ def test_level_only_where_crossed(panel, level, crossed):
     assert bool(panel.collections) is crossed
 
 
-def test_level_of_nothing(panel):
-    """A raster without values has no contour."""
-    raster = Raster(np.arange(2.0), np.arange(2.0), np.full((2, 2), np.nan))
-    draw_level(panel, raster, 0.5, "black")
-    assert not panel.collections
-
-
 def test_places(panel, problem):
     """Start, goal and station are where the problem has them."""
     start, goal, station = draw_places(panel, problem)
@@ -129,12 +114,6 @@ def test_cells_fill_the_bounds():
     assert len(x) == NODES and len(y) == NODES // 3
     assert x[0] == pytest.approx(-9.0) and x[-1] == pytest.approx(289.0)
     assert y[0] == pytest.approx(6.0) and y[-1] == pytest.approx(104.0)
-
-
-def test_thin_bounds_have_two_cells():
-    """A raster needs at least two cells along both axes."""
-    x, y = cell_centres((0.0, 0.0, 1000.0, 0.1))
-    assert (len(x), len(y)) == (NODES, 2)
 
 
 def test_drawn_cells_against_shapely(problem):

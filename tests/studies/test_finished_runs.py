@@ -118,16 +118,6 @@ def test_what_decides_a_run_is_in_its_key(tmp_path: Path, monkeypatch) -> None:
     assert key != run_key(problem, 0)
 
 
-def test_a_record_of_another_type_is_none(tmp_path: Path) -> None:
-    """Neither is one that is not there."""
-    runs = FinishedRuns(tmp_path)
-    assert runs.find({"a": 1}, RunSummary) is None
-    runs.keep({"a": 1}, {"no": "run"})
-    assert runs.find({"a": 1}, RunSummary) is None and runs.find({"a": 1}, dict[str, str]) == {
-        "no": "run"
-    }
-
-
 def test_remains_of_processes_that_ended_are_removed(tmp_path: Path) -> None:
     """Killed while it keeps a result; a process that still writes is not disturbed."""
     writer = (
@@ -147,10 +137,12 @@ def test_remains_of_processes_that_ended_are_removed(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["b.json"]
 
 
-def test_a_file_that_was_being_written_is_no_run(tmp_path: Path) -> None:
-    """A process that is killed between writing and renaming leaves one that is whole."""
+def test_records_that_are_no_result(tmp_path: Path) -> None:
+    """Missing, of another type, or left between writing and renaming by a killed process."""
     record = FinishedRuns(tmp_path)
+    assert record.find({"seed": 1}, float) is None
     record.keep({"seed": 1}, 0.5)
     (kept,) = tmp_path.iterdir()
+    assert record.find({"seed": 1}, RunSummary) is None and record.find({"seed": 1}, float) == 0.5
     (tmp_path / f".{kept.stem}-by-1-0a.json").write_bytes(kept.read_bytes())
     assert record.all(float) == [0.5]

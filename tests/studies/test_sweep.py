@@ -18,7 +18,6 @@ from planopt.commands.compare import asked_seeds, swept
 from planopt.files.typed_json import encoded
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.run_summary import RunSummary, summary_of
-from planopt.problems import FunctionTruth
 from planopt.problems.overrides import with_changes
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
@@ -67,12 +66,6 @@ def test_every_combination_is_that_of_a_changed_problem(problem, comparison) -> 
     )
     assert slow.mean < fast.mean and slow.paired_difference == 0.0
     assert fast.paired_difference == pytest.approx(fast.mean - slow.mean)
-
-
-def test_processes_give_the_same_bits(problem, comparison) -> None:
-    """Sweeps too."""
-    other = compare(problem, costs_to_go=["geodesic"], sweep=SWEEP, seeds=[3, 5], workers=2)
-    assert list(map(untimed, other.runs)) == list(map(untimed, comparison.runs))
 
 
 @pytest.mark.parametrize(
@@ -125,16 +118,6 @@ def test_wrong_changes(changes, key, words) -> None:
         with_changes(load("open_field"), changes)
     assert words in str(caught.value)
     assert key is None or caught.value.key == key
-
-
-def test_a_channel_from_python_stays(problem) -> None:
-    """A sweep of other keys keeps it, whatever it is."""
-    channel = replace(
-        problem.channel,
-        truth=FunctionTruth(power_dbm=lambda places: -40.0 - places[:, 0], cell_m=2.0),
-    )
-    own = replace(problem, channel=channel)
-    assert with_changes(own, {"constraints.p_min": 0.6}).channel is channel
 
 
 def test_other_tasks_are_swept(problem) -> None:
@@ -247,14 +230,6 @@ def test_as_a_table(comparison, tmp_path: Path) -> None:
     assert table.column_names == list(frame.columns)
     assert table["path_m"].to_pylist() == frame["path_m"].tolist()
     assert table["step_s"].to_pylist() == [run.step_s.tolist() for run in comparison.runs]
-
-
-def test_parquet_without_pyarrow(comparison, tmp_path: Path, monkeypatch) -> None:
-    """It is said before anything is written."""
-    monkeypatch.setattr("planopt.studies.comparison.find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"planopt\[parquet\]"):
-        comparison.save(tmp_path / "out", parquet=True)
-    assert not (tmp_path / "out").exists()
 
 
 def test_the_swept_key_stands_along_the_picture(comparison) -> None:

@@ -149,14 +149,6 @@ def test_rows_with_impossible_numbers(tmp_path: Path, capsys) -> None:
     assert "is damaged" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["missing", "plain"])
-def test_report_of_no_run(name: str, tmp_path: Path, capsys) -> None:
-    """Ours, with the folder."""
-    (tmp_path / "plain").mkdir()
-    assert main(["bench", "report", str(tmp_path / name)]) == 2
-    assert name in capsys.readouterr().err
-
-
 def test_freeze_does_not_overwrite_silently(folder: Path, tmp_path: Path, capsys) -> None:
     """New cases are added; a changed one needs --replace and is printed."""
     file = tmp_path / "references.json"

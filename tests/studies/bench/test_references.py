@@ -49,26 +49,6 @@ def test_regressions_in_words(changes, words: str | None) -> None:
         assert found[0].startswith("yard, plan, connected cost-to-go, horizon 10, seed 0, planner")
 
 
-def test_sense_decides_what_is_worse() -> None:
-    """Of a sum of terms, less is worse."""
-    reference = replace(REFERENCE, sense="max")
-    assert regressions(row(sense="max", objective=102.0), reference) == []
-    assert "2.0% worse" in regressions(row(sense="max", objective=98.0), reference)[0]
-
-
-def test_a_better_verdict_is_no_regression() -> None:
-    """From unverified to verified."""
-    assert regressions(row(), replace(REFERENCE, verdict="feasible_unverified")) == []
-    assert regressions(row(), replace(REFERENCE, objective=None)) == []
-
-
-def test_improvements_are_told() -> None:
-    """By more than the share only."""
-    assert improvement(row(objective=99.5), REFERENCE) is None
-    assert "10.0% better" in (improvement(row(objective=90.0), REFERENCE) or "")
-    assert improvement(row(objective=90.0, accepted=False), REFERENCE) is None
-
-
 def test_frozen_names_every_change() -> None:
     """New cases are added; changes have words; what the check rejects is no reference."""
     rows = [row(), row(seed=1, objective=7.123456789123)]
@@ -94,33 +74,6 @@ def test_file_round_trip(tmp_path: Path) -> None:
     text = file.read_text()
     assert text.count('"problem": "yard"') == 3 and len(text.splitlines()) == 6
     assert text.index('"seed": 0') < text.index('"seed": 3')
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"references": [{}]}', '{"references": 3}'])
-def test_damaged_files(text: str, tmp_path: Path) -> None:
-    """Ours, with the file."""
-    file = tmp_path / "references.json"
-    file.write_text(text)
-    with pytest.raises(InputError, match=r"references\.json"):
-        read_references(file)
-
-
-def test_impossible_numbers(tmp_path: Path) -> None:
-    """An objective that is no number would make every comparison true."""
-    file = tmp_path / "references.json"
-    write_references({row().case: replace(REFERENCE, objective=float("nan"))}, file)
-    with pytest.raises(InputError, match="a number that cannot be"):
-        read_references(file)
-
-
-def test_a_case_twice(tmp_path: Path) -> None:
-    """The second would silently win."""
-    file = tmp_path / "references.json"
-    write_references({row().case: REFERENCE}, file)
-    line = file.read_text().splitlines()[2]
-    file.write_text(file.read_text().replace(line, f"{line},\n{line}"))
-    with pytest.raises(InputError, match="a case twice"):
-        read_references(file)
 
 
 def test_library_is_whole() -> None:
@@ -166,3 +119,32 @@ def test_cases_that_cannot_be(asked, key: str) -> None:
     with pytest.raises(InputError) as caught:
         library_cases(["open_field"], **asked)
     assert caught.value.key == key
+
+
+def test_what_is_worse_and_what_is_better() -> None:
+    """Less of a maximum is worse; a better verdict is no regression; improvements beyond 1 %."""
+    reference = replace(REFERENCE, sense="max")
+    assert regressions(row(sense="max", objective=102.0), reference) == []
+    assert "2.0% worse" in regressions(row(sense="max", objective=98.0), reference)[0]
+    assert regressions(row(), replace(REFERENCE, verdict="feasible_unverified")) == []
+    assert regressions(row(), replace(REFERENCE, objective=None)) == []
+    assert improvement(row(objective=99.5), REFERENCE) is None
+    assert "10.0% better" in (improvement(row(objective=90.0), REFERENCE) or "")
+    assert improvement(row(objective=90.0, accepted=False), REFERENCE) is None
+
+
+def test_damaged_files(tmp_path: Path) -> None:
+    """No JSON, other tables, an objective that is no number, and a case that is there twice."""
+    file = tmp_path / "references.json"
+    write_references({row().case: REFERENCE}, file)
+    line = file.read_text().splitlines()[2]
+    twice = file.read_text().replace(line, f"{line},\n{line}")
+    write_references({row().case: replace(REFERENCE, objective=float("nan"))}, file)
+    for text, words in (
+        *((text, r"references\.json") for text in ("", "[]", '{"references": [{}]}')),
+        (file.read_text(), "a number that cannot be"),
+        (twice, "a case twice"),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError, match=words):
+            read_references(file)

@@ -12,7 +12,6 @@ from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_o
 from teams import team_problem, team_run
 
 from planopt import ConnectivityRule, MovingObstacle, Verdict, load, simulate, solve
-from planopt.commands.pictures import picture_run, picture_solution
 from planopt.planning.certificate import RuleResult
 from planopt.planning.results import Solution
 from planopt.planning.values.context import Aim
@@ -20,6 +19,7 @@ from planopt.problems import GivenParameters
 from planopt.report import draw_run, draw_run_series, draw_solution
 from planopt.report.motion_figures import WORDS_LINES, plan_words
 from planopt.report.style import BAND_Z
+from planopt.tasks.motion import MotionReport
 from planopt.world.moving_obstacle import centres_at
 
 MAP, POWER, CHANCE = {"x [m]", "y [m]"}, "power [dBm]", "P [1]"
@@ -264,8 +264,8 @@ def test_plans_of_a_team(simulation, belief, plan, task):
 
 def test_pictures_are_written(simulation, solution, tmp_path):
     """A run and a solution are saved under the same names for every number of robots."""
-    picture_run(team_run(simulation, "map", 1), tmp_path)
-    picture_solution(solution, tmp_path)
+    for value in (team_run(simulation, "map", 1), solution):
+        MotionReport(value).draw(tmp_path)
     names = {"plan.png", "run.png", "belief.png"}
     assert {file.name for file in tmp_path.iterdir()} == names
     assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in names)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.fields.truth import Truth
 from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.objectives.moments import Region

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from planopt import load
 from planopt.channel import measure
-from planopt.files.whole import write_text
+from planopt.files.writing import write_text
 from planopt.planning.initial_data import draw_initial_data
 from planopt.world.clearance import clearance_m, index_obstacles
 from planopt.world.workspace import Workspace

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from planopt import load
-from planopt.files.whole import write_text
+from planopt.files.writing import write_text
 from planopt.planning.learn import prepare
 
 

@@ -25,7 +25,7 @@ from planopt.commands.output import print_out, standard_output
 from planopt.commands.planning import simulate, solve
 from planopt.commands.problem_files import init, list_problems, schema, show_problem, validate
 from planopt.errors import InputError, OutputError, PlanoptError, require_text
-from planopt.files.whole import strict_text
+from planopt.files.writing import strict_text
 
 BAD_INPUT = 2
 INTERRUPTED, TERMINATED = 130, 143

@@ -58,7 +58,7 @@ def test_init_that_fails_leaves_nothing(tmp_path: Path, capsys, monkeypatch) -> 
     def full(path: Path, write: object) -> None:
         raise OutputError(f"{path}: cannot be written: No space left on device")
 
-    monkeypatch.setattr("planopt.files.whole.write_whole", full)
+    monkeypatch.setattr("planopt.files.writing.write_whole", full)
     assert main(["init", str(tmp_path / "new" / "p.toml"), "--from", "munich_courier"]) == 2
     assert "No space left" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -18,7 +18,7 @@ import pytest
 
 from planopt.cli import main
 from planopt.commands.interrupts import interruptible, stopping
-from planopt.files.whole import STAGING
+from planopt.files.writing import STAGING
 from planopt.problems.library import library_folder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
-from planopt.files.regular import read_text
+from planopt.files.reading import read_text
 from planopt.world.footprints import LARGEST_COORDINATE_M
 
 DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")

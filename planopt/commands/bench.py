@@ -12,7 +12,7 @@ from planopt.commands.compare import listed
 from planopt.commands.options import JsonOption
 from planopt.commands.output import drawing, progress, results_folder, show
 from planopt.errors import InputError
-from planopt.files.result_folder import replaced_results
+from planopt.files.writing import replaced_results
 
 if TYPE_CHECKING:
     from planopt.studies.bench.folder import Manifest
@@ -107,7 +107,7 @@ def report(
     json: JsonOption = False,
 ) -> int:
     """Print and draw how planners did. Exit code 0."""
-    from planopt.files.whole import strict_text, write_text
+    from planopt.files.writing import strict_text, write_text
     from planopt.report import bench_text
     from planopt.studies.bench.folder import read_manifest, read_rows
     from planopt.studies.bench.references import best_known, read_references, references_file

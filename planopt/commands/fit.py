@@ -226,8 +226,7 @@ def fit(
                 report = held_out(options.log, fitted, hold_out, threshold)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
-            from planopt.files.result_folder import replaced_results
-            from planopt.files.whole import strict_text, write_text
+            from planopt.files.writing import replaced_results, strict_text, write_text
 
             with replaced_results(folder, FIT) as new:
                 write_text(new / FIT_FILE, strict_text(data))

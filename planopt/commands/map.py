@@ -15,7 +15,7 @@ from planopt.commands.log_fit import LogOptions, read_and_fit
 from planopt.commands.options import JsonOption, with_options
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
-from planopt.files.result_folder import replaced_results
+from planopt.files.writing import replaced_results
 
 if TYPE_CHECKING:
     from planopt.channel.channel_map import Bounds, PosteriorMap

@@ -16,7 +16,7 @@ import typer
 
 from planopt.commands.interrupts import interruptible
 from planopt.errors import OutputError
-from planopt.files.result_folder import Patterns, replaced_results
+from planopt.files.writing import Patterns, replaced_results
 
 NO_PLAN = 4
 """Exit code where there is no plan, or a run did not arrive."""
@@ -25,7 +25,7 @@ NO_PLAN = 4
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
     """Print the JSON object if it was asked for, else the text."""
     if as_json:
-        from planopt.files.whole import strict_text
+        from planopt.files.writing import strict_text
 
         print_out(strict_text(data))
     else:
@@ -131,7 +131,7 @@ def results_folder(out: Path | None) -> Generator[Path | None]:
     if out is None:
         yield None
         return
-    from planopt.files.whole import writable_folder
+    from planopt.files.writing import writable_folder
 
     existed = out.exists()
     writable_folder(out)

@@ -65,8 +65,8 @@ def init(
     json: JsonOption = False,
 ) -> int:
     """Begin a problem file: a copy of one of the library, with the maps that it names."""
-    from planopt.files.regular import read_bytes
-    from planopt.files.whole import write_whole
+    from planopt.files.reading import read_bytes
+    from planopt.files.writing import write_whole
     from planopt.problems.library import library_folder, list_problems
     from planopt.problems.read_toml import named_files, read_toml
 
@@ -127,7 +127,7 @@ def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
 
 
 def _has(path: Path, content: bytes) -> bool:
-    from planopt.files.regular import read_bytes
+    from planopt.files.reading import read_bytes
 
     return path.is_file() and read_bytes(path) == content
 

@@ -17,16 +17,16 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.files.regular import foreign_reader, read_bytes, require_array_size
-
-LARGEST_UNPACKED_BYTES = 512 * 2**20
-"""Size limit of all arrays read from one file: a zip archive unpacks to a thousandfold."""
-
-LARGEST_ITEM_BYTES = 4096
-"""Size limit of one value: texts are stored at the length of the longest."""
+from planopt.files.reading import (
+    LARGEST_BINARY_BYTES,
+    foreign_reader,
+    read_bytes,
+    require_array_size,
+    require_size,
+)
 
 MOST_ENTRIES = 10_000
-"""Limit of the number of arrays in one file."""
+"""Limit of the number of arrays in one file: each entry becomes an object."""
 
 
 def npz_names(path: Path) -> tuple[str, ...]:
@@ -39,12 +39,7 @@ def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, NDA
     archive, members = _members(path)
     names = [name for name in members if wanted is None or name in wanted]
     unpacked = sum(members[name].file_size for name in names)
-    if unpacked > LARGEST_UNPACKED_BYTES:
-        raise InputError(
-            f"declares {unpacked / 2**20:.0f} MB of arrays, more than the limit of "
-            f"{LARGEST_UNPACKED_BYTES / 2**20:.0f} MB",
-            file=path,
-        )
+    require_size("declares arrays of", unpacked, LARGEST_BINARY_BYTES, path)
     return {name: _array(path, archive, name, members[name]) for name in names}
 
 
@@ -54,7 +49,6 @@ def _members(path: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
     if not content.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         raise InputError("is not an npz archive", file=path)
     with foreign_reader(path, "an npz"):
-        # Each entry of the archive's directory becomes an object of half a kilobyte.
         if content.count(b"PK\x01\x02") > MOST_ENTRIES:
             raise InputError(f"holds more than {MOST_ENTRIES} arrays")
         archive = zipfile.ZipFile(io.BytesIO(content))
@@ -64,6 +58,7 @@ def _members(path: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
 def _array(
     path: Path, archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo
 ) -> NDArray[Any]:
+    """Return one array; NumPy allocates what a header declares, which is checked first."""
     with foreign_reader(path, "an npz", name), archive.open(member) as stream:
         first = npy.read_magic(stream) == (1, 0)
         read_header = npy.read_array_header_1_0 if first else npy.read_array_header_2_0
@@ -71,12 +66,9 @@ def _array(
         if dtype.hasobject:
             raise InputError("holds Python objects, which are never unpickled")
         require_array_size(path, name, *shape)
-        if not 0 < dtype.itemsize <= LARGEST_ITEM_BYTES:
-            raise InputError(f"has values of {dtype.itemsize} bytes")
-        size = math.prod(shape) * dtype.itemsize
-        content = stream.read(size)
+        content = stream.read(math.prod(shape) * dtype.itemsize)
         # Reading to the end compares the checksum.
-        if len(content) < size or stream.read(1):
+        if stream.read(1):
             raise InputError("has another size than its header says")
         flat = np.frombuffer(content, dtype=dtype)
         if dtype.kind == "U":

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.files.regular import read_text
-from planopt.files.whole import write_text
+from planopt.files.reading import read_text
+from planopt.files.writing import write_text
 
 LARGEST = 1e9
 """Positions, times, powers and parameters beyond this in a saved file are a fault."""

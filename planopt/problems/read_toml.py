@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from planopt.errors import InputError
-from planopt.files.regular import read_text
+from planopt.files.reading import read_text
 
 LARGEST_TOML_BYTES = 2 * 2**20
 """Size limit of problem files; obstacles and maps have files of their own."""

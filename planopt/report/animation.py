@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planopt.errors import InputError
-from planopt.files.whole import write_whole
+from planopt.files.writing import write_whole
 from planopt.report.style import (
     BLACK,
     FRAME,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.files.whole import write_whole
+from planopt.files.writing import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

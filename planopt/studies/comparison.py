@@ -15,11 +15,10 @@ from typing import Any, cast
 
 from planopt.channel.calibration import ReliabilityBin
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
-from planopt.files.regular import read_text
-from planopt.files.result_folder import replaced_results
+from planopt.files.reading import read_text
 from planopt.files.tables import require_pandas
 from planopt.files.typed_json import decoded, encoded
-from planopt.files.whole import strict_text, write_text, write_whole
+from planopt.files.writing import replaced_results, strict_text, write_text, write_whole
 from planopt.planning.files.record import finite
 from planopt.planning.files.result_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE

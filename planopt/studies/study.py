@@ -33,9 +33,9 @@ from joblib import (
 )
 
 from planopt.errors import InputError
-from planopt.files.regular import read_bytes, read_text
+from planopt.files.reading import read_bytes, read_text
 from planopt.files.typed_json import decoded, encoded
-from planopt.files.whole import remove_remains, strict_text, write_text
+from planopt.files.writing import remove_remains, strict_text, write_text
 from planopt.objectives.terms.term import Term, outside_terms, register
 from planopt.problems.constraints import register_rule, registered_rules
 from planopt.problems.planner_kinds import (

@@ -14,10 +14,9 @@ import numpy as np
 
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
 from planopt.files.compare import differences, in_words
-from planopt.files.result_folder import Patterns, replaced_results
 from planopt.files.tables import Column, Data, comparable, dataframe, read_table, write_tables
 from planopt.files.typed_json import whole_number
-from planopt.files.whole import strict_text, write_text
+from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
 from planopt.problems.messages import located
 from planopt.problems.tables import Table

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.files.regular import foreign_reader, read_bytes, read_text
+from planopt.files.reading import foreign_reader, read_bytes, read_text
 from planopt.world.footprints import LARGEST_COORDINATE_M
 from planopt.world.occupancy_grid import MOST_CELLS, OccupancyGrid
 

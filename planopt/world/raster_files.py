@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
 from planopt.files.npz import npz_names
-from planopt.files.regular import read_text
-from planopt.files.whole import write_whole
+from planopt.files.reading import read_text
+from planopt.files.writing import write_whole
 from planopt.world.raster import Raster, checked_raster, npz_arrays, read_npz_raster, write_npz
 from planopt.world.raster_geotiff import import_rasterio, read_geotiff, write_geotiff
 from planopt.world.raster_netcdf import read_netcdf, write_netcdf

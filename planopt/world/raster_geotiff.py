@@ -15,7 +15,7 @@ from types import ModuleType
 import numpy as np
 
 from planopt.errors import InputError, listed
-from planopt.files.regular import foreign_reader, read_bytes, require_array_size
+from planopt.files.reading import foreign_reader, read_bytes, require_array_size
 from planopt.world.raster import Raster, checked_raster
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

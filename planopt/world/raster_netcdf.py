@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
-from planopt.files.regular import foreign_reader, read_bytes, require_array_size
+from planopt.files.reading import foreign_reader, read_bytes, require_array_size
 from planopt.world.raster import Raster, checked_raster
 
 HDF5_SIGNATURE = b"\x89HDF"

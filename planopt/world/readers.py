@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from planopt.errors import InputError
-from planopt.files.regular import read_text
+from planopt.files.reading import read_text
 from planopt.world.footprints import footprint
 from planopt.world.occupancy_files import is_grid, read_grid
 from planopt.world.occupancy_grid import UnknownCells, grid_obstacles

@@ -67,12 +67,12 @@ def test_sound_arrays_are_those_of_numpy(save, tmp_path: Path) -> None:
         ),
         (
             with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 2)}\n", b"12345"),
-            "another size than its header says",
+            "not an npz that can be read",
         ),
         (npy(np.arange(3.0)) + b"more", "another size than its header says"),
         (
             with_header("{'descr': '<U99999999', 'fortran_order': False, 'shape': (1,)}\n"),
-            "values of 399999996 bytes",
+            "not an npz that can be read",
         ),
         (with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}\n"), "declares -3"),
         (with_header("(" * 5000), "not an npz that can be read"),
@@ -104,9 +104,9 @@ def test_a_zip_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with zipfile.ZipFile(path) as file:
         sizes = {member.filename: member.file_size for member in file.infolist()}
     assert path.stat().st_size < sum(sizes.values()) / 100
-    monkeypatch.setattr(npz, "LARGEST_UNPACKED_BYTES", sizes["a.npy"] + sizes["c.npy"])
+    monkeypatch.setattr(npz, "LARGEST_BINARY_BYTES", sizes["a.npy"] + sizes["c.npy"])
     assert list(read_npz(path, ("a", "c"))) == ["a", "c"]
-    with pytest.raises(InputError, match=r"declares 2 MB of arrays, more than the limit of 1 MB"):
+    with pytest.raises(InputError, match=r"declares arrays of 2 MB, more than the limit of 1 MB"):
         read_npz(path)
 
 

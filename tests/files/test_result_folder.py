@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from planopt.errors import OutputError
-from planopt.files.result_folder import replaced_results
-from planopt.files.whole import STAGING, hidden_name, write_text
+from planopt.files.writing import STAGING, hidden_name, replaced_results, write_text
 
 FILES = ("a.json", "b_*.npz", "*.png")
 
@@ -74,7 +73,7 @@ def test_errors_name_the_folder_of_the_user(old: Path) -> None:
 
 def test_remains_of_killed_processes_are_removed(old: Path) -> None:
     """Files and folders of living processes and of other machines stay."""
-    script = "from planopt.files.whole import hidden_name; print(hidden_name('.json'), end='')"
+    script = "from planopt.files.writing import hidden_name; print(hidden_name('.json'), end='')"
     dead = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout
     other = hidden_name().replace(STAGING, f"{STAGING}other-")
     (old / dead).mkdir()
@@ -91,7 +90,7 @@ def test_remains_of_killed_processes_are_removed(old: Path) -> None:
 WRITER = """
 import sys
 from pathlib import Path
-from planopt.files.result_folder import replaced_results
+from planopt.files.writing import replaced_results
 folder, number = Path(sys.argv[1]), 0
 print("ready", flush=True)
 while True:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from planopt import load
-from planopt.files.whole import write_whole
+from planopt.files.writing import write_whole
 from planopt.planning.run_summary import RunSummary
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.save import problem_to_dict
@@ -121,7 +121,7 @@ def test_what_decides_a_run_is_in_its_key(tmp_path: Path, monkeypatch) -> None:
 def test_remains_of_processes_that_ended_are_removed(tmp_path: Path) -> None:
     """Killed while it keeps a result; a process that still writes is not disturbed."""
     writer = (
-        "import os, sys; from pathlib import Path; from planopt.files.whole import write_whole; "
+        "import os, sys; from pathlib import Path; from planopt.files.writing import write_whole; "
         "write_whole(Path(sys.argv[1]), lambda temporary: (temporary.touch(), os._exit(9)))"
     )
     subprocess.run([sys.executable, "-c", writer, tmp_path / "a.json"], check=False)

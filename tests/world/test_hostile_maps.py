@@ -11,7 +11,7 @@ import pytest
 from scipy.io import netcdf_file
 
 from planopt.errors import InputError
-from planopt.files.regular import LARGEST_TEXT_BYTES
+from planopt.files.reading import LARGEST_TEXT_BYTES
 from planopt.world.raster import Raster
 from planopt.world.raster_files import read_raster, write_rasters
 

@@ -21,7 +21,7 @@ from planopt.channel.parameters import ChannelParameters, Station
 from planopt.errors import InputError
 from planopt.files.npz import read_npz
 from planopt.files.tables import LARGEST, REMEDY
-from planopt.files.whole import write_whole
+from planopt.files.writing import write_whole
 from planopt.planning.results import Run
 
 BELIEF_FILE = "belief.npz"

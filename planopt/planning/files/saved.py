@@ -1,6 +1,6 @@
 """Saved plans and runs: folders of ``plan.json`` or ``run.json``, tables and beliefs.
 
-The files of a folder are replaced together (:mod:`planopt.files.result_folder`).
+The files of a folder are replaced together (:mod:`planopt.files.writing`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
-from planopt.files.regular import read_text
-from planopt.files.result_folder import replaced_results
+from planopt.files.reading import read_text
 from planopt.files.tables import REMEDY, Column, Data, read_table, write_tables
-from planopt.files.whole import strict_text, write_text
+from planopt.files.writing import replaced_results, strict_text, write_text
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,

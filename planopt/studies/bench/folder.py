@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from planopt.errors import InputError
-from planopt.files.regular import read_text
+from planopt.files.reading import read_text
 from planopt.files.typed_json import decoded, encoded
-from planopt.files.whole import strict_text, write_text
+from planopt.files.writing import strict_text, write_text
 from planopt.planning import tolerances
 from planopt.problems.load import load_motion
 from planopt.studies.bench.cases import Case

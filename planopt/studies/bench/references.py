@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from planopt.errors import InputError
-from planopt.files.regular import read_text
+from planopt.files.reading import read_text
 from planopt.files.typed_json import decoded, encoded
-from planopt.files.whole import write_text
+from planopt.files.writing import write_text
 from planopt.planning.plan import Verdict
 from planopt.problems.library import library_folder
 from planopt.problems.load import load_motion

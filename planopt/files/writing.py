@@ -1,4 +1,9 @@
-"""Write files whole or not at all, and JSON strictly."""
+"""Write files and folders of results whole or not at all, and JSON strictly.
+
+New files are written under hidden names and moved into place when they are complete. JSON files of
+a folder, without which no result is read, are removed first and moved last: a process that is
+killed between these leaves no result rather than a mixture of two.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +13,10 @@ import os
 import platform
 import secrets
 import shutil
+import signal
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +24,9 @@ from planopt.errors import OutputError
 
 STAGING = ".planopt-new-"
 """Prefix of hidden files and folders that are being written."""
+
+Patterns = tuple[str, ...]
+"""Names of all files of a kind of result, with * for any text."""
 
 
 def hidden_name(suffix: str = "") -> str:
@@ -50,6 +60,57 @@ def strict_text(data: Mapping[str, Any]) -> str:
     return json.dumps(data, allow_nan=False, ensure_ascii=False) + "\n"
 
 
+@contextlib.contextmanager
+def replaced_results(folder: Path, files: Patterns, *, keep: bool = False) -> Generator[Path]:
+    """Yield a folder for new results, which replace those of `folder` unless an error occurs.
+
+    With `keep` they are added to the results that are there.
+    """
+    staging = folder / hidden_name()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_remains(folder)
+        staging.mkdir()
+        yield staging
+        names = sorted(os.listdir(staging), key=_is_head)
+        unknown = [name for name in names if not _matches(name, files)]
+        if unknown:
+            raise ValueError(f"{unknown} are none of {files}")
+        with _uninterrupted():
+            for old in sorted(os.listdir(folder), key=_is_head, reverse=True):
+                if not keep and _matches(old, files) and (_is_head(old) or old not in names):
+                    (folder / old).unlink()
+            for name in names:
+                (staging / name).replace(folder / name)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    except OutputError as error:
+        raise OutputError(str(error).replace(str(staging), str(folder))) from error
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _matches(name: str, files: Patterns) -> bool:
+    return any(fnmatch(name, pattern) for pattern in files)
+
+
+def _is_head(name: str) -> bool:
+    return name.endswith(".json")
+
+
+@contextlib.contextmanager
+def _uninterrupted() -> Generator[None]:
+    """Delay interrupts while files are moved, where the system can."""
+    if os.name != "posix":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def remove_remains(folder: Path) -> None:
     """Remove hidden files and folders of processes of this machine that were killed."""
     own = f"{STAGING}{platform.node()}-"
@@ -78,10 +139,8 @@ def writable_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path):
-            pass
+            return path
     except OSError as error:
-        raise OutputError(
-            f"{path}: not a folder that can be written: {error.strerror or error} "
-            "(choose another --out)"
-        ) from error
-    return path
+        fault = error.strerror or error
+        hint = "(choose another --out)"
+        raise OutputError(f"{path}: not a folder that can be written: {fault} {hint}") from error

@@ -1,7 +1,7 @@
 """Read input files that may be anything: devices, pipes, endless, huge or damaged files.
 
-Every input file is read by this module: no other file than the named one is read, and its size is
-checked before memory is used.
+No other file than the named one is read, and sizes are checked before memory is used: those of the
+file first, then those that arrays declare.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from pathlib import Path
 
 from planopt.errors import InputError
 
-LARGEST_TEXT_BYTES = 64 * 2**20
+MEGABYTE = 2**20
+
+LARGEST_TEXT_BYTES = 64 * MEGABYTE
 """Size limit of text files (tables, obstacles, saved JSON). A log of a million rows has 30 MB."""
 
-LARGEST_BINARY_BYTES = 512 * 2**20
-"""Size limit of binary files (npz, NetCDF, GeoTIFF)."""
+LARGEST_BINARY_BYTES = 512 * MEGABYTE
+"""Size limit of binary files, and of all arrays unpacked from one npz file."""
 
 LARGEST_ARRAY_VALUES = 25_000_000
 """Number of values that one array of a file may declare: a map of 5000 x 5000 cells."""
-
-MEGABYTE = 2**20
 
 
 def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
@@ -44,14 +44,18 @@ def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read: {reason}", file=path, remedy="check the path") from error
-    size = max(status.st_size, len(content))
-    if size > largest:
-        raise InputError(
-            f"has {size / MEGABYTE:.0f} MB, more than the limit of {largest / MEGABYTE:.0f} MB",
-            file=path,
-            remedy="give a smaller file, with fewer rows or larger cells",
-        )
+    require_size("has", max(status.st_size, len(content)), largest, path)
     return content
+
+
+def require_size(verb: str, size: int, largest: int, path: Path) -> None:
+    """Refuse a file that has or declares too many bytes."""
+    if size > largest:
+        found, limit = f"{size / MEGABYTE:.0f} MB", f"{largest / MEGABYTE:.0f} MB"
+        remedy = "give a smaller file, with fewer rows or larger cells"
+        raise InputError(
+            f"{verb} {found}, more than the limit of {limit}", file=path, remedy=remedy
+        )
 
 
 def read_text(path: Path, largest: int = LARGEST_TEXT_BYTES) -> str:
@@ -75,7 +79,7 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
     Errors in destructors and callbacks, which Python would print, are silenced as well.
     """
     hooks = sys.excepthook, sys.unraisablehook
-    sys.excepthook = sys.unraisablehook = _ignore
+    sys.excepthook = sys.unraisablehook = lambda *_: None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -85,27 +89,15 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
             raise
         raise InputError(error.message, file=path, key=key, remedy=error.remedy) from error
     except Exception as error:
-        raise InputError(
-            f"is damaged, or not {kind} that can be read",
-            file=path,
-            key=key,
-            remedy="copy or export the file again",
-        ) from error
+        fault, remedy = f"is damaged, or not {kind} that can be read", "copy or export it again"
+        raise InputError(fault, file=path, key=key, remedy=remedy) from error
     finally:
         sys.excepthook, sys.unraisablehook = hooks
-
-
-def _ignore(*_: object) -> None:
-    """Print nothing."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:
     """Refuse an array that declares too many values, before it is read."""
     if min(lengths, default=0) < 0 or math.prod(map(int, lengths)) > LARGEST_ARRAY_VALUES:
         shape = " x ".join(str(int(length)) for length in lengths)
-        raise InputError(
-            f"declares {shape} values, more than the limit of {LARGEST_ARRAY_VALUES}",
-            file=path,
-            key=key,
-            remedy="give a smaller map",
-        )
+        fault = f"declares {shape} values, more than the limit of {LARGEST_ARRAY_VALUES}"
+        raise InputError(fault, file=path, key=key, remedy="give a smaller map")

@@ -129,7 +129,12 @@ def _at(file: str, key: str) -> str:
 def digest(data: Mapping[str, object]) -> str:
     """Return a digest of the values below the keys of `TAKEN`, but for those of the problem."""
     taken = list(_taken({key: part for key, part in data.items() if key != "problem_file"}))
-    return hashlib.sha256(json.dumps(taken).encode()).hexdigest()[:16]
+    return digest_of(json.dumps(taken))
+
+
+def digest_of(text: str) -> str:
+    """Return the digest of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _taken(data: object) -> Iterator[tuple[str, object]]:

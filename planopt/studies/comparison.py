@@ -15,6 +15,7 @@ from typing import Any, cast
 
 from planopt.channel.calibration import ReliabilityBin
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
+from planopt.files.compare import DIGEST, differences, digest_of, in_words
 from planopt.files.reading import read_text
 from planopt.files.tables import require_pandas
 from planopt.files.typed_json import decoded, encoded
@@ -45,6 +46,9 @@ COMPARISON = (
     *("comparison.png", "reliability.png", "traces.png"),
 )
 """The files of a comparison with its pictures."""
+
+MACHINE = frozenset(("program", "python", "machine"))
+"""Keys of the manifest that describe where the comparison was made."""
 
 REMEDY = "run the comparison again"
 
@@ -123,9 +127,15 @@ def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = Fal
     if parquet:
         require_pyarrow()
     tables = [_tables(problem) for problem in (comparison.problem, *comparison.others)]
-    data = {**comparison_json(comparison), "problem_file": tables[0], "other_problems": tables[1:]}
+    runs = "".join(_run_line(run) for run in comparison.runs)
+    data = {
+        **comparison_json(comparison),
+        DIGEST: digest_of(runs),
+        "problem_file": tables[0],
+        "other_problems": tables[1:],
+    }
     with replaced_results(folder, COMPARISON) as new:
-        write_text(new / RUNS_FILE, "".join(_run_line(run) for run in comparison.runs))
+        write_text(new / RUNS_FILE, runs)
         write_text(new / MANIFEST_FILE, strict_text(manifest(comparison, tables)))
         if parquet:
             write_whole(new / PARQUET_FILE, lambda path: _write_parquet(comparison, path))
@@ -147,6 +157,28 @@ def load_comparison(path: Path) -> Comparison | None:
     if named or ((folder / COMPARISON_FILE).is_file() and not any(map(Path.is_file, others))):
         return _load_comparison(folder)
     return None
+
+
+def comparison_reasons(path: Path) -> list[str] | None:
+    """Return the differences of a saved comparison from the tables made of its runs again.
+
+    A digest covers the runs. Return None if the folder or file has another result.
+    """
+    comparison = load_comparison(path)
+    if comparison is None:
+        return None
+    folder = path.parent if path.name == COMPARISON_FILE else path
+    said: dict[str, Any] = json.loads(read_text(folder / COMPARISON_FILE))
+    tables = {key: said[key] for key in ("problem_file", "other_problems")}
+    runs = digest_of(read_text(folder / RUNS_FILE))
+    found = {**comparison_json(comparison), DIGEST: runs, **tables}
+    reasons = in_words(COMPARISON_FILE, differences(said, found, accepted=frozenset()))
+    made: dict[str, Any] = json.loads(read_text(folder / MANIFEST_FILE))
+    try:
+        again = manifest(comparison, [tables["problem_file"], *tables["other_problems"]])
+    except InputError as error:  # A map or log that the digests cover is gone
+        return [*reasons, f"{MANIFEST_FILE}, key problems: {error}"]
+    return reasons + in_words(MANIFEST_FILE, differences(made, again, accepted=MACHINE))
 
 
 def _load_comparison(folder: Path) -> Comparison:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
-from planopt.errors import path_of
+from planopt.errors import NoPlanError, path_of
 from planopt.planning.check.check import CheckResult, check_motion, load_motion_result
 from planopt.planning.files.saved import read_object
 from planopt.planning.initial_data import UserMeasurements
@@ -165,19 +165,26 @@ def check(path: Path | str) -> CheckResult:
     Parameters
     ----------
     path
-        The folder, or its ``plan.json`` or ``run.json``.
+        The folder, or its ``plan.json``, ``run.json`` or ``comparison.json``.
 
     Raises
     ------
     InputError
         A file is missing, truncated or not what it should be; with file, key or row.
     """
-    file, data = read_object(path_of("path", path, "give a folder: save a result before"))
-    if named_task(data.get("problem_file")) not in MOTION:
+    from planopt.studies.comparison import comparison_reasons
+
+    given = path_of("path", path, "give a folder: save a result before")
+    try:
+        reasons = comparison_reasons(given)
+    except NoPlanError as error:
+        return CheckResult(Verdict.NONE, (), (f"there is no comparison to check: {error}",))
+    if reasons is None:
+        file, data = read_object(given)
+        if named_task(data.get("problem_file")) in MOTION:
+            return check_motion(file, data)
         reasons = reasons_against(file, data)
-        verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
-        return CheckResult(verdict, (), tuple(reasons))
-    return check_motion(file, data)
+    return CheckResult(Verdict.VIOLATED if reasons else Verdict.VERIFIED, (), tuple(reasons))
 
 
 def load_result(path: Path | str) -> Solution | Run | Comparison | TaskResult:

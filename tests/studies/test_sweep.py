@@ -219,6 +219,28 @@ def test_saved_and_read_back(comparison, tmp_path: Path) -> None:
         planopt.load_result(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("comparison.json", '"count": 2', '"count": 3', "].count: 3, found 2"),
+        ("comparison.json", '"connected_share": ', '"connected_share": 1', "connected_share"),
+        ("comparison.json", '"path_m": ', '"path_m": 1', "key runs[0].metrics.path_m"),
+        ("runs.jsonl", '"reason": "', '"reason": "not ', "comparison.json, key digest"),
+        ("manifest.json", '"seeds": [3', '"seeds": [4', "manifest.json, key seeds[0]"),
+    ],
+)
+def test_edited_comparisons_are_rejected(comparison, tmp_path: Path, file, old, new, words) -> None:
+    """Tables are made again from the runs, which a digest covers."""
+    comparison.save(tmp_path)
+    assert planopt.check(tmp_path).verdict is planopt.Verdict.VERIFIED
+    text = (tmp_path / file).read_text()
+    assert old in text
+    (tmp_path / file).write_text(text.replace(old, new, 1))
+    result = planopt.check(tmp_path)
+    assert result.verdict is planopt.Verdict.VIOLATED
+    assert any(words in reason for reason in result.reasons), result.reasons
+
+
 def test_as_a_table(comparison, tmp_path: Path) -> None:
     """A row a run; Parquet has the same columns."""
     frame = comparison.to_dataframe()

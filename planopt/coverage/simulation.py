@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.coverage.assignment import (
     NONE,
@@ -27,6 +28,7 @@ from planopt.coverage.events import Event, Sensing, Watch, event_places, signals
 from planopt.coverage.ground import Ground, neighbour_network
 from planopt.coverage.network import LinkModel, Loss, Network
 from planopt.coverage.region import positive
+from planopt.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,179 @@ class NetworkRun:
     settled: bool  # Whether the last step found all agents settled
 
 
+Readings = Callable[[int, NDArray[np.intp]], NDArray[np.float64]]
+"""Gives the signals of an event, by its number, that some agents (m,) read now; (m,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkStep:
+    """What a network decides in one step; ``n`` agents, ``k`` events."""
+
+    motion: Motion  # Positions, velocities and headings of all agents at the end of the step
+    states: NDArray[np.intp]  # These and the following are as in :class:`NetworkRun`
+    targets_m: NDArray[np.float64]
+    cost: float
+    residual_m: float
+    counts: NDArray[np.float64]
+    wanted: NDArray[np.intp]
+    watches: tuple[Watch, ...]  # (k,) what is known of each event
+    messages: tuple[int, ...]
+    settled: bool  # Whether all agents are settled for good
+
+
+class NetworkController:
+    """The decisions of a network's agents, step by step: a simulation's, or those of a user's loop.
+
+    What agents know of events, of each other and of their number is kept between calls of
+    :meth:`step`; each call is one step of ``scene.time_step_s`` seconds.
+
+    Parameters
+    ----------
+    scene, mover
+        What is covered, and the law by which agents move.
+    generator
+        Source of the randomness in counting and in lost messages.
+    """
+
+    def __init__(self, scene: Scene, mover: Mover, generator: np.random.Generator) -> None:
+        agents, events = len(scene.starts_m), len(scene.events)
+        self.scene = scene
+        self._mover, self._generator = mover, generator
+        self._steps = 0
+        self._states = np.full(agents, ABSENT, dtype=np.intp)
+        self._watches, self._wanted = (Watch(),) * events, np.zeros(events, dtype=np.intp)
+        self._assigned_for: Circumstance | None = None
+        self._tally: Tally | None = None
+        start = scene.starts_m.astype(np.float64)
+        self.motion = Motion(start, np.zeros((agents, 2)), np.zeros(agents))
+
+    def step(
+        self,
+        positions_m: ArrayLike | None = None,
+        readings: Readings | ArrayLike | None = None,
+        *,
+        velocities_m_s: ArrayLike | None = None,
+        headings_rad: ArrayLike | None = None,
+    ) -> NetworkStep:
+        """Return what the agents do in the next step.
+
+        Parameters
+        ----------
+        positions_m, velocities_m_s, headings_rad
+            ``(n, 2)``, ``(n, 2)`` and ``(n,)`` of the agents now; by default as the last step
+            planned.
+        readings
+            ``(k, n)`` signal of each event at each agent now, or a function that gives the signals
+            of an event at some agents. Needed where there are events.
+
+        Raises
+        ------
+        InputError
+            An array has another shape or is not finite, an agent is outside the region, or readings
+            are missing.
+        """
+        agents, events = len(self._states), len(self.scene.events)
+        last = self.motion
+        motion = Motion(
+            last.places_m
+            if positions_m is None
+            else _numbers("positions_m", positions_m, (agents, 2)),
+            last.velocities_m_s
+            if velocities_m_s is None
+            else _numbers("velocities_m_s", velocities_m_s, (agents, 2)),
+            last.headings_rad
+            if headings_rad is None
+            else _numbers("headings_rad", headings_rad, (agents,)),
+        )
+        outside = np.flatnonzero(~self.scene.ground.allows(motion.places_m))
+        if len(outside):
+            raise InputError(
+                "is outside the region, in an obstacle or too near to one",
+                key=f"positions_m[{outside[0]}]",
+                remedy="correct the position, or the region",
+            )
+        if readings is None:
+            if events:
+                raise InputError(
+                    "are left out, and there are events",
+                    key="readings",
+                    remedy="give (k, n) signals",
+                )
+            return self.decide(motion, lambda event, who: np.zeros(len(who)))
+        if callable(readings):
+            return self.decide(motion, readings)
+        signals_now = _numbers("readings", readings, (events, agents))
+        return self.decide(motion, lambda event, who: signals_now[event, who])
+
+    def decide(self, motion: Motion, readings: Readings) -> NetworkStep:
+        """Return what the agents do in the next step, from checked arrays."""
+        scene, generator, here = self.scene, self._generator, motion.places_m
+        agents, time_s = len(self._states), self._steps * scene.time_step_s
+        members = scene.members(time_s, here, self._states != ABSENT)
+        states = np.where(members, np.maximum(self._states, NONE), ABSENT)
+        who, sent = np.flatnonzero(members), [0, 0, 0]
+        talks = len(scene.events) > 0 or scene.counting.method != "known"
+        network = neighbour_network(scene.ground, here[who]) if talks else None
+        counts = np.where(members, float(len(who)), np.nan)
+        if network is not None:
+            loss = _loss(scene, network, here[who])
+            self._tally = (
+                start_tally(scene.counting, network, members, generator, loss)
+                if self._tally is None
+                else tally_step(self._tally, scene.counting, network, members, generator, loss)
+            )
+            counts, sent[0] = self._tally.estimates, self._tally.messages
+            self._watches, sent[2] = _noticed(
+                scene, self._watches, network, loss, here[who], states[who], time_s, generator,
+                lambda event: readings(event, who),
+            )  # fmt: skip
+            wanted = _wanted(scene, self._watches, here[who], counts[who])
+            now = _circumstance(scene, self._watches, who)
+            changed = bool(np.any(loss)) or bool((wanted != self._wanted).any())
+            if changed or is_due(self._assigned_for, now, scene.moved_m):
+                states[who], sent[1] = _assigned(
+                    scene, self._watches, network, loss, here[who], states[who], wanted,
+                    counts[who], generator,
+                )  # fmt: skip
+                self._assigned_for, self._wanted = now, wanted
+        targets, drifts, cost = _aims(scene, self._watches, here, states)
+        responds = states[who] >= 0
+        velocities, headings = np.zeros((agents, 2)), motion.headings_rad.copy()
+        now = Motion(here[who], motion.velocities_m_s[who], headings[who])
+        after = self._mover(scene.ground, now, targets[who], responds, drifts[who])
+        residual = residual_m(scene.gains, scene.time_step_s, now, after, targets[who], responds)
+        known = np.array([watch.is_known for watch in self._watches], dtype=np.bool_)
+        settled = scene.has_settled(time_s, residual, known, members)
+        there = here.copy()
+        there[who], velocities[who], headings[who] = (
+            after.places_m,
+            after.velocities_m_s,
+            after.headings_rad,
+        )
+        self.motion = Motion(there, velocities, headings)
+        self._states = states
+        self._steps += 1
+        return NetworkStep(
+            self.motion, states, targets, cost, residual, counts, self._wanted, self._watches,
+            tuple(sent), settled,
+        )  # fmt: skip
+
+
+def _numbers(key: str, given: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return finite numbers of a shape."""
+    try:
+        found = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape != shape or not np.isfinite(found).all():
+        raise InputError(
+            f"has shape {found.shape} or numbers that are not finite",
+            key=key,
+            remedy=f"give finite numbers of shape {shape}",
+        )
+    return found
+
+
 def simulate_network(
     scene: Scene,
     mover: Mover,
@@ -163,78 +338,24 @@ def simulate_network(
     on_step: Callable[[], None] = lambda: None,
 ) -> NetworkRun:
     """Simulate a network from its start until it has settled, or the time is over."""
-    agents, steps = len(scene.starts_m), round(scene.duration_s / scene.time_step_s)
-    here, events = scene.starts_m.astype(np.float64), len(scene.events)
-    states = np.full(agents, ABSENT, dtype=np.intp)
-    watches, last, asked = (Watch(),) * events, None, np.zeros(events, dtype=np.intp)
-    tally: Tally | None = None
-    motion = Motion(here, np.zeros((agents, 2)), np.zeros(agents))
-    motions, rows, settled = [motion], list[_Row](), False
-    for step in range(steps):
-        time_s = step * scene.time_step_s
-        members = scene.members(time_s, here, states != ABSENT)
-        states = np.where(members, np.maximum(states, NONE), ABSENT)
-        who, sent = np.flatnonzero(members), [0, 0, 0]
-        talks = events > 0 or scene.counting.method != "known"
-        network = neighbour_network(scene.ground, here[who]) if talks else None
-        counts = np.where(members, float(len(who)), np.nan)
-        if network is not None:
-            loss = _loss(scene, network, here[who])
-            tally = (
-                start_tally(scene.counting, network, members, generator, loss)
-                if tally is None
-                else tally_step(tally, scene.counting, network, members, generator, loss)
-            )
-            counts, sent[0] = tally.estimates, tally.messages
-            watches, sent[2] = _noticed(
-                scene, watches, network, loss, here[who], states[who], time_s, generator
-            )
-            wanted = _wanted(scene, watches, here[who], counts[who])
-            now = _circumstance(scene, watches, who)
-            lossy = bool(np.any(loss))
-            if lossy or (wanted != asked).any() or is_due(last, now, scene.moved_m):
-                states[who], sent[1] = _assigned(
-                    scene, watches, network, loss, here[who], states[who], wanted, counts[who],
-                    generator,
-                )  # fmt: skip
-                last, asked = now, wanted
-        targets, drifts, cost = _aims(scene, watches, here, states)
-        responds = states[who] >= 0
-        velocities, headings = np.zeros((agents, 2)), motion.headings_rad.copy()
-        now = Motion(here[who], motion.velocities_m_s[who], headings[who])
-        after = mover(scene.ground, now, targets[who], responds, drifts[who])
-        residual = residual_m(scene.gains, scene.time_step_s, now, after, targets[who], responds)
-        known = np.array([watch.is_known for watch in watches], dtype=np.bool_)
-        settled = scene.has_settled(time_s, residual, known, members)
-        rows.append(
-            _Row(states.copy(), targets, cost, residual, counts, asked, watches, tuple(sent))
-        )
-        here = here.copy()
-        here[who], velocities[who], headings[who] = (
-            after.places_m,
-            after.velocities_m_s,
-            after.headings_rad,
-        )
-        motion = Motion(here, velocities, headings)
-        motions.append(motion)
+    controller = NetworkController(scene, mover, generator)
+    motions, rows = [controller.motion], list[NetworkStep]()
+    for step in range(round(scene.duration_s / scene.time_step_s)):
+        here_m, time_s = motions[-1].places_m, step * scene.time_step_s
+
+        def readings(
+            event: int, who: NDArray[np.intp], here_m: Any = here_m, time_s: float = time_s
+        ) -> NDArray[np.float64]:
+            """Draw what agents read of an event; only networks with a sensor ask."""
+            sensing = cast("Sensing", scene.sensing)
+            return signals(scene.events[event], sensing, here_m[who], time_s, generator)
+
+        rows.append(controller.decide(motions[-1], readings))
+        motions.append(rows[-1].motion)
         on_step()
-        if settled and scene.stop_when_settled:
+        if rows[-1].settled and scene.stop_when_settled:
             break
-    return _run(scene, motions, rows, settled)
-
-
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """The record of one step; attributes as in :class:`NetworkRun`."""
-
-    states: NDArray[np.intp]
-    targets_m: NDArray[np.float64]
-    cost: float
-    residual_m: float
-    counts: NDArray[np.float64]
-    wanted: NDArray[np.intp]
-    watches: tuple[Watch, ...]
-    sent: tuple[int, ...]
+    return _run(scene, motions, rows)
 
 
 def _loss(scene: Scene, network: Network, agents_m: NDArray[np.float64]) -> Loss:
@@ -254,6 +375,7 @@ def _noticed(
     states: NDArray[np.intp],
     time_s: float,
     generator: np.random.Generator,
+    readings: Callable[[int], NDArray[np.float64]],
 ) -> tuple[tuple[Watch, ...], int]:
     """Return the knowledge after all have measured, and how many readings were sent.
 
@@ -265,8 +387,8 @@ def _noticed(
     found: list[Watch] = []
     sender, receiver = network.directed
     lost = np.any(loss)
-    for number, (event, watch) in enumerate(zip(scene.events, watches, strict=True)):
-        signal = signals(event, sensing, agents_m, time_s, generator)
+    for number, watch in enumerate(watches):
+        signal = readings(number)
         collects = states == number
         if not collects.any():
             collects = signal > sensing.detection_std * sensing.sensor.noise_std
@@ -401,7 +523,7 @@ def residual_m(
     return float(np.minimum(left, moved / gains.shares(responds, time_step_s)).max())
 
 
-def _run(scene: Scene, motions: list[Motion], rows: list[_Row], settled: bool) -> NetworkRun:
+def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> NetworkRun:
     """The records of all steps as arrays."""
     steps, events = len(rows), len(scene.events)
     places = np.array([[watch.place_m for watch in row.watches] for row in rows])
@@ -419,6 +541,6 @@ def _run(scene: Scene, motions: list[Motion], rows: list[_Row], settled: bool) -
         np.array([row.wanted for row in rows]).reshape(steps, events),
         places.reshape(steps, events, 2),
         stds.reshape(steps, events),
-        np.array([row.sent for row in rows]),
-        settled,
+        np.array([row.messages for row in rows]),
+        rows[-1].settled,
     )

@@ -6,7 +6,7 @@ import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NoReturn
+from typing import Any, NoReturn, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ from planopt.planning.team.plan_step import planning
 from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem
+from planopt.problems.tasks import TaskProblem, task_of
 from planopt.problems.world_tables import check_obstacle
 from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
@@ -48,7 +49,9 @@ class Planner:
     Parameters
     ----------
     problem
-        From :func:`planopt.load` or made in Python.
+        From :func:`planopt.load` or made in Python. For a problem of another task than motion
+        planning, the object made is the controller of that task, with a method ``step`` of its own:
+        :class:`planopt.problems.NetworkController` or :class:`planopt.problems.PursuitController`.
     measurements
         First measurements, as for :func:`planopt.solve`. Without them they are taken as the problem
         says, and all that a simulation draws is drawn as :func:`planopt.simulate` draws it: a loop
@@ -80,6 +83,18 @@ class Planner:
     >>> heard = planopt.Measurements([here], [-61.5])
     >>> plan = planner.step(here, heard)
     """
+
+    @overload
+    def __new__(  # pyright: ignore[reportInconsistentConstructor]
+        cls, problem: TaskProblem, **settings: Any
+    ) -> Any: ...
+    @overload
+    def __new__(cls, problem: Problem, **settings: Any) -> Self: ...
+    def __new__(cls, problem: Any, **settings: Any) -> Any:
+        """Return the controller of the problem's task."""
+        if isinstance(problem, TaskProblem):
+            return task_of(problem).control(problem, **settings)
+        return super().__new__(cls)
 
     @one_blas_thread()
     def __init__(

@@ -1,5 +1,6 @@
 """Public names that some problems need; each is imported from its module when it is first used."""
 
+from planopt.coverage.simulation import NetworkController as NetworkController
 from planopt.problems.channel_setup import ArrayTruth as ArrayTruth
 from planopt.problems.channel_setup import FittedTruth as FittedTruth
 from planopt.problems.channel_setup import FunctionTruth as FunctionTruth
@@ -13,6 +14,8 @@ from planopt.problems.save import problem_from_dict as problem_from_dict
 from planopt.problems.save import problem_to_dict as problem_to_dict
 from planopt.problems.settings import ReportSettings as ReportSettings
 from planopt.problems.tasks import TaskProblem as TaskProblem
+from planopt.pursuit.records import Record as Record
+from planopt.pursuit.simulation import PursuitController as PursuitController
 from planopt.robots.double_integrator import DoubleIntegrator as DoubleIntegrator
 from planopt.robots.unicycle import Unicycle as Unicycle
 from planopt.world.occupancy_grid import OccupancyGrid as OccupancyGrid

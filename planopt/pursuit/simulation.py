@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import (
     linear_sum_assignment,  # pyright: ignore[reportUnknownVariableType]
 )
@@ -135,17 +135,155 @@ class Pursuit:
 def simulate_pursuit(
     scene: Scene, generator: np.random.Generator, on_step: Callable[[], None] = lambda: None
 ) -> Pursuit:
-    """Run a pursuit until all evaders are caught or `max_steps` are over.
-
-    Each pursuer is after one evader until that is caught: first the pairs that are together the
-    least apart by their first records, then whoever is free takes the nearest one that nobody is
-    after, or the nearest at all.
-    """
+    """Run a pursuit until all evaders are captured or `max_steps` are over."""
     return _Run(scene, generator, on_step).finish()
 
 
+Reports = Callable[[int, int, Record | None], Record | None]
+"""Gives the record that a pursuer gets of an evader now, both by number, with the one in use."""
+
+
+@dataclass(frozen=True, eq=False)
+class PursuitStep:
+    """What pursuers decide in one step."""
+
+    chased: NDArray[np.int64]  # (p,) number of the evader that each pursues; -1 for none
+    aims_m: NDArray[np.float64]  # (p, 2) where each drives to
+    # Pursuer and evader of each record that was taken into use, and the record
+    records: tuple[tuple[int, int, Record], ...]
+
+
+class PursuitController:
+    """The decisions of pursuers, step by step: a simulation's, or those of a user's loop.
+
+    Each pursuer pursues one evader until that is captured: first the pairs that are together the
+    least apart by their first records, then a free pursuer takes the nearest evader that no other
+    pursues, or the nearest at all. Each call of :meth:`step` is one step of ``scene.step_s``
+    seconds.
+
+    Parameters
+    ----------
+    scene
+        Pursuers, with how they move and decide, and the arena.
+    generator
+        Source of the randomness of policies.
+    """
+
+    def __init__(self, scene: Scene, generator: np.random.Generator) -> None:
+        self.scene = scene
+        self._generator = generator
+        self._drivers: list[Driver | None] = [None] * len(scene.pursuers)
+        self._after = np.full(len(scene.pursuers), -1)
+        self._steps = 0
+
+    def step(
+        self,
+        states: Sequence[ArrayLike],
+        reports: Reports | Mapping[tuple[int, int], Record],
+        captured: Collection[int] = (),
+    ) -> PursuitStep:
+        """Return where pursuers drive to in the next step.
+
+        Parameters
+        ----------
+        states
+            State of each pursuer: x and y in metres, and the heading of one that must turn.
+        reports
+            Records by the numbers of pursuer and evader, or a function that gives them.
+        captured
+            Numbers of the evaders that have been captured.
+
+        Raises
+        ------
+        InputError
+            There is not one finite state for each pursuer, or all evaders are captured.
+        """
+        pursuers = self.scene.pursuers
+        sizes = [len(each.motion.start(each.start_m)) for each in pursuers]
+        now = [np.asarray(state, dtype=np.float64) for state in states]
+        if [each.shape for each in now] != [(size,) for size in sizes] or not all(
+            np.isfinite(each).all() for each in now
+        ):
+            raise InputError(
+                f"{len(now)} states for {len(pursuers)} pursuers, or of another size",
+                key="states",
+                remedy=f"give finite states of sizes {sizes}",
+            )
+        left = np.setdiff1d(np.arange(len(self.scene.evaders)), list(captured))
+        if not len(left):
+            raise InputError("are all evaders", key="captured", remedy="the pursuit is over")
+        if callable(reports):
+            return self.decide(now, reports, left)
+        given = dict(reports)
+        return self.decide(now, lambda pursuer, evader, _: given.get((pursuer, evader)), left)
+
+    def decide(
+        self,
+        states: Sequence[NDArray[np.float64]],
+        reports: Reports,
+        left: NDArray[np.intp],  # Evaders that are not captured
+    ) -> PursuitStep:
+        """Return where pursuers drive to in the next step, from checked arguments."""
+        self._assign(states, reports, left)
+        time_s, aims = self._steps * self.scene.step_s, list[NDArray[np.float64]]()
+        taken = list[tuple[int, int, Record]]()
+        for number, (driver, state) in enumerate(zip(self._drivers, states, strict=True)):
+            if driver is None:
+                aims.append(state[:2])
+                continue
+            before, evader = driver.record, int(self._after[number])
+            view = PursuerView(
+                time_s,
+                self.scene.step_s,
+                state,
+                lambda held, number=number, evader=evader: reports(number, evader, held),
+            )
+            aims.append(driver.aim_m(view))
+            if driver.record is not None and driver.record is not before:
+                taken.append((number, evader, driver.record))
+        self._steps += 1
+        return PursuitStep(self._after.copy(), np.array(aims), tuple(taken))
+
+    def _assign(
+        self,
+        states: Sequence[NDArray[np.float64]],
+        reports: Reports,
+        left: NDArray[np.intp],
+    ) -> None:
+        """Give every pursuer without an evader one."""
+        free = [number for number, evader in enumerate(self._after.tolist()) if evader not in left]
+        if not free:
+            return
+        chased = set(np.delete(self._after, free).tolist())
+
+        def away_m(pursuer: int, evader: int) -> float:
+            """Return the distance to the reported evader."""
+            found = reports(pursuer, evader, None)
+            if found is None:
+                # Farther than anything that is known, but not infinite: assignments need numbers.
+                return 1e12
+            return float(np.linalg.norm(found.reported_m - states[pursuer][:2]))
+
+        apart_m = np.array([[away_m(number, e) for e in left.tolist()] for number in free])
+        alone = np.array([evader not in chased for evader in left.tolist()])
+        self._after[free] = left[apart_m.argmin(axis=1)]
+        if alone.any():
+            rows, columns = _assigned(apart_m[:, alone])
+            self._after[np.array(free)[rows]] = left[alone][columns]
+        for number in free:
+            each = self.scene.pursuers[number]
+            quest = Quest(
+                each.motion,
+                max(other.speed_max_m_s for other in self.scene.evaders),
+                self.scene.capture_radius_m,
+                self.scene.arena,
+                self._generator,
+            )
+            self._drivers[number] = each.policy.begin(quest)
+
+
 class _Run:
-    """Positions so far, and who is after whom."""
+    """The world of a pursuit: positions so far, evaders, and captures."""
 
     def __init__(
         self, scene: Scene, generator: np.random.Generator, on_step: Callable[[], None]
@@ -159,21 +297,23 @@ class _Run:
         self._places = np.empty((count, steps + 1, 2))
         self._places[:, 0] = [each.start_m for each in scene.evaders]
         self._decides: list[Decide] = [each.behaviour.begin(generator) for each in scene.evaders]
-        self._drivers: list[Driver | None] = [None] * len(scene.pursuers)
+        self._controller = PursuitController(scene, generator)
         self._chased = np.full((len(scene.pursuers), steps), -1)
         self._aims_m = np.zeros((len(scene.pursuers), steps, 2))
-        self._after = np.full(len(scene.pursuers), -1)
         self._capture_s, self._captors = np.full(count, np.inf), np.full(count, -1)
         self._uses: list[Use] = []
         self._step = 0
 
     def finish(self) -> Pursuit:
         while self._step < self._scene.max_steps and np.isinf(self._capture_s).any():
-            self._assign()
-            self._chased[:, self._step] = self._after
-            aims = [self._aim_m(number) for number in range(len(self._scene.pursuers))]
+            states = [each[self._step] for each in self._states]
+            left = np.flatnonzero(np.isinf(self._capture_s))
+            decided = self._controller.decide(states, self._report, left)
+            aims = list(decided.aims_m)
+            self._chased[:, self._step] = decided.chased
             self._aims_m[:, self._step] = aims
-            self._move_evaders(np.array(aims))
+            self._uses += [self._use(*each) for each in decided.records]
+            self._move_evaders(decided.aims_m)
             for number, each in enumerate(self._scene.pursuers):
                 states = self._states[number]
                 states[self._step + 1] = each.motion.towards(
@@ -202,66 +342,15 @@ class _Run:
     def _place_m(self, pursuer: int) -> NDArray[np.float64]:
         return self._states[pursuer][self._step, :2]
 
-    def _ask(self, pursuer: int, evader: int, held: Record | None) -> Record | None:
+    def _report(self, pursuer: int, evader: int, held: Record | None) -> Record | None:
         return self._scene.source.record(
             self._track(evader), self._place_m(pursuer), float(self._times_s[self._step]), held
         )
 
-    def _assign(self) -> None:
-        """Give every pursuer without an evader one."""
-        free = [
-            number
-            for number, evader in enumerate(self._after.tolist())
-            if evader < 0 or np.isfinite(self._capture_s[evader])
-        ]
-        if not free:
-            return
-        left = np.flatnonzero(np.isinf(self._capture_s))
-        chased = set(np.delete(self._after, free).tolist())
-        away_m = np.array(
-            [[self._reported_away_m(number, evader) for evader in left.tolist()] for number in free]
-        )
-        alone = np.array([evader not in chased for evader in left.tolist()])
-        self._after[free] = left[away_m.argmin(axis=1)]
-        if alone.any():
-            rows, columns = _assigned(away_m[:, alone])
-            self._after[np.array(free)[rows]] = left[alone][columns]
-        for number in free:
-            each = self._scene.pursuers[number]
-            quest = Quest(
-                each.motion,
-                max(other.speed_max_m_s for other in self._scene.evaders),
-                self._scene.capture_radius_m,
-                self._scene.arena,
-                self._generator,
-            )
-            self._drivers[number] = each.policy.begin(quest)
-
-    def _reported_away_m(self, pursuer: int, evader: int) -> float:
-        found = self._ask(pursuer, evader, None)
-        if found is None:
-            # Farther than anything that is known, but not infinite: assignments need numbers.
-            return 1e12
-        return float(np.linalg.norm(found.reported_m - self._place_m(pursuer)))
-
-    def _aim_m(self, number: int) -> NDArray[np.float64]:
-        driver, evader = self._drivers[number], int(self._after[number])
-        if driver is None:
-            return self._place_m(number)
-        before = driver.record
-        view = PursuerView(
-            float(self._times_s[self._step]),
-            self._scene.step_s,
-            self._states[number][self._step],
-            lambda held: self._ask(number, evader, held),
-        )
-        aim_m = driver.aim_m(view)
-        if driver.record is not None and driver.record is not before:
-            sampled_m = self._track(evader).at(np.array(driver.record.sampled_s))
-            self._uses.append(
-                Use(number, evader, view.time_s, view.place_m, driver.record, sampled_m)
-            )
-        return aim_m
+    def _use(self, pursuer: int, evader: int, record: Record) -> Use:
+        sampled_m = self._track(evader).at(np.array(record.sampled_s))
+        time_s = float(self._times_s[self._step])
+        return Use(pursuer, evader, time_s, self._place_m(pursuer), record, sampled_m)
 
     def _move_evaders(self, aims_m: NDArray[np.float64]) -> None:
         pursuers_m = np.array([self._place_m(number) for number in range(len(aims_m))])

@@ -209,6 +209,18 @@ class Task:
         problem = self.overridden(problem, **{k: v for k, v in given.items() if k not in known})
         return function(problem, seed=seed, **{k: v for k, v in given.items() if k in known})
 
+    def control(self, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
+        """Return the controller of a problem under settings; those that are None are left out."""
+        function = self.function("controller")
+        if function is None:
+            raise InputError(
+                f"{problem.name} asks for {problem.task}, which has no steps to plan",
+                file=problem.file,
+                key="problem.task",
+                remedy="use planopt.solve",
+            )
+        return function(self.overridden(problem, **settings), seed=seed)
+
     def overridden(self, problem: Any, **settings: Any) -> Any:
         """Return a problem under other settings; those that are None are left out."""
         given = {name: value for name, value in settings.items() if value is not None}

@@ -19,7 +19,7 @@ from planopt.coverage.assignment import NONE
 from planopt.coverage.control.laws import Gains
 from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.optima import best_deployment
-from planopt.coverage.simulation import ABSENT, NetworkRun, simulate_network
+from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
 from planopt.coverage.verify import verify_moves
 from planopt.files.tables import Column, Data
 from planopt.planning.files.record import finite
@@ -117,6 +117,12 @@ def simulate(
         ],
     }
     return TaskResult(problem, data, tables_of(problem, run), run)
+
+
+def controller(problem: CoverageProblem, *, seed: int) -> NetworkController:
+    """Return what decides the steps of a network, with the starts and randomness of a seed."""
+    generator = np.random.default_rng(seed)
+    return NetworkController(problem.scene(generator), problem.mover, generator)
 
 
 def faults(result: TaskResult) -> list[str]:
@@ -322,7 +328,7 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     places = places.reshape(events, steps, 2)
     team = np.array([(run.states == k).sum(axis=1) for k in range(events)], dtype=np.int64)
     stds = run.stds_m.T.ravel()
-    numbers: NDArray[np.int64] = np.arange(steps + 1)
+    numbers = np.array(range(steps + 1), dtype=np.int64)
     there = [[int(e.is_there(t)) for t in times_s.tolist()] for e in problem.events]
     return {
         STEPS_FILE: {
@@ -445,6 +451,7 @@ TASK = Task(
     solve=solve,
     simulate=simulate,
     override=CoverageProblem.with_planner,
+    controller=controller,
     verify=faults,
     reached=("settled", "served"),
     summary=in_words,

@@ -20,7 +20,7 @@ from planopt.files.tables import Column, Data
 from planopt.planning.files.record import finite
 from planopt.pursuit.certificate import Claim, verify_guarantees
 from planopt.pursuit.guarantees import Guarantee
-from planopt.pursuit.simulation import Pursuit, simulate_pursuit
+from planopt.pursuit.simulation import Pursuit, PursuitController, simulate_pursuit
 from planopt.pursuit.theorems import Distances, Inequality, Theorem
 from planopt.pursuit.verify import PursuitData, PursuitLog, Reports, Robot, Service, verify_pursuit
 from planopt.tasks.pursuit.tables import PursuitFile, PursuitProblem, build
@@ -90,7 +90,7 @@ def simulate(
                 "name": table.name,
                 "captured": bool(np.isfinite(caught_s)),
                 "capture_time_s": finite(caught_s),
-                "captor": None if captor < 0 else given.pursuers[captor].name,
+                "captor": None if captor < 0 else names[captor],
             }
             for table, (caught_s, captor) in zip(given.evaders, captures, strict=True)
         ],
@@ -106,6 +106,12 @@ def simulate(
         ],
     }
     return TaskResult(problem, data, tables_of(problem, pursuit), pursuit)
+
+
+def controller(problem: PursuitProblem, *, seed: int) -> PursuitController:
+    """Return what decides the steps of the pursuers, with the randomness of a seed."""
+    generator = np.random.default_rng(seed)
+    return PursuitController(problem.scene(generator), generator)
 
 
 def unguaranteed(problem: PursuitProblem) -> Inequality | None:
@@ -417,6 +423,7 @@ TASK = Task(
     build=build,
     simulate=simulate,
     override=PursuitProblem.with_planner,
+    controller=controller,
     verify=faults,
     reached=("captured",),
     summary=in_words,

@@ -40,26 +40,6 @@ def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
 class BaseStation(Part):
     """A fixed station: a base station, access point or gateway.
 
-    Attributes
-    ----------
-    position_m
-        Place ``(x, y)`` in metres; it may be outside the workspace.
-    height_m
-        Height of its antenna above the robots' antennas.
-    transmit_power_dbm
-        Added to path gains.
-    threshold_dbm
-        Received power from which on a robot is connected, as plans and proofs take it.
-    receive_threshold_dbm
-        Received power from which on a robot truly is, in a simulation; None for the same.
-    name
-        Name in outputs.
-    gain_file, gain_variable
-        Its own map of path gains in place of a :class:`RasterTruth`'s, and the gain's name there.
-    log_file, power_column, censored_column
-        Its own log of first measurements in place of a :class:`LoggedMeasurements`'s, the column of
-        its power, and the one that marks censored rows.
-
     Examples
     --------
     >>> from planopt import BaseStation
@@ -70,69 +50,32 @@ class BaseStation(Part):
 
     at = "stations[]"
 
-    position_m: Annotated[
-        Pair, Field(description="Place [x, y] in metres; it may be outside the bounds.")
-    ]
-    height_m: Annotated[
-        Metres,
-        Field(description="Height of its antenna above the robots' antennas, in metres."),
-    ] = 0.0
-    transmit_power_dbm: Annotated[
-        Decibels,
-        Field(description="Transmit power in dBm; received power is this plus the path gain."),
-    ]
-    threshold_dbm: Annotated[
-        Decibels,
-        Field(
-            description="Received power in dBm from which on a robot is connected, as plans and "
-            "proofs take it."
-        ),
-    ]
-    receive_threshold_dbm: Annotated[
-        Decibels | None,
-        Field(
-            description="Received power in dBm from which on a robot truly is connected in a "
-            "simulation, where that is not threshold_dbm."
-        ),
-    ] = None
-    name: Annotated[Name, Field(description="What outputs call it.")] = "station"
-    gain_file: Annotated[
-        FilePath | None,
-        Field(
-            description="Map of its path gains, where channel.truth is a raster: in place of "
-            "channel.truth.file. Each station needs a map of its own."
-        ),
-    ] = None
-    gain_variable: Annotated[
-        str | None,
-        Field(
-            min_length=1,
-            description="Name of its path gain in dB, in place of channel.truth.variable.",
-        ),
-    ] = None
-    log_file: Annotated[
-        FilePath | None,
-        Field(
-            description="CSV log of its first measurements, in place of channel.measurements.file. "
-            "Each station needs a log or a power_column of its own."
-        ),
-    ] = None
-    power_column: Annotated[
-        str | None,
-        Field(
-            min_length=1,
-            description="Column of its power in dBm in the log, in place of "
-            "channel.measurements.columns.power.",
-        ),
-    ] = None
-    censored_column: Annotated[
-        str | None,
-        Field(
-            min_length=1,
-            description="Column that marks its censored rows; of a log of its own, by default "
-            "that of channel.measurements.",
-        ),
-    ] = None
+    position_m: Pair
+    """Place [x, y] in metres; it may be outside the bounds."""
+    height_m: Metres = 0.0
+    """Height of its antenna above the robots' antennas, in metres."""
+    transmit_power_dbm: Decibels
+    """Transmit power in dBm; received power is this plus the path gain."""
+    threshold_dbm: Decibels
+    """Received power in dBm from which on a robot is connected, as plans and proofs take it."""
+    receive_threshold_dbm: Decibels | None = None
+    """Received power in dBm from which on a robot truly is connected in a simulation, where that is
+    not threshold_dbm."""
+    name: Name = "station"
+    """What outputs call it."""
+    gain_file: FilePath | None = None
+    """Map of its path gains, where channel.truth is a raster: in place of channel.truth.file. Each
+    station needs a map of its own."""
+    gain_variable: Annotated[str | None, Field(min_length=1)] = None
+    """Name of its path gain in dB, in place of channel.truth.variable."""
+    log_file: FilePath | None = None
+    """CSV log of its first measurements, in place of channel.measurements.file. Each station needs
+    a log or a power_column of its own."""
+    power_column: Annotated[str | None, Field(min_length=1)] = None
+    """Column of its power in dBm in the log, in place of channel.measurements.columns.power."""
+    censored_column: Annotated[str | None, Field(min_length=1)] = None
+    """Column that marks its censored rows; of a log of its own, by default that of
+    channel.measurements."""
 
     @property
     def true_threshold_dbm(self) -> float:

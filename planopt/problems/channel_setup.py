@@ -34,14 +34,14 @@ MIN_DEVIATION_DB = 0.001
 class MultipathTable(Table):
     """``multipath``: a kind, and exactly one of m, k and std_db (none for rayleigh)."""
 
-    kind: MultipathKind = Field(description="nakagami, rician, rayleigh or lognormal.")
-    m: float | None = Field(
-        default=None, ge=0.5, le=1e8, description="Nakagami's m (a number, at least 1 for rician)."
-    )
-    k: float | None = Field(default=None, ge=0, le=1e8, description="Rician K (linear ratio).")
-    std_db: float | None = Field(
-        default=None, ge=0, le=100, description="omega, deviation of multipath in dB."
-    )
+    kind: MultipathKind
+    """nakagami, rician, rayleigh or lognormal."""
+    m: float | None = Field(default=None, ge=0.5, le=1e8)
+    """Nakagami's m (a number, at least 1 for rician)."""
+    k: float | None = Field(default=None, ge=0, le=1e8)
+    """Rician K (linear ratio)."""
+    std_db: float | None = Field(default=None, ge=0, le=100)
+    """omega, deviation of multipath in dB."""
 
     @property
     def law(self) -> Multipath:
@@ -99,26 +99,17 @@ Floor = Annotated[
 class RicianKeys(Table):
     """The fading of a map by its Rician factor."""
 
-    rician_k: float | None = Field(
-        default=None,
-        gt=0,
-        le=1e8,
-        description="Rician K factor (linear ratio) of small-scale fading; left out: no fading.",
-    )
+    rician_k: float | None = Field(default=None, gt=0, le=1e8)
+    """Rician K factor (linear ratio) of small-scale fading; left out: no fading."""
 
 
 class LawKeys(Table):
     """The multipath of a drawn channel: its deviation, or a law."""
 
-    multipath_std_db: float | None = Field(
-        default=None,
-        ge=0,
-        le=100,
-        description="omega, deviation in dB of multipath that is Gaussian in dB.",
-    )
-    multipath: Fading | None = Field(
-        default=None, description="Multipath of another kind, in place of multipath_std_db."
-    )
+    multipath_std_db: float | None = Field(default=None, ge=0, le=100)
+    """omega, deviation in dB of multipath that is Gaussian in dB."""
+    multipath: Fading | None = None
+    """Multipath of another kind, in place of multipath_std_db."""
 
     @model_validator(mode="after")
     def _one_multipath(self) -> LawKeys:
@@ -133,53 +124,24 @@ class LawKeys(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class RasterTruth(Part):
-    """The true channel as a raster of path gains, with seeded small-scale fading on top.
-
-    Attributes
-    ----------
-    file
-        A map that :func:`planopt.world.raster_files.read_raster` reads.
-    variable
-        Name of the path gain in dB, or of the received power in dBm; NaN where nothing arrives.
-    quantity
-        ``gain`` or ``power``: the station's transmit power is added to gains.
-    floor_db
-        The receiver's floor as a path gain: smaller gains are clipped to it and censored.
-    multipath
-        The law of the fading, or None for none.
-    """
+    """The true channel as a raster of path gains, with seeded small-scale fading on top."""
 
     at = "channel.truth"
     kind = "raster"
     Keys = RicianKeys
 
-    file: Annotated[
-        FilePath,
-        Field(
-            description="npz (x, y and the variable on [iy, ix], or a radio map of Sionna RT), "
-            "CSV, NetCDF or GeoTIFF, by ending; relative to the problem file."
-        ),
-    ]
-    variable: Annotated[str, Field(min_length=1, description="Name of the path gain in dB.")] = (
-        "path_gain_db"
-    )
-    quantity: Annotated[
-        Literal["gain", "power"],
-        Field(
-            description="gain (path gain in dB, to which transmit_power_dbm is added) or power "
-            "(received power in dBm, such as mean_db of planopt map)."
-        ),
-    ] = "gain"
-    floor_db: Annotated[
-        Decibels,
-        Field(
-            description="The receiver's floor as a path gain in dB: what is below is clipped and "
-            "censored."
-        ),
-    ]
-    multipath: Annotated[
-        Fading | None, Field(description="Small-scale fading of another kind than rician_k gives.")
-    ] = None
+    file: FilePath
+    """npz (x, y and the variable on [iy, ix], or a radio map of Sionna RT), CSV, NetCDF or GeoTIFF,
+    by ending; relative to the problem file."""
+    variable: Annotated[str, Field(min_length=1)] = "path_gain_db"
+    """Name of the path gain in dB."""
+    quantity: Literal["gain", "power"] = "gain"
+    """gain (path gain in dB, to which transmit_power_dbm is added) or power (received power in dBm,
+    such as mean_db of planopt map)."""
+    floor_db: Decibels
+    """The receiver's floor as a path gain in dB: what is below is clipped and censored."""
+    multipath: Fading | None = None
+    """Small-scale fading of another kind than rician_k gives."""
 
     def to_keys(self) -> dict[str, Any]:
         """Return the keys of its table; Rician fading by its factor."""
@@ -200,34 +162,25 @@ class RasterTruth(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class ModelTruth(Part):
-    """The true channel drawn from the channel model itself, for synthetic problems.
-
-    Attributes
-    ----------
-    k_pl_db, n_pl, shadow_std_db, decorrelation_m, multipath_std_db
-        As in :class:`planopt.channel.parameters.ChannelParameters`; ``k_pl_db`` is a gain, to
-        which the station's transmit power is added.
-    cell_m
-        Cell side of the drawn raster.
-    floor_db
-        As in :class:`RasterTruth`, or None for no floor.
-    multipath
-        Its law, of deviation ``multipath_std_db``; None for Gaussian in dB.
-    """
+    """The true channel drawn from the channel model itself, for synthetic problems."""
 
     at = "channel.truth"
     kind = "model"
     Keys = LawKeys
     not_keys = frozenset({"multipath_std_db", "multipath"})
 
-    k_pl_db: Annotated[Decibels, Field(description="K_PL as a path gain at one metre, in dB.")]
-    n_pl: Annotated[float, Field(gt=0, le=20, description="n_PL, path loss exponent (a number).")]
+    k_pl_db: Decibels
+    """K_PL as a path gain at one metre, in dB."""
+    n_pl: Annotated[float, Field(gt=0, le=20)]
+    """n_PL, path loss exponent (a number)."""
     shadow_std_db: Shadowing
     decorrelation_m: Decorrelation
     multipath_std_db: float
+    """omega, deviation of multipath in dB; of the law in multipath, if there is one."""
     cell_m: Cell
     floor_db: Floor = None
     multipath: Multipath | None = None
+    """Law of the multipath; None for Gaussian in dB."""
 
     def to_keys(self) -> dict[str, Any]:
         """Return the keys of its table: a law, or the deviation."""
@@ -250,13 +203,6 @@ class FittedTruth(Part):
 
     Parameters are estimated from the log by ``channel.fit``; path loss, shadowing and multipath are
     drawn with the seed.
-
-    Attributes
-    ----------
-    cell_m
-        Cell side of the drawn raster.
-    floor_db
-        As in :class:`RasterTruth`, or None for no floor.
     """
 
     at = "channel.truth"
@@ -377,34 +323,18 @@ class LoggedMeasurements:
 
 @dataclass(frozen=True, kw_only=True)
 class GivenParameters(Part):
-    """Parameters of the channel that are known, so that they are not estimated.
-
-    Attributes
-    ----------
-    shadow_std_db, decorrelation_m, multipath_std_db
-        As in :class:`planopt.channel.parameters.ChannelParameters`.
-    k_pl_db, n_pl
-        Path loss; ``k_pl_db`` is a gain, to which a station's transmit power is added. Both None:
-        path loss is estimated from the measurements, with its uncertainty.
-    """
+    """Parameters of the channel that are known, so that they are not estimated."""
 
     at = "channel.fit.given"
 
     shadow_std_db: Shadowing
     decorrelation_m: Decorrelation
-    multipath_std_db: Annotated[
-        float, Field(ge=0, le=100, description="omega, deviation of multipath in dB.")
-    ]
-    k_pl_db: Annotated[
-        Decibels | None,
-        Field(
-            description="K_PL as a path gain at one metre in dB; left out, with n_pl: path loss is "
-            "estimated."
-        ),
-    ] = None
-    n_pl: Annotated[
-        float | None, Field(gt=0, le=20, description="n_PL, path loss exponent (a number).")
-    ] = None
+    multipath_std_db: Annotated[float, Field(ge=0, le=100)]
+    """omega, deviation of multipath in dB."""
+    k_pl_db: Decibels | None = None
+    """K_PL as a path gain at one metre in dB; left out, with n_pl: path loss is estimated."""
+    n_pl: Annotated[float | None, Field(gt=0, le=20)] = None
+    """n_PL, path loss exponent (a number)."""
 
     def fault(self) -> str | None:
         """Return whether one of two keys is missing."""
@@ -416,13 +346,12 @@ class GivenParameters(Part):
 class ColumnsTable(Table):
     """``columns`` of a log: what its columns are called."""
 
-    x: str = Field(default="x_m", min_length=1, description="Column of x in metres.")
-    y: str = Field(default="y_m", min_length=1, description="Column of y in metres.")
-    power: str = Field(
-        default="power_dbm",
-        min_length=1,
-        description="Column of received power in dBm.",
-    )
+    x: str = Field(default="x_m", min_length=1)
+    """Column of x in metres."""
+    y: str = Field(default="y_m", min_length=1)
+    """Column of y in metres."""
+    power: str = Field(default="power_dbm", min_length=1)
+    """Column of received power in dBm."""
 
 
 class MeasurementsTable(Table):
@@ -434,30 +363,19 @@ class MeasurementsTable(Table):
         le=100_000,
         description=COUNT_WORDS,
     )
-    file: FilePath | None = Field(
-        default=None, description="CSV log of first measurements, relative to the problem file."
-    )
-    columns: ColumnsTable | None = Field(
-        default=None, description="Column names of the log, if not x_m, y_m and power_dbm."
-    )
-    censored_column: str | None = Field(
-        default=None, min_length=1, description="Column of the log that marks censored rows."
-    )
-    floor_dbm: Decibels | None = Field(
-        default=None, description="Powers in the log at or below this many dBm are censored."
-    )
-    spacing_m: float = Field(
-        default=2.0,
-        ge=0,
-        le=1e6,
-        description="On the way a robot measures only at this distance in metres from every "
-        "earlier measurement.",
-    )
-    shared: bool = Field(
-        default=False,
-        description="Whether every robot has the measurements of all robots after each step (true "
-        "or false).",
-    )
+    file: FilePath | None = None
+    """CSV log of first measurements, relative to the problem file."""
+    columns: ColumnsTable | None = None
+    """Column names of the log, if not x_m, y_m and power_dbm."""
+    censored_column: str | None = Field(default=None, min_length=1)
+    """Column of the log that marks censored rows."""
+    floor_dbm: Decibels | None = None
+    """Powers in the log at or below this many dBm are censored."""
+    spacing_m: float = Field(default=2.0, ge=0, le=1e6)
+    """On the way a robot measures only at this distance in metres from every earlier measurement.
+    """
+    shared: bool = False
+    """Whether every robot has the measurements of all robots after each step (true or false)."""
 
     @model_validator(mode="after")
     def _one_source(self) -> MeasurementsTable:
@@ -485,14 +403,11 @@ class MeasurementsTable(Table):
 class FitTable(Table):
     """``[channel.fit]``: how parameters are estimated."""
 
-    method: FitMethod = Field(
-        default="reml", description="lemma1, capped, convex, nls or reml: docs/channel.md, Fit."
-    )
-    given: GivenParameters | None = Field(
-        default=None,
-        description="Parameters that are known and not estimated: shadow_std_db, decorrelation_m "
-        "and multipath_std_db, and k_pl_db and n_pl or neither.",
-    )
+    method: FitMethod = "reml"
+    """lemma1, capped, convex, nls or reml: docs/channel.md, Fit."""
+    given: GivenParameters | None = None
+    """Parameters that are known and not estimated: shadow_std_db, decorrelation_m and
+    multipath_std_db, and k_pl_db and n_pl or neither."""
 
 
 class TruthOf:
@@ -509,55 +424,42 @@ def _read_truth(value: object, handler: ValidatorFunctionWrapHandler) -> Any:
     return value if isinstance(value, ArrayTruth | FunctionTruth) else handler(value)
 
 
+AnyTruth = Annotated[RasterTruth | ModelTruth | FittedTruth, Field(discriminator="kind"), TruthOf()]
+
+
 class ChannelKeys(Table):
     """``[channel]``: how power varies and what is known of it."""
 
-    truth: (
-        Annotated[RasterTruth | ModelTruth | FittedTruth, Field(discriminator="kind"), TruthOf()]
-        | None
-    ) = Field(default=None, description="The true channel, for simulation; may be left out.")
+    truth: AnyTruth | None = None
+    """The true channel, for simulation; may be left out."""
     measurements: MeasurementsTable
     fit: FitTable = FitTable()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelSetup(Part):
-    """Sources of ground truth and first measurements, and the fit of the channel.
-
-    Attributes
-    ----------
-    truth
-        What `simulate` drives in; None if there is none.
-    measurements
-        The first measurements.
-    fit_method
-        How parameters are estimated from them.
-    given
-        Parameters that are known; None where all are estimated.
-    measure_spacing_m
-        On the way a robot measures again only at this distance from every earlier measurement:
-        fading at one place keeps its value, so measuring it twice teaches nothing.
-    share_measurements
-        Whether every robot has the measurements of all after each step.
-    """
+    """Sources of ground truth and first measurements, and the fit of the channel."""
 
     at = "channel"
     Keys = ChannelKeys
-    not_keys = frozenset(
-        {
-            *("truth", "measurements", "fit_method", "given"),
-            *("measure_spacing_m", "share_measurements"),
-        }
-    )
 
     truth: ChannelTruth | None = None
+    """The true channel of simulations; None if there is none."""
     measurements: SampledMeasurements | LoggedMeasurements = field(
         default_factory=SampledMeasurements
     )
+    """The first measurements."""
     fit_method: FitMethod = "reml"
+    """How parameters are estimated from them."""
     given: GivenParameters | None = None
+    """Parameters that are known; None where all are estimated."""
     measure_spacing_m: float = 2.0
+    """Distance in metres of a new measurement from every earlier one: fading at one position keeps
+    its value, so that measuring it twice gives no information."""
     share_measurements: bool = False
+    """Whether every robot has the measurements of all robots after each step."""
+
+    not_keys = frozenset(__annotations__)
 
     def __post_init__(self) -> None:
         if self.truth is not None:

@@ -54,29 +54,17 @@ class SettingGroup(Part):
     at = "compare.settings[]"
 
     # In place of the problem's own, which are kept where there is none
-    horizons: Annotated[
-        tuple[int, ...],
-        Strict(False),
-        Field(description="Steps ahead; left out: the problem's own."),
-    ] = ()
-    planners: Annotated[
-        tuple[str, ...],
-        Strict(False),
-        Field(description="Names of planners; left out: the problem's own."),
-    ] = ()
-    costs_to_go: Annotated[
-        tuple[str, ...],
-        Strict(False),
-        Field(description="geodesic, connected; left out: both where there is a goal."),
-    ] = ()
+    horizons: Annotated[tuple[int, ...], Strict(False)] = ()
+    """Steps ahead; left out: the problem's own."""
+    planners: Annotated[tuple[str, ...], Strict(False)] = ()
+    """Names of planners; left out: the problem's own."""
+    costs_to_go: Annotated[tuple[str, ...], Strict(False)] = ()
+    """geodesic, connected; left out: both where there is a goal."""
     # Values of further keys of the problem file, by dotted key
-    sweep: Annotated[
-        Mapping[str, Annotated[list[Any], Field(min_length=1)]] | None,
-        Field(
-            description="Values of any keys of this file, such as "
-            '{ "constraints.p_min" = [0.5, 0.8] }.'
-        ),
-    ] = field(default=None, hash=False)
+    sweep: Mapping[str, Annotated[list[Any], Field(min_length=1)]] | None = field(
+        default=None, hash=False
+    )
+    """Values of any keys of this file, such as { "constraints.p_min" = [0.5, 0.8] }."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,20 +78,15 @@ class ComparisonSettings(Part):
         Annotated[int, Field(ge=1, le=MOST_SEEDS)]
         | Annotated[str, Field(pattern=r"^\d{1,9}:\d{1,9}$")],
         BeforeValidator(known_seeds),
-        Field(description='How many random seeds (30: 0 to 29), or "100:120" (100 to 119).'),
     ] = DEFAULT_SEEDS
+    """How many random seeds (30: 0 to 29), or "100:120" (100 to 119)."""
     # Groups of settings, which stand one after the other; the first setting of the first group is
     # what others are paired with
     settings: Annotated[
-        tuple[SettingGroup, ...],
-        Strict(False),
-        Field(
-            min_length=1,
-            max_length=100,
-            description="Groups of settings, one after the other; the first setting is what the "
-            "others are paired with.",
-        ),
+        tuple[SettingGroup, ...], Strict(False), Field(min_length=1, max_length=100)
     ]
+    """Groups of settings, one after the other; the first setting is what the others are paired
+    with."""
 
     def __post_init__(self) -> None:
         remedy = "give groups, [SettingGroup(horizons=[1, 10])]"

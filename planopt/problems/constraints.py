@@ -89,32 +89,6 @@ def _sorted(settings: dict[str, float]) -> tuple[tuple[str, float], ...]:
 class ConnectivityRule(Part):
     """The rule of connectivity along a path; a step counts by the place that it ends at.
 
-    Attributes
-    ----------
-    connectivity
-        ``each_step``: probability at least p_min at each step, or at the stated times.
-        ``average``: on average over the run so far and the plan. ``joint``: that all steps of the
-        plan are connected. ``outage``: steps below p_min in a row are no longer than stated.
-        ``data``: the data delivered keep pace with the deadline, with probability p_min or, where
-        that is 0, in expectation. Or the kind of a rule of one's own (`planopt.extend.OwnRule`).
-    connected_times_s
-        Of ``each_step``: the only times that count, from the start of the run; empty for all steps.
-    outage_max_m, outage_max_s
-        Of ``outage``, one of them.
-    data_mbit, deadline_s, rate_mbit_s
-        Of ``data``: how much, until when, and the rate while connected.
-    slack_max_db
-        The rule may be missed by so many dB: it must hold were the threshold that much lower. 0 is
-        hard. None: ``each_step`` may be missed where no place within reach keeps it, others are
-        hard.
-    slack_price
-        What a dB of slack costs, in the objective's unit.
-    parameter_uncertainty
-        ``path_loss``: predictions count that theta is estimated; ``all``: that xi, beta and omega
-        are as well.
-    settings
-        Values of the fields of a rule of one's own, by name.
-
     Raises
     ------
     InputError
@@ -123,86 +97,42 @@ class ConnectivityRule(Part):
 
     at = "constraints"
 
-    connectivity: Annotated[
-        str,
-        BeforeValidator(_known_rule),
-        Field(
-            examples=list(OWN),
-            description="What p_min is asked of: each_step, average, joint (all "
-            "steps of a plan), outage (steps below it in a row), data (delivery; 0: in "
-            "expectation); or a rule that is registered.",
-        ),
-    ] = "each_step"
+    connectivity: Annotated[str, BeforeValidator(_known_rule), Field(examples=list(OWN))] = (
+        "each_step"
+    )
+    """What p_min is asked of: each_step, average, joint (all steps of a plan), outage (steps below
+    it in a row), data (delivery; 0: in expectation); or a rule that is registered."""
     connected_times_s: Annotated[
-        tuple[Positive, ...],
-        Strict(False),
-        Field(
-            max_length=100_000,
-            description="For each_step, the only times that count: seconds from the start of the "
-            "run, multiples of planner.step_s.",
-        ),
+        tuple[Positive, ...], Strict(False), Field(max_length=100_000)
     ] = ()
-    outage_max_m: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=1e9,
-            description="For outage: longest way in metres driven in steps below p_min in a row.",
-        ),
-    ] = None
-    outage_max_s: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=1e9,
-            description="For outage: longest time in seconds of steps below p_min in a row.",
-        ),
-    ] = None
-    data_mbit: Annotated[
-        Positive | None, Field(description="For data: what must be delivered, in Mbit.")
-    ] = None
-    deadline_s: Annotated[
-        Positive | None,
-        Field(description="For data: until when, in seconds from the start of the run."),
-    ] = None
-    rate_mbit_s: Annotated[
-        Positive | None,
-        Field(description="For data: rate of the link while connected, in Mbit/s."),
-    ] = None
-    slack_max_db: Annotated[
-        float | None,
-        Field(
-            ge=0,
-            le=500,
-            description="What is asked of the connection may be missed by so many dB; 0 makes it "
-            "hard. Left out, each_step may be missed where nothing within reach keeps it.",
-        ),
-    ] = None
-    slack_price: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=1e9,
-            description="What a dB of slack costs, in the objective's unit; needs slack_max_db.",
-        ),
-    ] = 0.0
-    parameter_uncertainty: Annotated[
-        ParameterUncertainty,
-        Field(
-            description="What p_min counts as estimated: path_loss, or all, xi, beta and omega "
-            "besides. all goes with each_step."
-        ),
-    ] = "path_loss"
+    """For each_step, the only times that count: seconds from the start of the run, multiples of
+    planner.step_s."""
+    outage_max_m: Annotated[float | None, Field(ge=0, le=1e9)] = None
+    """For outage: longest way in metres driven in steps below p_min in a row."""
+    outage_max_s: Annotated[float | None, Field(ge=0, le=1e9)] = None
+    """For outage: longest time in seconds of steps below p_min in a row."""
+    data_mbit: Positive | None = None
+    """For data: what must be delivered, in Mbit."""
+    deadline_s: Positive | None = None
+    """For data: until when, in seconds from the start of the run."""
+    rate_mbit_s: Positive | None = None
+    """For data: rate of the link while connected, in Mbit/s."""
+    slack_max_db: Annotated[float | None, Field(ge=0, le=500)] = None
+    """What is asked of the connection may be missed by so many dB; 0 makes it hard. Left out,
+    each_step may be missed where nothing within reach keeps it."""
+    slack_price: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    """What a dB of slack costs, in the objective's unit; needs slack_max_db."""
+    parameter_uncertainty: ParameterUncertainty = "path_loss"
+    """What p_min counts as estimated: path_loss, or all, xi, beta and omega besides. all goes with
+    each_step."""
     settings: Annotated[
         Mapping[str, float] | tuple[tuple[str, float], ...],
         ValidatedAs(dict[str, float]),
-        Field(
-            max_length=100,
-            description="Values of the fields of a rule that is registered, by name.",
-        ),
+        Field(max_length=100),
         BeforeValidator(_named),
         AfterValidator(_sorted),
     ] = ()
+    """Values of the fields of a rule that is registered, by name."""
 
     def fault(self) -> str | None:
         """Refuse settings that do not fit a rule of one's own."""
@@ -251,57 +181,23 @@ class ConnectivityRule(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class Constraints(Part):
-    """The constraints on every plan.
-
-    Attributes
-    ----------
-    p_min
-        Least probability of connection, of what `rule` says; 0 asks for none.
-    clearance_m
-        Least distance of the whole swept path from every obstacle, and from every moving one.
-    goal_radius_m
-        The goal is reached within this distance of it.
-    separation_m
-        Least distance of any two robots at equal times, all the way; 0 asks for none.
-    rule
-        Where, when or over what the connection is asked for; at each step unless it says else.
-    """
+    """The constraints on every plan."""
 
     at = "constraints"
     Keys = table_of(ConnectivityRule)
     not_keys = frozenset({"rule"})
 
-    p_min: Annotated[
-        float,
-        Field(
-            ge=0,
-            lt=1,
-            description="Least probability of connection at every step where that is possible, or "
-            "of what connectivity says; 0 asks for none. The task reach needs it above 0.",
-        ),
-    ] = 0.0
-    clearance_m: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=1e4,
-            description="Least distance in metres of the swept path from every obstacle, moving "
-            "ones included.",
-        ),
-    ] = 1.0
-    goal_radius_m: Annotated[
-        float, Field(gt=0, le=1e4, description="Distance in metres at which the goal is reached.")
-    ] = 1.0
-    separation_m: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=1e4,
-            description="Least distance in metres of any two robots at equal times, all the way; 0 "
-            "asks for none.",
-        ),
-    ] = 0.0
+    p_min: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Least probability of connection at every step where that is possible, or of what connectivity
+    says; 0 asks for none. The task reach needs it above 0."""
+    clearance_m: Annotated[float, Field(ge=0, le=1e4)] = 1.0
+    """Least distance in metres of the swept path from every obstacle, moving ones included."""
+    goal_radius_m: Annotated[float, Field(gt=0, le=1e4)] = 1.0
+    """Distance in metres at which the goal is reached."""
+    separation_m: Annotated[float, Field(ge=0, le=1e4)] = 0.0
+    """Least distance in metres of any two robots at equal times, all the way; 0 asks for none."""
     rule: ConnectivityRule = field(default_factory=ConnectivityRule)
+    """The event that p_min applies to: by default the connection at each step."""
 
     def __post_init__(self) -> None:
         remedy = 'give ConnectivityRule("joint"), or of another name'

@@ -19,12 +19,9 @@ OutageCharge = Literal["below_p_min", "everywhere"]
 class TermsKeys(Table):
     """The key of ``[objective]`` for tasks other than reach."""
 
-    terms: tuple[Annotated[Term, ANY_TERM], ...] = Field(
-        default=(),
-        strict=False,
-        description="For tasks other than reach: the weighted sum to be maximised; the first term "
-        "is the task's.",
-    )
+    terms: tuple[Annotated[Term, ANY_TERM], ...] = Field(default=(), strict=False)
+    """For tasks other than reach: the weighted sum to be maximised; the first term is the task's.
+    """
 
 
 @dataclass(frozen=True)
@@ -38,39 +35,17 @@ class ReachObjective(Part):
     at = "objective"
     Keys = TermsKeys
 
-    effort_weight_s2_m2: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=1e6,
-            description="Weight of speed squared in the cost rate 1 + weight * speed^2, in "
-            "s^2/m^2.",
-        ),
-    ] = 0.1
-    cost_to_go: Annotated[
-        CostToGo,
-        Field(
-            description="Beyond the horizon: geodesic (shortest path round the obstacles) or "
-            "connected (cheapest path at the outage price)."
-        ),
-    ] = "connected"
-    outage_price: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=1e6,
-            description="A metre driven where the probability of connection is P counts "
-            "1 + outage_price (1 - P) metres (a number). constraints.slack_max_db = 0 forbids "
-            "holes.",
-        ),
-    ] = 10.0
-    outage_charge: Annotated[
-        OutageCharge,
-        Field(
-            description="Where outage_price is charged: everywhere, so that plans have the least "
-            "expected cost, or below_p_min, so that places that keep p_min cost nothing."
-        ),
-    ] = "everywhere"
+    effort_weight_s2_m2: Annotated[float, Field(ge=0, le=1e6)] = 0.1
+    """Weight of speed squared in the cost rate 1 + weight * speed^2, in s^2/m^2."""
+    cost_to_go: CostToGo = "connected"
+    """Beyond the horizon: geodesic (shortest path round the obstacles) or connected (cheapest path
+    at the outage price)."""
+    outage_price: Annotated[float, Field(ge=0, le=1e6)] = 10.0
+    """A metre driven where the probability of connection is P counts 1 + outage_price (1 - P)
+    metres (a number). constraints.slack_max_db = 0 forbids holes."""
+    outage_charge: OutageCharge = "everywhere"
+    """Where outage_price is charged: everywhere, so that plans have the least expected cost, or
+    below_p_min, so that places that keep p_min cost nothing."""
 
     @property
     def charges_everywhere(self) -> bool:

@@ -39,31 +39,19 @@ LEAST_LIMIT = 1e-6
 class DynamicsKeys(Table):
     """The keys of ``[[robots]]`` that describe its dynamics and its state at the start."""
 
-    dynamics: DynamicsName = Field(
-        default="single_integrator",
-        description="How it moves: single_integrator (turns and stops at will), double_integrator "
-        "(bounded acceleration) or unicycle (drives where it faces).",
-    )
-    acceleration_max_m_s2: float | None = Field(
-        default=None, gt=0, le=1e4, description="Largest acceleration of a double integrator."
-    )
-    start_velocity_m_s: Pair | None = Field(
-        default=None,
-        description="Velocity [x, y] of a double integrator at the start in m/s; 0 if absent.",
-    )
-    turn_rate_max_rad_s: float | None = Field(
-        default=None, gt=0, le=1e3, description="Largest turn rate of a unicycle in rad/s."
-    )
-    speed_min_m_s: float | None = Field(
-        default=None,
-        ge=-1000,
-        le=0,
-        description="Least speed of a unicycle in m/s, below 0 if it drives backward; 0 if absent.",
-    )
-    start_heading_rad: Annotated[float, Field(ge=-100, le=100)] | None = Field(
-        default=None,
-        description="Heading of a unicycle at the start in rad, from the x axis; 0 if absent.",
-    )
+    dynamics: DynamicsName = "single_integrator"
+    """How it moves: single_integrator (turns and stops at will), double_integrator (bounded
+    acceleration) or unicycle (drives where it faces)."""
+    acceleration_max_m_s2: float | None = Field(default=None, gt=0, le=1e4)
+    """Largest acceleration of a double integrator."""
+    start_velocity_m_s: Pair | None = None
+    """Velocity [x, y] of a double integrator at the start in m/s; 0 if absent."""
+    turn_rate_max_rad_s: float | None = Field(default=None, gt=0, le=1e3)
+    """Largest turn rate of a unicycle in rad/s."""
+    speed_min_m_s: float | None = Field(default=None, ge=-1000, le=0)
+    """Least speed of a unicycle in m/s, below 0 if it drives backward; 0 if absent."""
+    start_heading_rad: Annotated[float, Field(ge=-100, le=100)] | None = None
+    """Heading of a unicycle at the start in rad, from the x axis; 0 if absent."""
 
     @model_validator(mode="after")
     def _fits_the_dynamics(self) -> DynamicsKeys:
@@ -91,27 +79,6 @@ class DynamicsKeys(Table):
 class Robot(Part):
     """One robot, how it moves, and where it must go.
 
-    Attributes
-    ----------
-    start_m
-        Start ``(x, y)`` in metres.
-    goal_m
-        Where it must go; None unless the task is to reach a goal.
-    speed_max_m_s
-        Largest speed; of a single integrator the input set is the disc of this radius.
-    name
-        Name in outputs.
-    dynamics
-        How it moves; None for the single integrator.
-    start_rest
-        Components of its state at the start beyond its place, in the order of
-        ``dynamics.state_names``; all zero where they are left out.
-    start_spread_m
-        It starts within this distance of ``start_m``, at a place drawn with the random seed.
-    weights
-        Of each term of the objective, for this robot: in place of the term's own, where they are
-        given. A term of weight 0 is none of its terms.
-
     Examples
     --------
     >>> from planopt import Robot
@@ -123,32 +90,24 @@ class Robot(Part):
     Keys = DynamicsKeys
     not_keys = frozenset({"dynamics", "start_rest"})
 
-    start_m: Annotated[Pair, Field(description="Start [x, y] in metres.")]
-    goal_m: Annotated[
-        Pair | None,
-        Field(description="Goal [x, y] in metres, for the task reach and terms of kind goal."),
-    ] = None
-    speed_max_m_s: Annotated[float, Field(gt=0, le=1000, description="Largest speed in m/s.")]
-    name: Annotated[Name, Field(description="What outputs call it.")] = "robot"
+    start_m: Pair
+    """Start [x, y] in metres."""
+    goal_m: Pair | None = None
+    """Goal [x, y] in metres, for the task reach and terms of kind goal."""
+    speed_max_m_s: Annotated[float, Field(gt=0, le=1000)]
+    """Largest speed in m/s."""
+    name: Name = "robot"
+    """What outputs call it."""
     dynamics: Dynamics | None = None
+    """How it moves; None for the single integrator, with inputs in the disc of speed_max_m_s."""
     start_rest: tuple[float, ...] = ()
-    start_spread_m: Annotated[
-        float,
-        Field(
-            ge=0,
-            le=1e6,
-            description="It starts at a place within so many metres of start_m, drawn with the "
-            "random seed; not for the task reach.",
-        ),
-    ] = 0.0
-    weights: Annotated[
-        tuple[Annotated[float, Field(ge=0, le=1e9)], ...],
-        Strict(False),
-        Field(
-            description="For tasks other than reach: weight of each of objective.terms for this "
-            "robot, in their order, in place of their own. A term of weight 0 is none of its terms."
-        ),
-    ] = ()
+    """State at the start beyond its position, in the order of dynamics.state_names; 0 if absent."""
+    start_spread_m: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    """It starts at a place within so many metres of start_m, drawn with the random seed; not for
+    the task reach."""
+    weights: Annotated[tuple[Annotated[float, Field(ge=0, le=1e9)], ...], Strict(False)] = ()
+    """For tasks other than reach: weight of each of objective.terms for this robot, in their order,
+    in place of their own. A term of weight 0 is none of its terms."""
 
     def __post_init__(self) -> None:
         if self.dynamics is not None:

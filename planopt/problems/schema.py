@@ -179,16 +179,15 @@ MAX_STATIONS = 20
 class ProblemTable(Table):
     """``[problem]``: what the problem is called and what it asks."""
 
-    schema_version: Literal[1] = Field(
-        alias="schema", description="Version of this schema; it is 1."
-    )
-    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
-    task: Task = Field(
-        default="reach",
-        description="What the robots must do: reach a goal, track a target, learn the path loss, "
-        "map the channel, connect after a short way, or custom: what one's own terms say.",
-    )
-    description: str = Field(default="", description="One sentence for people.")
+    schema_version: Literal[1] = Field(alias="schema")
+    """Version of this schema; it is 1."""
+    name: Name
+    """Name: letters, digits, '_' and '-'."""
+    task: Task = "reach"
+    """What the robots must do: reach a goal, track a target, learn the path loss, map the channel,
+    connect after a short way, or custom: what one's own terms say."""
+    description: str = ""
+    """One sentence for people."""
 
 
 class ProblemFile(Table):
@@ -197,21 +196,12 @@ class ProblemFile(Table):
     problem: ProblemTable
     world: Annotated[Workspace, WORLD]
     channel: ChannelSetup
-    robots: tuple[Robot, ...] = Field(
-        strict=False,
-        min_length=1,
-        max_length=20,
-        description="The robots; each has a goal for the task reach.",
-    )
-    stations: tuple[BaseStation, ...] = Field(
-        strict=False,
-        min_length=1,
-        max_length=MAX_STATIONS,
-        description="The fixed stations; connected is who reaches the threshold of any of them.",
-    )
-    targets: tuple[Target, ...] = Field(
-        default=(), strict=False, max_length=1, description="The target, for the task track."
-    )
+    robots: tuple[Robot, ...] = Field(strict=False, min_length=1, max_length=20)
+    """The robots; each has a goal for the task reach."""
+    stations: tuple[BaseStation, ...] = Field(strict=False, min_length=1, max_length=MAX_STATIONS)
+    """The fixed stations; connected is who reaches the threshold of any of them."""
+    targets: tuple[Target, ...] = Field(default=(), strict=False, max_length=1)
+    """The target, for the task track."""
     objective: Annotated[ReachObjective | TermsObjective, OBJECTIVE] = Field(
         default_factory=ReachObjective
     )

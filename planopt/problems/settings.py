@@ -29,38 +29,12 @@ def known_planner(name: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerSettings(Part):
-    """The settings of the planner.
-
-    Attributes
-    ----------
-    step_s
-        Duration of a step in seconds.
-    name
-        ``nlp`` (lattice, polish by IPOPT, verify), ``scp`` (the same with sequential convex
-        programming), ``auto`` (the one that serves best, nlp), ``lattice`` (no polish), and for
-        tasks other than reach baselines such as ``one_step`` (dense local search one step ahead)
-        and ``random``, bounds such as ``clairvoyant``, or a planner from outside
-        (:mod:`planopt.problems.planner_kinds` has all).
-    horizon
-        Steps ahead, N.
-    neighbours
-        Measurements that the solver conditions each stage on.
-    max_steps
-        A closed loop that has not arrived by then ends.
-    coordination
-        ``joint``: each robot of a team is told what the others plan to measure, and its terms
-        count what it adds to that; ``decoupled``: each counts as if it were alone.
-    rounds
-        How often the robots of a joint team plan in one step, one after the other: from the second
-        round on a plan is exchanged only for one that is worth more to the team.
-    budget_s
-        Seconds that a plan should take: the last polish begins, and ends, early enough for its
-        proof; None for no limit.
-    """
+    """The settings of the planner."""
 
     at = "planner"
 
-    step_s: Annotated[float, Field(gt=0, le=1e4, description="Duration of a step in seconds.")]
+    step_s: Annotated[float, Field(gt=0, le=1e4)]
+    """Duration of a step in seconds."""
     name: Annotated[
         str,
         AfterValidator(known_planner),
@@ -73,63 +47,28 @@ class PlannerSettings(Part):
             "planner that is registered.",
         ),
     ] = "auto"
-    horizon: Annotated[
-        int, Field(ge=MIN_HORIZON, le=MAX_HORIZON, description="Steps ahead (N).")
-    ] = 10
-    neighbours: Annotated[
-        int,
-        Field(
-            ge=4,
-            le=512,
-            description="Measurements that the solver conditions each stage on (a number).",
-        ),
-    ] = 48
-    max_steps: Annotated[
-        int,
-        Field(
-            ge=1,
-            le=100_000,
-            description="A closed loop that has not arrived after this many steps ends.",
-        ),
-    ] = 400
-    budget_s: Annotated[
-        float | None,
-        Field(
-            gt=0,
-            le=1e6,
-            description="Seconds that a plan should take: the last polish begins, and ends, early "
-            "enough for its proof; left out: no limit.",
-        ),
-    ] = None
-    coordination: Annotated[
-        Coordination,
-        Field(
-            description="For several robots: joint (each is told what the others plan to measure, "
-            "and counts what it adds) or decoupled (each counts as if it were alone)."
-        ),
-    ] = "joint"
-    rounds: Annotated[
-        int,
-        Field(
-            ge=1,
-            le=10,
-            description="How often the robots of a joint team plan in one step, in turn (a "
-            "number); later rounds take time, and never lessen what the team's plans are worth "
-            "together.",
-        ),
-    ] = 1
+    horizon: Annotated[int, Field(ge=MIN_HORIZON, le=MAX_HORIZON)] = 10
+    """Steps ahead (N)."""
+    neighbours: Annotated[int, Field(ge=4, le=512)] = 48
+    """Measurements that the solver conditions each stage on (a number)."""
+    max_steps: Annotated[int, Field(ge=1, le=100_000)] = 400
+    """A closed loop that has not arrived after this many steps ends."""
+    budget_s: Annotated[float | None, Field(gt=0, le=1e6)] = None
+    """Seconds that a plan should take: the last polish begins, and ends, early enough for its
+    proof; left out: no limit."""
+    coordination: Coordination = "joint"
+    """For several robots: joint (each is told what the others plan to measure, and counts what it
+    adds) or decoupled (each counts as if it were alone)."""
+    rounds: Annotated[int, Field(ge=1, le=10)] = 1
+    """How often the robots of a joint team plan in one step, in turn (a number); later rounds take
+    time, and never lessen what the team's plans are worth together."""
 
 
 @dataclass(frozen=True)
 class ReportSettings(Part):
-    """The settings of the report.
-
-    Attributes
-    ----------
-    figures
-        Whether pictures are drawn beside the results.
-    """
+    """The settings of the report."""
 
     at = "report"
 
-    figures: Annotated[bool, Field(description="Draw the pictures (true or false).")] = True
+    figures: bool = True
+    """Draw the pictures (true or false)."""

@@ -1,7 +1,8 @@
 """Parts of a problem: frozen dataclasses whose annotations declare the keys of a table.
 
-Type, range and meaning of a key are declared once, at the field of the dataclass. The table of a
-problem file, its JSON schema and the documentation follow from the declaration. Making a part in
+Type, range and meaning of a key are declared once, at the field of the dataclass and in the
+docstring below it. The table of a problem file, its JSON schema, the documentation and messages
+follow from the declaration. Making a part in
 Python validates it against the same table, so that it cannot differ from one read from a file.
 
 Numbers are finite, integers are no booleans, text is no number, and an unknown key is an error.
@@ -9,11 +10,15 @@ Numbers are finite, integers are no booleans, text is no number, and an unknown 
 
 from __future__ import annotations
 
+import ast
 import inspect
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, cast, get_type_hints
 
 from pydantic import (
@@ -50,10 +55,39 @@ SMALLEST = 1e-6
 """Least length, time, speed and rate in SI units where zero makes no sense: a micrometre."""
 
 
+def _meanings(data: type[Any]) -> dict[str, str]:
+    """Return the docstrings below the fields of a part or table, from its source."""
+    return {
+        field.target.id: " ".join(text.value.value.split())
+        for found in _tree_of(data.__module__).body
+        if isinstance(found, ast.ClassDef) and found.name == data.__name__
+        for field, text in pairwise(found.body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(field.target, ast.Name)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+        and isinstance(text.value.value, str)
+    }
+
+
+@lru_cache(maxsize=16)
+def _tree_of(module: str) -> ast.Module:
+    try:
+        return ast.parse(inspect.getsource(sys.modules[module]))
+    except (OSError, TypeError):  # there is no source file
+        return ast.Module([], [])
+
+
 class Table(BaseModel):
     """A table of a problem file: frozen, strict, finite, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+    def __init_subclass__(cls, **_: Any) -> None:
+        # pydantic's own option reads the source of each class by itself, which takes longer.
+        for name, said in _meanings(cls).items():
+            hint = cls.__annotations__[name]
+            cls.__annotations__[name] = Annotated[hint, Field(description=said)]
 
 
 class FileKey:
@@ -97,8 +131,24 @@ class ValidatedAs:
 Of = TypeVar("Of", bound="Part")
 
 
+class Documented(type):
+    """The class of parts: their documentation lists their fields."""
+
+    @property
+    def __doc__(cls) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The docstring with a section of the fields and their meanings."""
+        text = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
+        words, _, examples = text.partition("\n\nExamples\n")
+        rows = [
+            f"{name}\n{fill(said, 96, initial_indent='    ', subsequent_indent='    ')}"
+            for name, said in _meanings(cls).items()
+        ]
+        section = "\n".join(["Attributes", "----------", *rows])
+        return f"{words}\n\n{section}" + (f"\n\nExamples\n{examples}" if examples else "")
+
+
 @dataclass(frozen=True)
-class Part:
+class Part(metaclass=Documented):
     """A part of a problem. Values are validated, and become plain Python values."""
 
     at: ClassVar[str] = ""  # Key of its table, for messages
@@ -223,14 +273,17 @@ def fault_of(words: str) -> PydanticCustomError:
 def table_of(data: type[Any]) -> type[BaseModel]:
     """Return the table whose keys are the fields of a dataclass."""
     hints = get_type_hints(data, include_extras=True)
-    words = inspect.cleandoc(data.__doc__ or "").partition("\n")[0]
+    words = inspect.cleandoc(data.__dict__.get("__doc__") or "").partition("\n")[0]
     keys: dict[str, Any] = {}
     for key, kind in _kind_of(data).items():
         keys[key] = (Literal[kind], Field(description=getattr(data, "summary", words)))  # pyright: ignore
     base, not_keys = getattr(data, "Keys", Table), getattr(data, "not_keys", ())
+    meanings = _meanings(data) if issubclass(data, Part) else {}
     for each in fields(data):
         if each.name not in not_keys:
             hint = hints[each.name]
+            if each.name in meanings:
+                hint = Annotated[hint, Field(description=meanings[each.name])]
             keys[each.name] = hint if each.default is MISSING else (hint, each.default)
     name = data.__name__.removesuffix("Term").removesuffix("Settings") + "Table"
     made = model_of(name, __base__=base, __doc__=words, __module__=data.__module__, **keys)

@@ -24,49 +24,28 @@ from planopt.world.workspace import Obstacle, Workspace
 class MovingTable(Table):
     """One disc: ``start_m`` and ``velocity_m_s``, or ``times_s`` and ``positions_m``."""
 
-    name: Name = Field(description="What messages and pictures call it.")
-    radius_m: float = Field(
-        gt=0,
-        le=1e4,
-        description="Radius of the disc in metres; constraints.clearance_m is kept from it.",
-    )
-    start_m: Pair | None = Field(
-        default=None, description="Centre [x, y] in metres at time 0, when planning begins."
-    )
-    velocity_m_s: Pair | None = Field(
-        default=None,
-        description="Velocity [x, y] in m/s, from start_m on or after the last of times_s; without "
-        "it there, the disc stands.",
-    )
-    times_s: list[Annotated[float, Field(ge=0, le=1e7)]] | None = Field(
-        default=None,
-        min_length=1,
-        description="Times in seconds, increasing, at which the centre is at positions_m; it "
-        "stands before the first.",
-    )
-    positions_m: list[Pair] | None = Field(
-        default=None, min_length=1, description="Centres [x, y] in metres at times_s."
-    )
-    position_std_m: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e4,
-        description="Standard deviation in metres, along each axis, of the predicted centre.",
-    )
-    acceleration_std_m_s2: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e3,
-        description="Standard deviation in m/s^2, along each axis, of an acceleration that is not "
-        "predicted; the centre's error grows with the time ahead.",
-    )
-    probability: float = Field(
-        default=MovingObstacle.probability,
-        gt=0,
-        lt=1,
-        description="Least probability, for each step, that the centre keeps within what the "
-        "radius is grown by for these deviations.",
-    )
+    name: Name
+    """What messages and pictures call it."""
+    radius_m: float = Field(gt=0, le=1e4)
+    """Radius of the disc in metres; constraints.clearance_m is kept from it."""
+    start_m: Pair | None = None
+    """Centre [x, y] in metres at time 0, when planning begins."""
+    velocity_m_s: Pair | None = None
+    """Velocity [x, y] in m/s, from start_m on or after the last of times_s; without it there, the
+    disc stands."""
+    times_s: list[Annotated[float, Field(ge=0, le=1e7)]] | None = Field(default=None, min_length=1)
+    """Times in seconds, increasing, at which the centre is at positions_m; it stands before the
+    first."""
+    positions_m: list[Pair] | None = Field(default=None, min_length=1)
+    """Centres [x, y] in metres at times_s."""
+    position_std_m: float = Field(default=0.0, ge=0, le=1e4)
+    """Standard deviation in metres, along each axis, of the predicted centre."""
+    acceleration_std_m_s2: float = Field(default=0.0, ge=0, le=1e3)
+    """Standard deviation in m/s^2, along each axis, of an acceleration that is not predicted; the
+    centre's error grows with the time ahead."""
+    probability: float = Field(default=MovingObstacle.probability, gt=0, lt=1)
+    """Least probability, for each step, that the centre keeps within what the radius is grown by
+    for these deviations."""
 
     @model_validator(mode="after")
     def _one_motion(self) -> MovingTable:
@@ -112,40 +91,23 @@ class MovingTable(Table):
 class ObstacleTable(Table):
     """One entry of ``obstacles``: exactly one of ``file``, ``polygon`` and ``wkt``."""
 
-    name: str | None = Field(
-        default=None,
-        description="What messages call it, for polygon and wkt; a file's obstacles have names.",
-    )
-    file: FileName | None = Field(
-        default=None,
-        description="GeoJSON (.geojson), WKT (.wkt), building file (.json) or occupancy grid "
-        "(.yaml as in ROS, .csv), in metres, relative to the problem file.",
-    )
-    unknown: UnknownCells = Field(
-        default="occupied",
-        description="What unknown cells of an occupancy grid are taken for: occupied or free.",
-    )
-    polygon: list[Pair] | None = Field(
-        default=None, min_length=3, description="Outer ring, a list of [x, y] in metres."
-    )
-    holes: list[Annotated[list[Pair], Field(min_length=3)]] = Field(
-        default=[], description="Rings of holes in polygon, each a list of [x, y] in metres."
-    )
-    wkt: str | None = Field(default=None, min_length=1, description="A POLYGON in metres.")
-    known_from_s: float = Field(
-        default=Obstacle.known_from_s,
-        ge=0,
-        le=1e9,
-        description="Time of the run in seconds from which on it stands there; no plan made before "
-        "knows of it.",
-    )
-    until_s: float | None = Field(
-        default=None,
-        gt=0,
-        le=1e9,
-        description="Time in seconds from which on it is gone, which nobody knows before; without "
-        "it, it stays.",
-    )
+    name: str | None = None
+    """What messages call it, for polygon and wkt; a file's obstacles have names."""
+    file: FileName | None = None
+    """GeoJSON (.geojson), WKT (.wkt), building file (.json) or occupancy grid (.yaml as in ROS,
+    .csv), in metres, relative to the problem file."""
+    unknown: UnknownCells = "occupied"
+    """What unknown cells of an occupancy grid are taken for: occupied or free."""
+    polygon: list[Pair] | None = Field(default=None, min_length=3)
+    """Outer ring, a list of [x, y] in metres."""
+    holes: tuple[Annotated[list[Pair], Field(min_length=3)], ...] = Field(default=(), strict=False)
+    """Rings of holes in polygon, each a list of [x, y] in metres."""
+    wkt: str | None = Field(default=None, min_length=1)
+    """A POLYGON in metres."""
+    known_from_s: float = Field(default=Obstacle.known_from_s, ge=0, le=1e9)
+    """Time of the run in seconds from which on it stands there; no plan made before knows of it."""
+    until_s: float | None = Field(default=None, gt=0, le=1e9)
+    """Time in seconds from which on it is gone, which nobody knows before; without it, it stays."""
 
     @model_validator(mode="after")
     def _one_source(self) -> ObstacleTable:
@@ -174,11 +136,12 @@ class ObstacleTable(Table):
 class WorldTable(Table):
     """``[world]``: where robots may be."""
 
-    bounds_m: Quad = Field(description="[x_min, y_min, x_max, y_max] in metres.")
-    obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
-    moving: list[MovingTable] = Field(
-        default=[], max_length=50, description="Obstacles that move as predicted."
-    )
+    bounds_m: Quad
+    """[x_min, y_min, x_max, y_max] in metres."""
+    obstacles: tuple[ObstacleTable, ...] = Field(default=(), strict=False)
+    """The forbidden areas."""
+    moving: list[MovingTable] = Field(default=[], max_length=50)
+    """Obstacles that move as predicted."""
 
 
 def _workspace_of(table: WorldTable, folder: Path) -> Workspace:

@@ -25,7 +25,7 @@ from planopt import Robot, load, simulate
 from planopt.planning.roads import build_roads, node_at
 from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles, swept_clearance_m
-from planopt.world.road_map import shortest_ways
+from planopt.world.road_map import lattice_paths
 
 PROBLEM = "munich_courier"
 SEPARATION_M = 10.0
@@ -75,7 +75,7 @@ class Record:
 def drawn_problem(base: Problem, count: int, seed: int) -> Problem:
     """Return the problem with couriers between drawn places in streets that are joined."""
     road_map = build_roads(base, np.asarray(base.goal_m))
-    ways = shortest_ways(road_map, node_at(road_map, np.asarray(base.goal_m)))
+    ways = lattice_paths(road_map, node_at(road_map, np.asarray(base.goal_m)))
     free = road_map.nodes_m[np.isfinite(ways.cost_m)]
     generator = np.random.default_rng(seed)
     middle = free[generator.integers(len(free))]

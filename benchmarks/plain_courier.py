@@ -28,7 +28,7 @@ from planopt.planning.proof.predictions import broad_prediction
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.problems.problem import Problem
-from planopt.world.road_map import shortest_ways, way_from
+from planopt.world.road_map import lattice_paths, way_from
 
 REPLANNED_STEPS = 3
 """A path is driven for so many steps before it is found again."""
@@ -69,7 +69,7 @@ def drive_plain(
             seen |= (away <= sees_m).any(axis=1) & (sees_m > 0.0)
             share = np.where(seen, truly_out, share)
             factor = 1.0 + problem.reach.outage_price * share
-            ways = shortest_ways(roads, scene.goal_node, factor)
+            ways = lattice_paths(roads, scene.goal_node, factor)
             nodes, lengths = first_moves(scene.ground, problem, here)
             first = int(nodes[np.argmin(lengths * factor[nodes] + ways.cost_m[nodes])])
             way = np.vstack([here, roads.nodes_m[way_from(roads, ways, first, np.inf)]])

@@ -30,6 +30,6 @@ from planopt.tasks.calls import load_result as load_result
 from planopt.tasks.calls import simulate as simulate
 from planopt.tasks.calls import solve as solve
 from planopt.world.moving_obstacle import MovingObstacle as MovingObstacle
-from planopt.world.obstacle_sources import obstacles_from as obstacles_from
+from planopt.world.readers import obstacles_from as obstacles_from
 from planopt.world.workspace import Obstacle as Obstacle
 from planopt.world.workspace import Workspace as Workspace

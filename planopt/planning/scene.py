@@ -15,7 +15,7 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles
 from planopt.world.lattice import nearest_node, node_positions
-from planopt.world.road_map import RoadMap, Ways, shortest_ways
+from planopt.world.road_map import RoadMap, Ways, lattice_paths
 from planopt.world.separation import PackedPieces, pack_pieces
 
 
@@ -98,7 +98,7 @@ def build_scene(
             f"robots[0].goal_m {list(goal_m)} is nearer than constraints.clearance_m "
             f"{clearance:g} + {CLEARANCE_PAD_M:g} m to an obstacle"
         )
-    ways = shortest_ways(road_map, goal_node)
+    ways = lattice_paths(road_map, goal_node)
     scene = Scene(ground, goal_node, ways)
     here = np.asarray(problem.robots[0].start_m) if place_m is None else place_m
     nodes, _ = first_moves(ground, problem, here)

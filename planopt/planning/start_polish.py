@@ -38,9 +38,14 @@ from planopt.planning.values.local_value import local_value
 from planopt.planning.values.rule_rows import has_step_rows, has_sum_row, rows_again, rule_rows
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion
-from planopt.world.moving_lines import tail_lines
 from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.separation import PackedPieces, SeparatingLines, joined_lines, split_lines
+from planopt.world.separation import (
+    PackedPieces,
+    SeparatingLines,
+    joined_lines,
+    split_lines,
+    tail_lines,
+)
 
 
 @dataclass(frozen=True, eq=False)

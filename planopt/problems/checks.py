@@ -38,10 +38,9 @@ from planopt.world.clearance import (
     index_obstacles,
     inside_bounds,
 )
-from planopt.world.footprints import LARGEST_COORDINATE_M
-from planopt.world.lattice_size import node_estimate
-from planopt.world.least_distance import CLOSE_M, step_distances_m
 from planopt.world.moving_obstacle import centres_at
+from planopt.world.timed_motion import CLOSE_M, step_distances_m
+from planopt.world.workspace import LARGEST_COORDINATE_M, node_estimate
 
 if TYPE_CHECKING:
     from planopt.problems.problem import Problem

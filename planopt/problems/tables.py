@@ -37,7 +37,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from planopt.errors import InputError
 from planopt.plain_values import make_plain
 from planopt.problems.messages import input_error
-from planopt.world.footprints import LARGEST_COORDINATE_M
+from planopt.world.workspace import LARGEST_COORDINATE_M
 
 Metres = Annotated[float, Field(ge=-LARGEST_COORDINATE_M, le=LARGEST_COORDINATE_M)]
 Decibels = Annotated[float, Field(ge=-500, le=500)]

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 from planopt.pursuit.service import require_number
 from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles, segment_lines
-from planopt.world.shortest_ways import (
+from planopt.world.shortest_paths import (
     MAX_CORNERS,
     ROUND_SHARE,
-    ShortestWays,
+    ShortestPaths,
     corners_m,
     grown,
-    shortest_ways,
+    path_lengths_m,
+    shortest_paths,
     turns_m,
-    way_lengths_m,
 )
 from planopt.world.workspace import Workspace
 
@@ -136,7 +136,7 @@ class Arena:
         """Return the length of the shortest path to each goal (k, 2), as ``(k,)``."""
         if self.obstacles is None:
             return np.linalg.norm(goals_m - place_m, axis=1)
-        return way_lengths_m(self._ways(place_m), goals_m)
+        return path_lengths_m(self._ways(place_m), goals_m)
 
     def free_m(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the nearest place that shortest paths lead to."""
@@ -172,10 +172,10 @@ class Arena:
         return grown(self.obstacles.polygons, self._margin_m, inner=False)
 
     @cached_property
-    def _kept_ways(self) -> dict[tuple[float, float], ShortestWays]:
+    def _kept_ways(self) -> dict[tuple[float, float], ShortestPaths]:
         return {}
 
-    def _ways(self, place_m: NDArray[np.float64]) -> ShortestWays:
+    def _ways(self, place_m: NDArray[np.float64]) -> ShortestPaths:
         """Shortest paths from a place; those asked for last are kept, as many ask for them."""
         kept, key = self._kept_ways, (float(place_m[0]), float(place_m[1]))
         if key in kept:
@@ -186,7 +186,7 @@ class Arena:
         radius_m = 4.0 * (width_m + height_m)
         if len(kept) == KEPT_WAYS:
             del kept[next(iter(kept))]
-        kept[key] = shortest_ways(
+        kept[key] = shortest_paths(
             self.obstacles, self.bounds_m, place_m, self.clearance_m, radius_m, inner=False
         )
         return kept[key]

@@ -26,8 +26,7 @@ from scipy.optimize import least_squares
 
 from planopt.errors import InputError
 from planopt.plain_values import make_plain
-from planopt.robots.dynamics import Components, Disc
-from planopt.robots.pure_pursuit import PurePursuit
+from planopt.robots.dynamics import Components, Disc, PurePursuit
 from planopt.world.ways import PointWay, StepWay
 
 

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.robots.dynamics import Components, Disc
-from planopt.robots.pure_pursuit import PurePursuit
+from planopt.robots.dynamics import Components, Disc, PurePursuit
 from planopt.world.ways import Parabola, PointWay, StepWay
 
 STOPPED_M_S = 1e-9

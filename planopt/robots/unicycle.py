@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.robots.dynamics import Components, Disc
-from planopt.robots.pure_pursuit import PurePursuit
+from planopt.robots.dynamics import Components, Disc, PurePursuit
 from planopt.world.ways import Arc, StepWay
 
 HALVINGS = 3

@@ -28,8 +28,7 @@ from planopt.world.clearance import (
     is_clear,
     segment_lines,
 )
-from planopt.world.lattice_size import LONGEST_MOVE
-from planopt.world.workspace import Workspace
+from planopt.world.workspace import LONGEST_MOVE, Workspace
 
 _TESTED = ((1, 0), (0, 1), (1, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1))
 _DOUBLED = ((1, 0), (0, 1))

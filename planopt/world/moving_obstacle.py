@@ -16,8 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.world.least_distance import closest_approach_m
-from planopt.world.timed_motion import TimedMotion, TimedWay
+from planopt.world.timed_motion import TimedMotion, TimedWay, closest_approach_m
 
 
 @dataclass(frozen=True, eq=False)

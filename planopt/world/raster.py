@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planopt.errors import InputError, listed
 from planopt.files.npz import npz_names, read_npz
 from planopt.short_repr import short_repr
-from planopt.world.footprints import LARGEST_COORDINATE_M
+from planopt.world.workspace import LARGEST_COORDINATE_M
 
 QUANTITIES = "quantities"
 """Entry of an npz file with the name, quantity and unit of each variable, as text (k, 3)."""

@@ -1,11 +1,13 @@
-"""Raster files of any format that planopt knows, chosen by the ending of the name.
+# pyright: basic
+"""Raster files: CSV, npz, radio maps of Sionna RT, NetCDF and GeoTIFF, chosen by the ending.
 
-Rasters as CSV: a row for each cell with its centre ``x_m, y_m`` and a column a variable.
-
-Radio maps of Sionna RT, saved from Python with ``numpy.savez``.
-
-``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())`` keeps what
-is needed. Gains are linear there, and zero means that no path was found.
+CSV has a row for each cell with its centre ``x_m, y_m`` and a column for each variable. NetCDF has
+variables on ``y, x``; files are written as NetCDF-3, which every reader takes and SciPy reads, and
+h5netcdf, an extra, reads NetCDF-4. GeoTIFF, by rasterio, which is an extra, has a band for each
+variable and its first row in the north; coordinates are metres of a local plane, and a reference
+system in degrees is refused. Sionna RT saves
+``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``: gains are
+linear, and zero means that no path was found.
 """
 
 from __future__ import annotations
@@ -16,18 +18,271 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
 from planopt.files.npz import npz_names
-from planopt.files.reading import read_text
+from planopt.files.reading import foreign_reader, read_bytes, read_text, require_array_size
 from planopt.files.writing import write_whole
 from planopt.world.raster import Raster, checked_raster, npz_arrays, read_npz_raster, write_npz
-from planopt.world.raster_geotiff import import_rasterio, read_geotiff, write_geotiff
-from planopt.world.raster_netcdf import read_netcdf, write_netcdf
+
+HDF5_SIGNATURE = b"\x89HDF"
+NETCDF_AXES = ("y", "x")
+
+BYTES_PER_READ = 1000
+"""Memory that SciPy's reader uses at most for each part of a header."""
+
+
+def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
+    """Write rasters of the same axes with coordinates and units."""
+    from scipy.io import netcdf_file
+
+    first = next(iter(rasters.values()))
+    with netcdf_file(path, "w") as file:
+        for name, axis in zip(NETCDF_AXES, (first.y_m, first.x_m), strict=True):
+            file.createDimension(name, len(axis))
+            coordinate = file.createVariable(name, "d", (name,))
+            coordinate[:] = axis
+            coordinate.units = "m"
+            coordinate.axis = name.upper()
+        for name, raster in rasters.items():
+            variable = file.createVariable(name, "d", NETCDF_AXES)
+            variable[:] = raster.values
+            variable.units, variable.long_name = raster.unit, raster.quantity
+
+
+def read_netcdf(path: Path, variable: str) -> Raster:
+    """Read one variable on the dimensions ``y, x`` with their coordinates; y may descend."""
+    content = read_bytes(path)
+    read = _read_hdf5 if content.startswith(HDF5_SIGNATURE) else _read_classic
+    with foreign_reader(path, "a NetCDF file"):
+        (y, x, values), attributes = read(path, content, variable)
+    if y.ndim == 1 and y.size > 1 and y[0] > y[-1]:
+        y, values = y[::-1], values[::-1]
+    quantity, unit = (_text(attributes.get(name)) for name in ("long_name", "units"))
+    return replace(checked_raster(x, y, values, path, variable), quantity=quantity, unit=unit)
+
+
+def _text(value: object) -> str:
+    """Return the text of an attribute; nothing of any other kind."""
+    text = value.decode(errors="replace") if isinstance(value, bytes) else value
+    return text.strip("\0 ") if isinstance(text, str) else ""
+
+
+_Read = tuple[list[NDArray[np.float64]], Mapping[str, Any]]
+
+
+class _BoundedBytes(io.BytesIO):
+    """The bytes of a file, from which not much more than its size is read in all.
+
+    Variables of a damaged header may overlap, each as large as the file.
+    """
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(content)
+        self.left = 2 * len(content) + 10_000 * BYTES_PER_READ
+
+    def read(self, size: int | None = -1) -> bytes:
+        found = super().read(size)
+        self.left -= len(found) + BYTES_PER_READ
+        if self.left < 0:
+            raise InputError("declares more than the file holds")
+        return found
+
+
+def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
+    """Return y, x and the variable of a NetCDF-3 file, and the variable's attributes."""
+    from scipy.io import netcdf_file
+
+    class Reader(netcdf_file):
+        """A file that is not closed: attributes from its content may replace its methods."""
+
+        def __del__(self) -> None: ...
+
+    held = Reader(_BoundedBytes(content), "r").variables
+    _require_map(path, {name: held[name].dimensions for name in held}, variable)
+    found = [
+        _floats(held[name].data, vars(held[name]), path, name) for name in (*NETCDF_AXES, variable)
+    ]
+    return found, vars(held[variable])
+
+
+def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
+    """Return y, x and the variable of a NetCDF-4 file, and the variable's attributes."""
+    try:
+        import h5netcdf
+        import h5py
+    except ImportError as error:
+        raise InputError(
+            "NetCDF-4 cannot be read without h5netcdf",
+            file=path,
+            remedy="install planopt[maps], or convert with nccopy -k classic",
+        ) from error
+    with h5py.File(io.BytesIO(content), "r") as opened:
+        hdf5: Any = opened
+        for name in hdf5:
+            if isinstance(hdf5.get(name, getlink=True), h5py.ExternalLink):
+                raise InputError("links to another file", file=path, key=name)
+            item = hdf5[name]
+            if not isinstance(item, h5py.Dataset):
+                continue
+            if item.external or item.is_virtual:
+                raise InputError("takes its values from another file", file=path, key=name)
+            require_array_size(path, name, *(item.shape or ()))
+            # Chunks are unpacked whole.
+            require_array_size(path, name, *(item.chunks or ()))
+        with h5netcdf.File(opened, "r") as file:
+            held = file.variables
+            _require_map(path, {name: held[name].dimensions for name in held}, variable)
+            found = [
+                _floats(held[name][...], held[name].attrs, path, name)
+                for name in (*NETCDF_AXES, variable)
+            ]
+            return found, dict(held[variable].attrs)
+
+
+def _require_map(path: Path, held: Mapping[str, tuple[str, ...]], variable: str) -> None:
+    """Refuse a file without the variable on y, x; `held` has the dimensions of each variable."""
+    for name in (*NETCDF_AXES, variable):
+        if name not in held:
+            raise InputError(
+                f"the file holds no {name!r}", file=path, remedy=f"it holds {listed(sorted(held))}"
+            )
+    dimensions = tuple(held[variable])
+    if dimensions != NETCDF_AXES:
+        raise InputError(
+            f"its dimensions are {listed(dimensions)}, should be {listed(NETCDF_AXES)}",
+            file=path,
+            key=variable,
+        )
+
+
+def _floats(
+    values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str
+) -> NDArray[np.float64]:
+    """Return values as floats, scaled by the attributes, NaN where they are missing."""
+    if values.dtype.kind not in "iuf":
+        raise InputError(f"{values.dtype} is not numeric", file=path, key=name)
+    require_array_size(path, name, *values.shape)
+    floats = values.astype(np.float64)
+    missing = np.zeros(floats.shape, dtype=np.bool_)
+    for key in ("_FillValue", "missing_value"):
+        if key in attributes:
+            missing |= floats == float(np.squeeze(attributes[key]))
+    scale = float(np.squeeze(attributes.get("scale_factor", 1.0)))
+    offset = float(np.squeeze(attributes.get("add_offset", 0.0)))
+    return np.where(missing, np.nan, scale * floats + offset)
+
+
+SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First bytes of TIFF and BigTIFF files in either byte order."""
+
+
+def import_rasterio(path: Path) -> ModuleType:
+    """Return rasterio; an error that names the extra where it is not installed."""
+    try:
+        import rasterio
+    except ImportError as error:
+        raise InputError(
+            "GeoTIFF needs rasterio, which is not installed",
+            file=path,
+            remedy="install planopt[maps], or choose .nc, .npz or .csv",
+        ) from error
+    return rasterio
+
+
+def write_geotiff(path: Path, rasters: Mapping[str, Raster]) -> None:
+    """Write rasters of the same axes as the bands of one file, compressed."""
+    rasterio = import_rasterio(path)
+    first = next(iter(rasters.values()))
+    wide, high = first.cell_m
+    west, north = first.x_m[0] - wide / 2, first.y_m[-1] + high / 2
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=len(first.x_m),
+        height=len(first.y_m),
+        count=len(rasters),
+        dtype="float64",
+        nodata=np.nan,
+        transform=rasterio.Affine(wide, 0.0, west, 0.0, -high, north),
+        compress="deflate",
+    ) as file:
+        file.descriptions = tuple(rasters)
+        file.units = tuple(raster.unit for raster in rasters.values())
+        for band, raster in enumerate(rasters.values(), start=1):
+            file.write(raster.values[::-1], band)
+            file.update_tags(band, quantity=raster.quantity)
+
+
+def read_geotiff(path: Path, variable: str) -> Raster:
+    """Read the band described as `variable`, or the only band if it has no description.
+
+    The file alone is read, from memory: no sidecar files, and no other format whatever the
+    content says (GDAL's virtual formats read files that nobody named).
+    """
+    rasterio = import_rasterio(path)
+    content = read_bytes(path)
+    if content[:4] not in SIGNATURES:
+        raise InputError(
+            "is not a TIFF file", file=path, remedy="save it as GeoTIFF, NetCDF, NPZ or CSV"
+        )
+    with (
+        foreign_reader(path, "a GeoTIFF"),
+        rasterio.Env(GDAL_NUM_THREADS=1),
+        rasterio.MemoryFile(content) as memory,
+        memory.open(driver="GTiff") as file,
+    ):
+        require_array_size(path, variable, file.height, file.width)
+        for shape in file.block_shapes:
+            require_array_size(path, variable, *shape)
+        band = _band(file.descriptions, variable, path)
+        if np.dtype(file.dtypes[band - 1]).kind not in "iuf":
+            raise InputError(
+                "is not numeric", file=path, key=variable, remedy="give a band of numbers"
+            )
+        values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
+        quantity, unit = file.tags(band).get("quantity", ""), file.units[band - 1] or ""
+        transform, system = file.transform, file.crs
+        in_degrees = system is not None and system.is_geographic
+    if transform.b or transform.d or transform.is_identity:
+        raise InputError(
+            "the map is rotated or has no coordinates",
+            file=path,
+            remedy="resample it to axes x and y in metres",
+        )
+    if in_degrees:
+        raise InputError(
+            "the coordinates are degrees", file=path, remedy="project the map to metres"
+        )
+    rows, columns = values.shape
+    with np.errstate(all="ignore"):  # coordinates that are not finite
+        x = transform.c + transform.a * (np.arange(columns) + 0.5)
+        y = transform.f + transform.e * (np.arange(rows) + 0.5)
+    if transform.e < 0:
+        y, values = y[::-1], values[::-1]
+    return replace(checked_raster(x, y, values, path, variable), quantity=quantity, unit=unit)
+
+
+def _band(descriptions: tuple[str | None, ...], variable: str, path: Path) -> int:
+    """Number of the band, from 1."""
+    if descriptions.count(variable) == 1:
+        return descriptions.index(variable) + 1
+    if descriptions == (None,):
+        return 1
+    raise InputError(
+        f"the file has no band described as {variable!r}",
+        file=path,
+        remedy=f"it has {listed(str(name) for name in descriptions)}",
+    )
+
 
 AXES = ("x_m", "y_m")
 

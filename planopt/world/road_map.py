@@ -80,7 +80,7 @@ def build_road_map(lattice: Lattice) -> RoadMap:
     )
 
 
-def shortest_ways(
+def lattice_paths(
     road_map: RoadMap,
     goal_node: int,
     node_factor: NDArray[np.float64] | None = None,  # (n,) at least 1, or None for plain lengths

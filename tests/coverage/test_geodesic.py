@@ -23,7 +23,7 @@ from planopt.coverage.region import ConvexRegion
 from planopt.coverage.voronoi import voronoi_cells
 from planopt.errors import InputError
 from planopt.world.clearance import index_obstacles
-from planopt.world.shortest_ways import shortest_ways, way_lengths_m
+from planopt.world.shortest_paths import path_lengths_m, shortest_paths
 from planopt.world.workspace import Obstacle, Workspace
 
 OUTLINE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
@@ -56,8 +56,8 @@ def test_distances_by_visibility_graph(region: GeodesicRegion) -> None:
     index = index_obstacles(Workspace((0.0, 0.0, 100.0, 100.0), named))
     wanted = np.array(
         [
-            way_lengths_m(
-                shortest_ways(index, (0.0, 0.0, 100.0, 100.0), agent, 0.0, 500.0, inner=False),
+            path_lengths_m(
+                shortest_paths(index, (0.0, 0.0, 100.0, 100.0), agent, 0.0, 500.0, inner=False),
                 region.nodes_m,
             )
             for agent in agents

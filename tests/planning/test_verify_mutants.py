@@ -1,7 +1,7 @@
 """The verifier's own proof: every small falsification of its source changes a judgement.
 
 Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `goal_paths.py`,
-`reachability.py`, `detours.py`, `shortest_ways.py` or `motion.py`. Good and bad plans
+`reachability.py`, `detours.py`, `shortest_paths.py` or `motion.py`. Good and bad plans
 are judged by the source as it is, which must say what stands beside each plan, and by each mutant,
 which must say something else of at least one of them. A mutant that survives is a hole here.
 """
@@ -427,7 +427,7 @@ VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.
 GRID, PATHS = "planopt.planning.proof.reachability", "planopt.planning.proof.goal_paths"
 STEPS = "planopt.planning.proof.single_steps"
 MOTION = "planopt.planning.proof.motion"
-DETOURS, ROUND = "planopt.planning.proof.reachability", "planopt.world.shortest_ways"
+DETOURS, ROUND = "planopt.planning.proof.reachability", "planopt.world.shortest_paths"
 MODULES = (VERIFY, STEPS, REACHABILITY, DETOURS, ROUND, PATHS, GRID, MOTION)
 
 
@@ -453,7 +453,7 @@ def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:
     for user, used, names in (
         (REACHABILITY, GRID, ("grid_of", "parts_of")),
         (PATHS, GRID, ("grid_of",)),
-        (DETOURS, ROUND, ("is_near_joined", "shortest_ways", "way_lengths_m")),
+        (DETOURS, ROUND, ("is_near_joined", "shortest_paths", "path_lengths_m")),
         (REACHABILITY, DETOURS, ("best_by_ways",)),
         (STEPS, REACHABILITY, ("best_margins_by_step",)),
         (STEPS, PATHS, ("build_goal_grid", "goal_costs", "price_path")),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planopt.errors import InputError
-from planopt.world.footprints import footprint
+from planopt.world.workspace import footprint
 
 SQUARE = [(0, 0), (4, 0), (4, 4), (0, 4)]
 

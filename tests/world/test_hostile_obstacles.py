@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from planopt.errors import InputError
-from planopt.world.footprints import footprint
 from planopt.world.readers import DEEPEST, obstacle_from_wkt, read_obstacles
+from planopt.world.workspace import footprint
 
 SQUARE = [[30.0, 40.0], [40.0, 40.0], [40.0, 50.0], [30.0, 40.0]]
 

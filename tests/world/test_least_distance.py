@@ -8,8 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt.world.least_distance import CLOSE_M, least_gap, step_distances_m, way_distance_m
-from planopt.world.timed_motion import EvenWay, TimedMotion
+from planopt.world.timed_motion import (
+    CLOSE_M,
+    EvenWay,
+    TimedMotion,
+    least_gap,
+    step_distances_m,
+    way_distance_m,
+)
 from planopt.world.ways import Arc, Parabola, PointWay
 
 DENSE = np.linspace(0.0, 1.0, 40001)

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from planopt.world.least_distance import closest_approach_m
-from planopt.world.moving_lines import moving_lines
 from planopt.world.moving_obstacle import (
     MovingDiscs,
     joined_discs,
@@ -12,6 +10,8 @@ from planopt.world.moving_obstacle import (
     path_distances_m,
     ways_gap_m,
 )
+from planopt.world.separation import moving_lines
+from planopt.world.timed_motion import closest_approach_m
 
 STEPS = 6
 

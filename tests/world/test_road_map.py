@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scenes import small_road_map
 
 from planopt.world.lattice import MOVES, Lattice, node_positions
-from planopt.world.road_map import build_road_map, shortest_ways, way_from
+from planopt.world.road_map import build_road_map, lattice_paths, way_from
 
 WALL = shapely.box(4.4, 0.0, 4.6, 6.2)
 BLOCK = shapely.Polygon([(6.5, 3.5), (8.4, 4.4), (7.4, 6.6)])
@@ -69,7 +69,7 @@ def test_costs_are_networkx_costs(seed, weighted):
     road_map = build_road_map(free_lattice(free))
     goal = int(road_map.number[2, 3])
     factor = generator.uniform(1.0, 20.0, len(road_map.nodes_m)) if weighted else None
-    ways = shortest_ways(road_map, goal, factor)
+    ways = lattice_paths(road_map, goal, factor)
     np.testing.assert_allclose(ways.cost_m, costs_by_networkx(road_map, goal, factor), atol=1e-9)
     assert_ways_lead_to_goal(road_map, ways, goal, factor)
 
@@ -78,7 +78,7 @@ def test_round_a_wall():
     """Real obstacles: networkx agrees, and the way behind the wall leads round its end."""
     road_map = small_road_map(WALL, BLOCK, spacing_m=0.5)
     goal = int(road_map.number[4, 16])
-    ways = shortest_ways(road_map, goal)
+    ways = lattice_paths(road_map, goal)
     np.testing.assert_allclose(ways.cost_m, costs_by_networkx(road_map, goal), atol=1e-9)
     start = int(road_map.number[2, 2])
     way = way_from(road_map, ways, start, 100.0)
@@ -127,19 +127,19 @@ def test_a_mirrored_scene_has_mirrored_ways():
     np.testing.assert_array_equal(here.lattice.free[:, ::-1], there.lattice.free)
     goal, mirrored_goal = here.number[2, 7], there.number[2, -8]
     cost, mirrored_cost = np.full((2, *here.lattice.shape), np.nan)
-    cost[here.rows, here.columns] = shortest_ways(here, int(goal)).cost_m
-    mirrored_cost[there.rows, there.columns] = shortest_ways(there, int(mirrored_goal)).cost_m
+    cost[here.rows, here.columns] = lattice_paths(here, int(goal)).cost_m
+    mirrored_cost[there.rows, there.columns] = lattice_paths(there, int(mirrored_goal)).cost_m
     np.testing.assert_allclose(cost[:, ::-1], mirrored_cost, atol=1e-9)
 
 
 def test_a_factor_of_one_is_plain():
     """No factor and a factor of 1 give the same ways; a factor of 3 costs three times as much."""
     road_map = small_road_map(WALL)
-    plain = shortest_ways(road_map, 5)
-    ones = shortest_ways(road_map, 5, np.ones(len(road_map.nodes_m)))
+    plain = lattice_paths(road_map, 5)
+    ones = lattice_paths(road_map, 5, np.ones(len(road_map.nodes_m)))
     np.testing.assert_array_equal(plain.cost_m, ones.cost_m)
     np.testing.assert_array_equal(plain.next_node, ones.next_node)
-    threes = shortest_ways(road_map, 5, np.full(len(road_map.nodes_m), 3.0))
+    threes = lattice_paths(road_map, 5, np.full(len(road_map.nodes_m), 3.0))
     np.testing.assert_allclose(threes.cost_m, 3.0 * plain.cost_m)
 
 
@@ -147,12 +147,12 @@ def test_costs_are_symmetric_and_bounded():
     """From a to b costs what b to a does, at least the distance; 2.8 % more at most if free."""
     road_map = small_road_map(spacing_m=0.5)
     centre = int(road_map.number[7, 9])
-    costs = shortest_ways(road_map, centre).cost_m
+    costs = lattice_paths(road_map, centre).cost_m
     distance = np.linalg.norm(road_map.nodes_m - road_map.nodes_m[centre], axis=1)
     assert (costs >= distance - 1e-9).all()
     assert (costs <= 1.028 * distance + 1e-9).all()
     for node in (0, 17, len(costs) - 1):
-        assert shortest_ways(road_map, node).cost_m[centre] == pytest.approx(costs[node])
+        assert lattice_paths(road_map, node).cost_m[centre] == pytest.approx(costs[node])
 
 
 def test_costs_avoid_dear_places():
@@ -162,7 +162,7 @@ def test_costs_avoid_dear_places():
     dear = (np.abs(road_map.nodes_m[:, 0] - 5.0) <= 1.0) & (road_map.nodes_m[:, 1] < 6.5)
     factor[dear] = 100.0
     start, goal = road_map.number[0, 0], int(road_map.number[0, -1])
-    way = way_from(road_map, shortest_ways(road_map, goal, factor), int(start), 100.0)
+    way = way_from(road_map, lattice_paths(road_map, goal, factor), int(start), 100.0)
     assert not dear[way].any()
 
 
@@ -170,7 +170,7 @@ def test_a_way_ends_once_it_is_long_enough():
     """It stops at the first node past the length, at the goal, and where there is no way."""
     road_map = small_road_map()
     goal, start = int(road_map.number[0, 8]), int(road_map.number[0, 0])
-    ways = shortest_ways(road_map, goal)
+    ways = lattice_paths(road_map, goal)
     np.testing.assert_array_equal(way_from(road_map, ways, start, 0.0), [start])
     for length in (0.5, 1.0, 3.0, 4.5, 7.9):
         way = way_from(road_map, ways, start, length)
@@ -183,7 +183,7 @@ def test_a_way_ends_once_it_is_long_enough():
 def test_an_island_has_no_way():
     """Behind a wall without an end the cost is infinite and the way is the node alone."""
     road_map = small_road_map(shapely.box(4.2, -1.0, 4.8, 9.0))
-    ways = shortest_ways(road_map, int(road_map.number[3, 8]))
+    ways = lattice_paths(road_map, int(road_map.number[3, 8]))
     here = int(road_map.number[3, 1])
     assert np.isinf(ways.cost_m[here])
     np.testing.assert_array_equal(way_from(road_map, ways, here, 5.0), [here])

@@ -22,7 +22,7 @@ from planopt.planning.search.taut_way import stops_along
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
-from planopt.world.road_map import RoadMap, shortest_ways, way_from
+from planopt.world.road_map import RoadMap, lattice_paths, way_from
 
 FEWEST_LANES = 3
 """A fit may find a decorrelation distance beyond all that was measured."""
@@ -106,5 +106,5 @@ def _way(road_map: RoadMap, here: int, there: int) -> list[int]:
     moves = road_map.edge_to[road_map.edge_start[here] : road_map.edge_start[here + 1]]
     if there in moves:
         return [there]
-    way = way_from(road_map, shortest_ways(road_map, there), here, math.inf)
+    way = way_from(road_map, lattice_paths(road_map, there), here, math.inf)
     return [int(node) for node in way[1:]] if way[-1] == there else []

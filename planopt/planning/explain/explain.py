@@ -27,7 +27,7 @@ from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solve import solve, solve_on
 from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.road_map import shortest_ways, way_from
+from planopt.world.road_map import lattice_paths, way_from
 
 
 @one_blas_thread()
@@ -200,7 +200,7 @@ def _way(
     A metre at each node costs one plus its `surcharge` (n,).
     """
     road_map = scene.road_map
-    ways = shortest_ways(road_map, scene.goal_node, 1.0 + surcharge)
+    ways = lattice_paths(road_map, scene.goal_node, 1.0 + surcharge)
     nodes, lengths = first_moves(scene.ground, problem, start_m)
     first = int(np.argmin(lengths * (1.0 + surcharge[nodes]) + ways.cost_m[nodes]))
     cost_m = float(lengths[first] * (1.0 + surcharge[nodes[first]]) + ways.cost_m[nodes[first]])

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.world.moving_lines import moving_lines
 from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs, path_distances_m
 from planopt.world.separation import (
     PackedPieces,
     SeparatingLines,
     joined_lines,
     lines_for,
+    moving_lines,
     separating_lines,
 )
 

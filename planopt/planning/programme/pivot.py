@@ -19,7 +19,7 @@ from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, swept_clearance_m
-from planopt.world.road_map import shortest_ways, way_from
+from planopt.world.road_map import lattice_paths, way_from
 
 LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""
@@ -106,7 +106,7 @@ class Ahead:
         best = int(np.argmin(total))
         if not np.isfinite(total[best]) and not self._has_all_ways:
             # Farther back than the search looked.
-            ways = shortest_ways(self._scene.road_map, self._scene.goal_node, start.metre_cost)
+            ways = lattice_paths(self._scene.road_map, self._scene.goal_node, start.metre_cost)
             self._start, self._has_all_ways = replace(start, ways=ways), True
             return self._join(end_m)
         return int(nodes[best]), float(total[best]), float(metre[best])

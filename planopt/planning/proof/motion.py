@@ -21,9 +21,8 @@ from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion, dynamics_defect_m
 from planopt.robots.dynamics import Dynamics
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
-from planopt.world.least_distance import least_gap
 from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.timed_motion import TimedMotion
+from planopt.world.timed_motion import TimedMotion, least_gap
 from planopt.world.ways import Way
 
 

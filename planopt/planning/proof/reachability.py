@@ -17,11 +17,11 @@ from scipy.ndimage import label  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear
-from planopt.world.shortest_ways import (
-    ShortestWays,
+from planopt.world.shortest_paths import (
+    ShortestPaths,
     is_near_joined,
-    shortest_ways,
-    way_lengths_m,
+    path_lengths_m,
+    shortest_paths,
 )
 
 
@@ -92,7 +92,7 @@ def best_by_ways(
 
     A negative one is a bound above: ways are only measured to places that keep the bound.
     """
-    ways = shortest_ways(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
+    ways = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
     margins = np.concatenate([values for _, values in looked])
     # A node too near to an obstacle stands for the clear places about it.
@@ -139,7 +139,7 @@ def _about(
 
 
 def _best_reached(
-    ways: ShortestWays,
+    ways: ShortestPaths,
     reach_m: NDArray[np.float64],
     places_m: NDArray[np.float64],
     margins_db: NDArray[np.float64],
@@ -158,7 +158,7 @@ def _best_reached(
         while begin < len(candidates):
             chunk = candidates[begin : begin + count]
             new = chunk[np.isnan(length[chunk])]
-            length[new] = way_lengths_m(ways, places_m[new])
+            length[new] = path_lengths_m(ways, places_m[new])
             reached = chunk[length[chunk] <= reach]
             if len(reached):
                 here = float(margins_db[reached[0]])

@@ -36,7 +36,7 @@ from planopt.planning.values.objective_value import rule_missing
 from planopt.planning.values.rule_rows import Guide, find_guided, step_rows
 from planopt.problems.problem import Problem
 from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.road_map import Ways, shortest_ways, way_from
+from planopt.world.road_map import Ways, lattice_paths, way_from
 
 FORBIDDEN = 1e6
 """A metre below the bound costs this many where it must not be driven: more than any path."""
@@ -209,10 +209,10 @@ class GlobalSearch:
         node = node_at(scene.road_map, position_m)
         back_m = BACK_STEPS * self._problem.step_length_m
         limit_m = self._here_m + 2.0 * back_m
-        ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost, limit_m=limit_m)
+        ways = lattice_paths(scene.road_map, scene.goal_node, metre_cost, limit_m=limit_m)
         here_m = float(ways.cost_m[node]) if node >= 0 else np.inf
         if here_m + back_m > limit_m:
-            ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost)
+            ways = lattice_paths(scene.road_map, scene.goal_node, metre_cost)
             here_m = float(ways.cost_m[node]) if node >= 0 else np.inf
         self._here_m = here_m if self._is_alone else np.inf
         return ways

@@ -18,7 +18,7 @@ from planopt.planning.search.taut_way import retime
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
 from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M
-from planopt.world.shortest_ways import ShortestWays, shortest_ways, turns_m, way_lengths_m
+from planopt.world.shortest_paths import ShortestPaths, path_lengths_m, shortest_paths, turns_m
 
 FINE_NODES, COARSE_NODES = 12, 4
 """Places a step that are looked at: up to `FINE_STEPS` steps, and beyond."""
@@ -43,7 +43,7 @@ def ways_to_good_place(judge: Judge, tried: Sequence[Candidate]) -> list[NDArray
     length = problem.step_length_m - STEP_PAD_M
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     bounds = problem.workspace.bounds_m
-    ways = shortest_ways(index, bounds, judge.position_m, clear, step * length, inner=False)
+    ways = shortest_paths(index, bounds, judge.position_m, clear, step * length, inner=False)
     place = _good_place(judge, ways, step, clear)
     turns = None if place is None else turns_m(ways, place)
     if turns is None:
@@ -57,7 +57,7 @@ def ways_to_good_place(judge: Judge, tried: Sequence[Candidate]) -> list[NDArray
 
 
 def _good_place(
-    judge: Judge, ways: ShortestWays, step: int, clear_m: float
+    judge: Judge, ways: ShortestPaths, step: int, clear_m: float
 ) -> NDArray[np.float64] | None:
     """The nearest place (2,) that meets the bound, by way; None if there is none in reach.
 
@@ -85,7 +85,7 @@ def _good_place(
 
 
 def _reached(
-    judge: Judge, ways: ShortestWays, places_m: NDArray[np.float64], clear_m: float
+    judge: Judge, ways: ShortestPaths, places_m: NDArray[np.float64], clear_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return which places (n, 2) a way leads to, their margins and lengths, best first."""
     away = np.linalg.norm(places_m - ways.start_m, axis=1)
@@ -97,7 +97,7 @@ def _reached(
         search_prediction(judge.context.posterior, places, judge.context.broad)
     )
     tried = _promise(margins, np.linalg.norm(places - ways.start_m, axis=1))[:MEASURED]
-    length = way_lengths_m(ways, places[tried])
+    length = path_lengths_m(ways, places[tried])
     tried, length = tried[np.isfinite(length)], length[np.isfinite(length)]
     order = _promise(margins[tried], length)
     return places[tried[order]], margins[tried[order]], length[order]

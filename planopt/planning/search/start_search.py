@@ -39,8 +39,8 @@ from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.planning.values.rule_rows import Guide, find_guided
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
-from planopt.world.lattice_size import LONGEST_MOVE
 from planopt.world.moving_obstacle import ways_gap_m
+from planopt.world.workspace import LONGEST_MOVE
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Rows and columns of single nodes."""

@@ -18,7 +18,7 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M
-from planopt.world.road_map import Ways, shortest_ways, way_from
+from planopt.world.road_map import Ways, lattice_paths, way_from
 
 STRAIGHT_SHARE = 1e-9
 """Legs turn where their directions differ by more than this."""
@@ -41,7 +41,7 @@ class WaysFrom:
         self._ways: Ways | None = None
         if len(nodes):
             nearest = int(np.argmin(lengths))
-            self._ways = shortest_ways(ground.road_map, int(nodes[nearest]), limit_m=limit_m)
+            self._ways = lattice_paths(ground.road_map, int(nodes[nearest]), limit_m=limit_m)
             self.length_m = self._ways.cost_m + float(lengths[nearest])
 
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -17,9 +17,9 @@ from planopt.channel.nearest.place_index import PlaceTree
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
-from planopt.world.least_distance import closest_approach_m
 from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.road_map import RoadMap, Ways, shortest_ways
+from planopt.world.road_map import RoadMap, Ways, lattice_paths
+from planopt.world.timed_motion import closest_approach_m
 
 DELAYS_STEPS = (16, 64, 200)
 """Delays, in steps of waiting, that are looked at one after the other; the last is the longest."""
@@ -137,7 +137,7 @@ def search_room(
     if not len(first_nodes):
         return None
     here = int(first_nodes[np.argmin(first_length_m)])
-    ways = shortest_ways(road_map, here)
+    ways = lattice_paths(road_map, here)
     away = PlaceTree(others_m).nearest(road_map.nodes_m, 1)[1][:, 0]
     longest = float(road_map.lengths_m.max())
     cost = np.where(away >= np.hypot(least_m + CLEARANCE_PAD_M, longest), ways.cost_m, np.inf)
@@ -215,7 +215,7 @@ def _ways_beside_standing(costs: TimedCosts, discs: MovingDiscs) -> Ways:
         least = np.hypot(np.maximum(discs.apart_m[:, -1], 0.0) + CLEARANCE_PAD_M, 0.5 * longest)
         away = np.linalg.norm(road_map.nodes_m - discs.centres_m[:, -1:], axis=2)
         factor = np.where((away < least[:, None]).any(axis=0), np.inf, factor)
-    return shortest_ways(road_map, costs.goal_node, factor)
+    return lattice_paths(road_map, costs.goal_node, factor)
 
 
 def _next_stage(

@@ -24,9 +24,8 @@ from planopt.planning.proof.context import obstacles_ahead, steps_ahead
 from planopt.planning.proof.motion import verify_apart
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion, standing_motion
-from planopt.world.least_distance import step_distances_m
 from planopt.world.moving_obstacle import MovingDiscs, joined_discs, predicted_discs
-from planopt.world.timed_motion import TimedMotion
+from planopt.world.timed_motion import TimedMotion, step_distances_m
 
 
 def has_separation(problem: Problem) -> bool:

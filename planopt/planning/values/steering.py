@@ -40,7 +40,7 @@ from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.steered_path import SteeringWay, steering_way
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
-from planopt.world.road_map import shortest_ways, way_from
+from planopt.world.road_map import lattice_paths, way_from
 
 TILE = 1
 """Places of the region are far apart: each has its own neighbours."""
@@ -101,7 +101,7 @@ class Steering:
         if worth[best] == 0.0:
             return None
         road_map, node = self._ground.road_map, int(self._nearest[best])
-        lengths = shortest_ways(road_map, node).cost_m + self._beside_m[best]
+        lengths = lattice_paths(road_map, node).cost_m + self._beside_m[best]
         # Nodes that cannot be come to are as far as the farthest: no search looks at them.
         farthest = float(lengths[np.isfinite(lengths)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
@@ -186,7 +186,7 @@ class GoalSteering:
             return None
         self._margins.refresh(situation.posterior, situation.broad)
         metre_cost = np.where(self._margins.outside & self._bounded, FORBIDDEN, 1.0)
-        ways = shortest_ways(road_map, self._goal_node, metre_cost)
+        ways = lattice_paths(road_map, self._goal_node, metre_cost)
         cost = lengths * metre_cost[nodes] + ways.cost_m[nodes]
         first = int(nodes[cost.argmin()])
         if not np.isfinite(ways.cost_m[first]):

@@ -14,7 +14,7 @@ from planopt.planning.programme.pivot import (
 from planopt.planning.scene import build_scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.world.road_map import shortest_ways, way_from
+from planopt.world.road_map import lattice_paths, way_from
 
 WALL = shapely.box(19.0, -1.0, 21.0, 22.0)
 BLOCK = shapely.Polygon([(26.0, 8.0), (31.0, 12.0), (27.0, 17.0)])
@@ -128,7 +128,7 @@ def test_weighted_ways_keep_the_cost_consistent():
     scene = build_scene(problem)
     places = scene.road_map.nodes_m
     metre_cost = 1.0 + 4.0 * (places[:, 1] > 12.0)
-    ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost)
+    ways = lattice_paths(scene.road_map, scene.goal_node, metre_cost)
     metres = []
     for node in range(5, len(places), 101):
         start = start_at(scene, node, ways, metre_cost=metre_cost)
@@ -145,7 +145,7 @@ def test_from_beside_the_path_the_joining_metres_count_too():
     scene = build_scene(problem)
     places = scene.road_map.nodes_m
     metre_cost = np.where(places[:, 0] < 14.0, 3.0, 1.0)
-    ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost)
+    ways = lattice_paths(scene.road_map, scene.goal_node, metre_cost)
     node = int(np.argmin(np.linalg.norm(places - [10.0, 15.0], axis=1)))
     start = start_at(scene, node, ways, metre_cost=metre_cost)
     for beside in ([9.3, 15.4], [10.5, 14.0], [8.4, 15.0]):
@@ -161,7 +161,7 @@ def test_the_way_on_against_every_node_within_a_step(price):
     scene = build_scene(problem)
     places, step = scene.road_map.nodes_m, problem.step_length_m
     metre_cost = 1.0 + price * (np.hypot(places[:, 0] - 12.0, places[:, 1] - 20.0) < 5.0)
-    ways = shortest_ways(scene.road_map, scene.goal_node, metre_cost)
+    ways = lattice_paths(scene.road_map, scene.goal_node, metre_cost)
     generator, by_pivot, by_node = np.random.default_rng(1), 0, 0
     for around in ([8.0, 16.0], [16.0, 21.0], [24.0, 20.0]):
         node = int(np.argmin(np.linalg.norm(places - around, axis=1)))

@@ -20,8 +20,8 @@ from planopt.world.ways import PointWay
 
 APART = "planopt.planning.proof.motion"
 DISCS = "planopt.world.moving_obstacle"
-CLOSEST = "planopt.world.least_distance"
-LEAST = "planopt.world.least_distance"
+CLOSEST = "planopt.world.timed_motion"
+LEAST = "planopt.world.timed_motion"
 TIMED = "planopt.world.timed_motion"
 OBSTACLE = "planopt.world.moving_obstacle"
 

@@ -12,7 +12,7 @@ from scenes import small_road_map
 from planopt.planning.search.lattice_search import search_cheapest
 from planopt.planning.search.moving_moves import move_table
 from planopt.world.lattice import MOVES, Lattice
-from planopt.world.road_map import build_road_map, shortest_ways
+from planopt.world.road_map import build_road_map, lattice_paths
 
 STEP_S, WEIGHT = 0.8, 0.3
 
@@ -160,7 +160,7 @@ def test_staying_at_the_goal_is_free_and_nowhere_else():
     road_map = random_road_map(np.random.default_rng(0), (3, 6), 0.0, 0.0)
     goal = int(road_map.number[1, 5])
     start = int(road_map.number[1, 1])
-    ways = shortest_ways(road_map, goal)
+    ways = lattice_paths(road_map, goal)
     nothing = np.zeros(len(road_map.nodes_m))
     terminal = 10.0 * ways.cost_m
     costs = {}
@@ -205,10 +205,10 @@ def test_an_obstacle_that_changes_no_move_changes_nothing():
     plain = small_road_map(wall)
     more = small_road_map(wall, shapely.box(4.4, 1.0, 4.6, 3.0), shapely.box(30, 30, 31, 31))
     start, goal = int(plain.number[0, 1]), int(plain.number[1, 7])
-    terminal = shortest_ways(plain, goal).cost_m
+    terminal = lattice_paths(plain, goal).cost_m
     nothing = np.zeros(len(terminal))
     one = search(plain, [start], [0.5], 6, goal, nothing, terminal)
-    two = search(more, [start], [0.5], 6, goal, nothing, shortest_ways(more, goal).cost_m)
+    two = search(more, [start], [0.5], 6, goal, nothing, lattice_paths(more, goal).cost_m)
     assert one is not None
     assert two is not None
     np.testing.assert_array_equal(one.nodes, two.nodes)

@@ -30,7 +30,7 @@ MAX_CORNERS = 600
 
 
 @dataclass(frozen=True, eq=False)
-class ShortestWays:
+class ShortestPaths:
     """Ways from one place, none longer than a radius."""
 
     start_m: NDArray[np.float64]  # Where they begin, and how long they may be
@@ -45,20 +45,20 @@ class ShortestWays:
     before: NDArray[np.intp]
 
 
-def shortest_ways(
+def shortest_paths(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     start_m: NDArray[np.float64],
     clearance: float,
     radius_m: float,
     inner: bool,
-) -> ShortestWays:
+) -> ShortestPaths:
     """Find the ways from `start_m` (2,) that keep the clearance, up to the radius (both in m).
 
     With `inner` obstacles are grown by a little less, their corners cut: no way that keeps the
     clearance is shorter than said, and no place that it leads to is missed.
     """
-    nothing = ShortestWays(
+    nothing = ShortestPaths(
         start_m,
         radius_m,
         shapely.STRtree([]),
@@ -96,13 +96,13 @@ def shortest_ways(
     # A way comes from a corner that is nearer, which is in the order too.
     place = np.full(len(corners) + 1, -1, dtype=np.intp)
     place[order] = np.arange(len(order))
-    return ShortestWays(
+    return ShortestPaths(
         start_m, radius_m, tree, joined, corners[order], length[order], place[before[order]]
     )
 
 
 def is_near_joined(
-    ways: ShortestWays, places_m: NDArray[np.float64], within_m: float
+    ways: ShortestPaths, places_m: NDArray[np.float64], within_m: float
 ) -> NDArray[np.bool_]:
     """Return whether places (n, 2) are at most so far from what ways may lead to; (n,)."""
     if ways.joined is None:
@@ -111,12 +111,12 @@ def is_near_joined(
     return np.asarray(shapely.dwithin(ways.joined, points, within_m), dtype=np.bool_)
 
 
-def way_lengths_m(ways: ShortestWays, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def path_lengths_m(ways: ShortestPaths, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the length of the way to each place (n, 2); (n,), infinite beyond the radius."""
     return _last_turns(ways, places_m)[0]
 
 
-def turns_m(ways: ShortestWays, place_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def turns_m(ways: ShortestPaths, place_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return turns of the way to a place (2,), (k, 2), the place itself last; None if none."""
     length, last = _last_turns(ways, place_m[None])
     if not np.isfinite(length[0]):
@@ -129,7 +129,7 @@ def turns_m(ways: ShortestWays, place_m: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _last_turns(
-    ways: ShortestWays, places_m: NDArray[np.float64]
+    ways: ShortestPaths, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """Return each place's (n, 2) length of way, and its last corner, -1 if it is straight."""
     length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)

@@ -10,7 +10,7 @@ import shapely
 from scipy.sparse.csgraph import dijkstra
 
 from planopt.world.clearance import index_obstacles, segment_clearance_m
-from planopt.world.shortest_ways import is_near_joined, shortest_ways, turns_m, way_lengths_m
+from planopt.world.shortest_paths import is_near_joined, path_lengths_m, shortest_paths, turns_m
 from planopt.world.workspace import Obstacle, Workspace
 
 BOUNDS = (0.0, 0.0, 40.0, 30.0)
@@ -23,12 +23,12 @@ def ways_of(*polygons, start=START, clearance=0.0, radius=60.0, inner=True):
     """The ways round these obstacles."""
     obstacles = tuple(Obstacle(f"{k}", polygon) for k, polygon in enumerate(polygons))
     index = index_obstacles(Workspace(BOUNDS, obstacles))
-    return index, shortest_ways(index, BOUNDS, start, clearance, radius, inner)
+    return index, shortest_paths(index, BOUNDS, start, clearance, radius, inner)
 
 
 def length_to(ways, x, y):
     """How long the way to a place is."""
-    return way_lengths_m(ways, np.array([[x, y]]))[0]
+    return path_lengths_m(ways, np.array([[x, y]]))[0]
 
 
 def test_nothing_in_the_way():
@@ -128,7 +128,7 @@ def test_against_the_whole_graph():
         places = places[shapely.contains_xy(free, *places.T)][:6]
         expected = plain_lengths(polygons, places)
         found = np.array(
-            [way_lengths_m(ways_of(*polygons, start=place)[1], places) for place in places]
+            [path_lengths_m(ways_of(*polygons, start=place)[1], places) for place in places]
         )
         assert np.isfinite(found).tolist() == np.isfinite(expected).tolist()
         finite = np.isfinite(expected)

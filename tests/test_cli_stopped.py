@@ -23,7 +23,10 @@ from planopt.problems.library import library_folder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
 
+SLOW = pytest.mark.slow
+
 OPEN_FIELD = (library_folder() / "open_field.toml").read_text()
+COMMAND = [sys.executable, "-c", "import sys; from planopt.cli import main; sys.exit(main())"]
 COMPARE = ["--horizons", "1,2", "--costs-to-go", "geodesic"]
 
 
@@ -36,9 +39,8 @@ def written(path: Path, steps: int, figures: bool = False) -> Path:
 
 def started(*arguments: object) -> subprocess.Popen[str]:
     """A command in a process of its own."""
-    command = [sys.executable, "-c", "import sys; from planopt.cli import main; sys.exit(main())"]
     return subprocess.Popen(
-        [*command, *map(str, arguments)],
+        [*COMMAND, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -58,6 +60,11 @@ def is_running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def have_ended(pids: list[int]) -> bool:
+    """Whether none of these processes is running."""
+    return not any(map(is_running, pids))
 
 
 def waited(condition, at_most_s: float = 120.0) -> None:
@@ -91,7 +98,7 @@ def test_a_comparison_is_stopped_with_its_workers(
     process.send_signal(number)
     printed, errors = process.communicate(timeout=60)
     assert process.returncode == code and printed == "" and "Traceback" not in errors
-    waited(lambda: not any(map(is_running, workers)), 30.0)
+    waited(partial(have_ended, workers), 30.0)
     finished = len(kept_runs(out))
     assert finished >= 2 and not hidden(out) and not (out / "comparison.json").exists()
     seeds = 2 + finished // 2
@@ -112,7 +119,7 @@ def test_workers_end_with_a_killed_process(tmp_path: Path) -> None:
     assert len(workers) >= 2
     process.kill()
     process.communicate(timeout=60)
-    waited(lambda: not any(map(is_running, workers)), 60.0)
+    waited(partial(have_ended, workers), 60.0)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 1.5])
@@ -137,35 +144,41 @@ def test_a_run_is_terminated(delay_s: float, tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "old").iterdir()] == ["run.json"]
 
 
-def test_both_signals_are_told_to_every_block() -> None:
-    """The outer one knows which came, though the inner one raises; handlers are put back."""
+def test_signals_in_blocks() -> None:
+    """Both signals reach every block; one that a callback swallowed ends the next block.
+
+    A second termination does not disturb cleaning up, a Ctrl-C does; handlers are put back.
+    """
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     for number in (signal.SIGINT, signal.SIGTERM):
         with stopping() as outer:
             with pytest.raises(KeyboardInterrupt), interruptible():
                 signal.raise_signal(number)
             assert outer == [number]
-    assert before == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
-
-
-def test_a_signal_that_a_callback_swallowed() -> None:
-    """Python ignores exceptions in callbacks of imports; the next block with progress ends."""
     with stopping() as received:
+        # Python ignores exceptions in callbacks of imports.
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt), interruptible():
             raise AssertionError("not entered")
         assert received == [signal.SIGTERM]
+    with pytest.raises(KeyboardInterrupt), stopping() as received:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            signal.raise_signal(signal.SIGTERM)
+            assert received == [signal.SIGTERM] * 2
+            signal.raise_signal(signal.SIGINT)
+    assert before == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux")
 @pytest.mark.parametrize("arguments", [["list"], ["--help"], ["show", "nothing", "--json"]])
 def test_standard_output_is_full(arguments: list[str]) -> None:
     """One line on standard error, and the exit code of an error."""
-    command = [sys.executable, "-c", "import sys; from planopt.cli import main; sys.exit(main())"]
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
-            [*command, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            [*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
     assert ended.returncode == 2 and ended.stderr.count("\n") == 1
     assert ended.stderr.startswith("planopt: ")
@@ -179,17 +192,6 @@ def test_standard_output_is_closed() -> None:
         errors = process.stderr.read()
     assert process.returncode == 2
     assert errors == "planopt: standard output cannot be written: Broken pipe\n"
-
-
-def test_a_second_termination_does_not_disturb_the_first() -> None:
-    """Cleaning up goes on; a second Ctrl-C ends it."""
-    with pytest.raises(KeyboardInterrupt), stopping() as received:
-        try:
-            signal.raise_signal(signal.SIGTERM)
-        except KeyboardInterrupt:
-            signal.raise_signal(signal.SIGTERM)
-            assert received == [signal.SIGTERM] * 2
-            signal.raise_signal(signal.SIGINT)
 
 
 COMMANDS = {
@@ -221,18 +223,20 @@ def is_whole(folder: Path, references: list[Path], name: str, pictures: set[str]
     )
 
 
-def killed_commands(command: str, count: int, folder: Path) -> None:
-    """Replace a result by another, kill the process at some moment, look at what is there."""
+@pytest.mark.parametrize("count", [1, pytest.param(40, marks=SLOW)])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_killed_at_random_moments(command: str, count: int, tmp_path: Path, capsys) -> None:
+    """While a result is replaced: the folder has the old or the new one, or no JSON file."""
     name, more, pictures = COMMANDS[command]
-    problem = written(folder / "p.toml", steps=3, figures=True)
-    references, took = [folder / "seed 0", folder / "seed 1"], 0.0
+    problem = written(tmp_path / "p.toml", steps=3, figures=True)
+    references, took = [tmp_path / "seed 0", tmp_path / "seed 1"], 0.0
     for seed, reference in enumerate(references):
         begun = time.monotonic()
         process = started(command, problem, *more, "--seed", seed, "--out", reference)
         process.communicate(timeout=300)
         took = time.monotonic() - begun
     moments = random.Random(0)
-    out = folder / "out"
+    out = tmp_path / "out"
     shutil.copytree(references[0], out)
     for index in range(count):
         process = started(command, problem, *more, "--seed", (index + 1) % 2, "--out", out)
@@ -243,26 +247,15 @@ def killed_commands(command: str, count: int, folder: Path) -> None:
     left = list(out.glob(f"{STAGING}*"))
     assert main([command, str(problem), *more, "--out", str(out)]) in (0, 3, 4)
     assert not any(path.exists() for path in left)
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_killed_at_a_moment(command: str, tmp_path: Path, capsys) -> None:
-    """The small version of the test below."""
-    killed_commands(command, 1, tmp_path)
     capsys.readouterr()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
-def test_killed_at_random_moments(command: str, tmp_path: Path, capsys) -> None:
-    """The folder has the old result or the new one, or no JSON file."""
-    killed_commands(command, 40, tmp_path)
-    capsys.readouterr()
-
-
-def killed_comparison(kills: int, seeds: int, folder: Path) -> None:
-    """Kill a comparison and go on, again and again: nothing is lost, and nothing driven twice."""
-    problem, out = written(folder / "p.toml", steps=3), folder / "out"
+@pytest.mark.parametrize(("kills", "seeds"), [(3, 6), pytest.param(100, 130, marks=SLOW)])
+def test_a_comparison_killed_at_random_moments(
+    kills: int, seeds: int, tmp_path: Path, capsys
+) -> None:
+    """Killed and continued again and again: nothing is lost, and nothing driven twice."""
+    problem, out = written(tmp_path / "p.toml", steps=3), tmp_path / "out"
     arguments = ["compare", problem, *COMPARE, "--seeds", seeds, "--workers", 2]
     moments, kept = random.Random(0), dict[str, int]()
     for _ in range(kills):
@@ -274,7 +267,7 @@ def killed_comparison(kills: int, seeds: int, folder: Path) -> None:
         workers = children(process.pid)
         process.kill()
         process.communicate(timeout=60)
-        waited(partial(all_ended, workers), 60.0)
+        waited(partial(have_ended, workers), 60.0)
         found = kept_runs(out)
         assert found.items() >= kept.items()
         kept = found
@@ -283,34 +276,13 @@ def killed_comparison(kills: int, seeds: int, folder: Path) -> None:
     assert data["resumed"] == len(kept) and not hidden(out)
     found = kept_runs(out)
     assert found.items() >= kept.items() and len(found) == len(data["runs"]) == 2 * seeds
-    assert main([*map(str, arguments), "--out", str(folder / "whole")]) in (0, 3, 4)
-    whole = json.loads((folder / "whole" / "comparison.json").read_text())
-    assert [untimed(run) for run in data["runs"]] == [untimed(run) for run in whole["runs"]]
+    assert main([*map(str, arguments), "--out", str(tmp_path / "whole")]) in (0, 3, 4)
+    whole = json.loads((tmp_path / "whole" / "comparison.json").read_text())
+    untimed = [[{**run, "step_s": None} for run in each["runs"]] for each in (data, whole)]
+    assert untimed[0] == untimed[1]
+    capsys.readouterr()
 
 
 def has_more_than(out: Path, kept: int, process: subprocess.Popen[str]) -> bool:
     """Whether a comparison has kept more runs than that, or has ended."""
     return len(kept_runs(out)) > kept or process.poll() is not None
-
-
-def all_ended(pids: list[int]) -> bool:
-    """Whether no process of them is running."""
-    return not any(map(is_running, pids))
-
-
-def untimed(run: dict) -> dict:
-    """A run without what differs from one time to the next."""
-    return {key: value for key, value in run.items() if key != "step_s"}
-
-
-def test_a_comparison_killed_at_some_moments(tmp_path: Path, capsys) -> None:
-    """The small version of the test below."""
-    killed_comparison(3, 6, tmp_path)
-    capsys.readouterr()
-
-
-@pytest.mark.slow
-def test_a_comparison_killed_at_random_moments(tmp_path: Path, capsys) -> None:
-    """A hundred times."""
-    killed_comparison(100, 130, tmp_path)
-    capsys.readouterr()

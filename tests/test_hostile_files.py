@@ -91,48 +91,42 @@ def test_the_problem_itself_is_sound(tmp_path: Path, capsys) -> None:
     capsys.readouterr()
 
 
-def test_a_name_that_no_file_can_hold(tmp_path: Path, capsys) -> None:
-    """It was found after all the work, when the plan was written."""
+BOUNDS = "bounds_m = [0.0, 0.0, 60.0, 60.0]"
+ROBOT = '[[robots]]\nname = "r"\nstart_m = [8.0, 8.0]\nspeed_max_m_s = 5.5\n'
+LONG = "n" * 100_000
+MAPPING = '[[objective.terms]]\nkind = "mapping"\nform = "information"\n'
+PROBLEMS = {
+    # It was found after all the work, when the plan was written.
+    "a name that no file can hold": (
+        (BOUNDS, f'{BOUNDS}\n[[world.obstacles]]\nfile = "o.geojson"'),
+        ("o.geojson", "\\ud800"),
+    ),
+    "a lattice of many gigabytes": (
+        ("60.0, 60.0]", "60000.0, 60000.0]", "cell_m = 0.5", "cell_m = 60.0"),
+        ("key planner.step_s", "GB", "world.bounds_m"),
+    ),
+    "an expression without a value": (
+        (MAPPING, OWN_TERM, '"map"', '"custom"'),
+        ("p.toml, key objective.terms[0].program: is inf",),
+    ),
+    "too many robots": (
+        ("[[stations]]", ROBOT * 20 + "[[stations]]"),
+        ("key robots: has 21 entries, should have at most 20",),
+    ),
+    "a long value": (('name = "hostile"', f'name = "{LONG}"'), ()),
+    "a long key": (('name = "hostile"', f'{LONG} = "{LONG}"'), ()),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_hostile_problems(name: str, tmp_path: Path, capsys) -> None:
+    """File and key are named, in few words."""
     geometry = {"type": "Polygon", "coordinates": [[[30, 40], [40, 40], [40, 50], [30, 40]]]}
     feature = {"type": "Feature", "properties": {"name": "\ud800"}, "geometry": geometry}
     (tmp_path / "o.geojson").write_text(json.dumps(feature))
-    world = 'bounds_m = [0.0, 0.0, 60.0, 60.0]\n[[world.obstacles]]\nfile = "o.geojson"'
-    error = simulated(tmp_path, capsys, "bounds_m = [0.0, 0.0, 60.0, 60.0]", world)
-    assert "o.geojson" in error and "\\ud800" in error
-
-
-def test_a_world_whose_lattice_takes_many_gigabytes(tmp_path: Path, capsys) -> None:
-    """The key and the estimate are named, and horizons count."""
-    error = simulated(
-        tmp_path, capsys, "60.0, 60.0]", "60000.0, 60000.0]", "cell_m = 0.5", "cell_m = 60.0"
-    )
-    assert "key planner.step_s" in error and "GB" in error and "world.bounds_m" in error
-
-
-def test_an_expression_without_a_value(tmp_path: Path, capsys) -> None:
-    """File and index of the term are named."""
-    error = simulated(
-        tmp_path,
-        capsys,
-        '[[objective.terms]]\nkind = "mapping"\nform = "information"\n',
-        OWN_TERM,
-        '"map"',
-        '"custom"',
-    )
-    assert "p.toml, key objective.terms[0].program: is inf" in error
-
-
-def test_too_many_robots(tmp_path: Path, capsys) -> None:
-    """How many there are is said, not which."""
-    robot = '[[robots]]\nname = "r"\nstart_m = [8.0, 8.0]\nspeed_max_m_s = 5.5\n'
-    error = simulated(tmp_path, capsys, "[[stations]]", robot * 20 + "[[stations]]")
-    assert "key robots: has 21 entries, should have at most 20" in error and len(error) < 300
-
-
-@pytest.mark.parametrize("key", ["name", "n" * 100_000])
-def test_names_of_a_hundred_thousand_letters(key: str, tmp_path: Path, capsys) -> None:
-    """As value and as key: the beginning is enough."""
-    error = simulated(tmp_path, capsys, 'name = "hostile"', f'{key} = "{"n" * 100_000}"')
+    replaced, words = PROBLEMS[name]
+    error = simulated(tmp_path, capsys, *replaced)
+    assert all(word in error for word in words), error
     assert len(error) < 800
 
 
@@ -151,21 +145,14 @@ def test_devices_and_pipes(command: str, tmp_path: Path, capsys) -> None:
         refused(capsys, [command, file, *more.get(command, [])])
 
 
-def test_an_endless_problem_file(tmp_path: Path, capsys) -> None:
-    """A sparse file of a terabyte is not read."""
-    (tmp_path / "p.toml").touch()
-    os.truncate(tmp_path / "p.toml", 2**40)
-    assert "more than the limit of 2 MB" in refused(capsys, ["solve", str(tmp_path / "p.toml")])
-
-
-def test_a_key_of_thousands_of_parts(tmp_path: Path, capsys) -> None:
-    """The parser would take time that grows with their square."""
-    (tmp_path / "p.toml").write_text("x = 1\n" + ".".join(["a"] * 100_000) + " = 1\n")
-    assert "line 2: " in refused(capsys, ["solve", str(tmp_path / "p.toml")])
-
-
-def test_an_argument_that_is_no_text(capsys) -> None:
-    """Bytes of a file name that are not UTF-8."""
+def test_files_that_no_parser_should_read(tmp_path: Path, capsys) -> None:
+    """A sparse terabyte, keys whose parsing takes quadratic time, and a name that is no text."""
+    file = tmp_path / "p.toml"
+    file.touch()
+    os.truncate(file, 2**40)
+    assert "more than the limit of 2 MB" in refused(capsys, ["solve", str(file)])
+    file.write_text("x = 1\n" + ".".join(["a"] * 100_000) + " = 1\n")
+    assert "line 2: " in refused(capsys, ["solve", str(file)])
     assert "is not UTF-8" in refused(capsys, ["solve", "a\udcff.toml"])
 
 

@@ -134,8 +134,9 @@ def results_folder(out: Path | None) -> Generator[Path | None]:
     from planopt.files.writing import writable_folder
 
     existed = out.exists()
-    writable_folder(out)
     try:
+        # A signal may arrive at once after the folder was made.
+        writable_folder(out)
         yield out
     except BaseException:
         if not existed:

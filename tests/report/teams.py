@@ -27,7 +27,7 @@ def team_problem(problem: Any, task: str, robots: int, p_min: float) -> Any:
     return replace(
         problem,
         robots=tuple(
-            Robot(name=f"robot {number}", start_m=(10.0, 10.0 + 6.0 * number), speed_max_m_s=1.0)
+            Robot(name=f"robot_{number}", start_m=(10.0, 10.0 + 6.0 * number), speed_max_m_s=1.0)
             for number in range(robots)
         ),
         objective=TermsObjective((TERMS[task],)),

@@ -96,7 +96,7 @@ def compare(
         save_no_comparison,
     )
     from planopt.studies.study import require_backend
-    from planopt.studies.variants import default_seeds, own_settings, settings_of
+    from planopt.studies.variants import Lists, default_seeds, own_settings, settings_of
 
     require_backend(backend, "--backend")
     if parquet:
@@ -108,7 +108,7 @@ def compare(
         "costs_to_go": None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str),
         "sweep": dict(swept(each) for each in sweep) if sweep else None,
     }
-    own = own_settings(asked, *given.values())
+    own = own_settings(asked, Lists(**given))
     if len(asked) == 1 and own is None and not any(given.values()):
         raise InputError(
             f"there is nothing to compare: {asked[0].name} has no table compare of its own",

@@ -24,6 +24,7 @@ from planopt.studies.comparison_rows import NOT_DONE, comparison_rows
 from planopt.studies.study import FinishedRuns, Study, run_key, run_study
 from planopt.studies.variants import (
     AnyProblem,
+    Lists,
     TaskRun,
     chosen_seeds,
     default_seeds,
@@ -104,10 +105,11 @@ def compare(
     begun = perf_counter()
     kind = cast("type[AnyProblem]", Problem | TaskProblem)
     given = parts_of("problems", problems, kind, "load or make a Problem")
-    asked = several(horizons), several(planners), several(costs_to_go), swept_values(sweep)
-    variants = variants_of(given, *asked)
+    own = several(horizons), several(planners), several(costs_to_go)
+    lists = Lists(*own, swept_values(sweep))
+    variants = variants_of(given, lists)
     if seeds is None:
-        seeds = default_seeds(own_settings(given, *asked))
+        seeds = default_seeds(own_settings(given, lists))
     chosen = chosen_seeds(seeds)
     kept = None if finished is None else FinishedRuns(Path(finished))
     study: Study[_Asked, Shared, RunSummary] = Study(

@@ -43,11 +43,21 @@ class TaskRun:
 
 @dataclass(frozen=True)
 class Variant:
-    """One problem with what was changed of it, and its settings as they are run."""
+    """One problem with its changes, and its settings as they are run."""
 
     problem: AnyProblem
     sweep: Mapping[str, Any]
     asked: tuple[Problem | TaskRun, ...]
+
+
+@dataclass(frozen=True)
+class Lists:
+    """Values whose product is run; None keeps the problem's own."""
+
+    horizons: Sequence[int] | None = None
+    planners: Sequence[str] | None = None
+    costs_to_go: Sequence[str] | None = None
+    sweep: Mapping[str, Sequence[Any]] | None = None
 
 
 def settings_of(
@@ -58,16 +68,14 @@ def settings_of(
     sweep: Mapping[str, Sequence[Any]] | None = None,
 ) -> list[Problem | TaskRun]:
     """Return every setting that :func:`planopt.compare` runs on each seed; errors as there."""
-    variants = variants_of(problems, horizons, planners, costs_to_go, sweep)
+    variants = variants_of(problems, Lists(horizons, planners, costs_to_go, sweep))
     return [asked for variant in variants for asked in variant.asked]
 
 
-def own_settings(
-    problems: Sequence[AnyProblem], *given: Sequence[Any] | Mapping[str, Any] | None
-) -> ComparisonSettings | None:
-    """Return the table ``compare`` of a problem that is alone and `given` no settings, or None."""
+def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSettings | None:
+    """Return the table ``compare`` of a single problem if there are no lists, or None."""
     (first, *others) = problems
-    if others or not isinstance(first, Problem) or any(each is not None for each in given):
+    if others or not isinstance(first, Problem) or lists != Lists():
         return None
     return first.compare
 
@@ -103,7 +111,7 @@ def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
 
 
 def chosen_seeds(seeds: object) -> list[int]:
-    """Return the seeds that are asked for, or as many of them."""
+    """Return the required seeds, or as many of them."""
     remedy = "a number of seeds such as 30, or seeds such as [0, 1] or range(100, 200)"
     if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
         seeds = range(int(cast("int", seeds)))
@@ -133,17 +141,10 @@ def chosen_seeds(seeds: object) -> list[int]:
     return chosen
 
 
-def variants_of(
-    problems: Sequence[AnyProblem],
-    horizons: Sequence[int] | None,
-    planners: Sequence[str] | None,
-    costs_to_go: Sequence[str] | None,
-    sweep: Mapping[str, Sequence[Any]] | None,
-) -> list[Variant]:
-    """Every problem under every combination of the swept values, with its checked settings."""
-    own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
-    for key, values in {"problems": problems, **own, **(sweep or {})}.items():
-        if values is not None and len(values) == 0:
+def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
+    """Return every problem under every combination of the swept values, with checked settings."""
+    for key, values in {"problems": problems, **vars(lists), **(lists.sweep or {})}.items():
+        if key != "sweep" and values is not None and len(values) == 0:
             raise InputError(
                 "there is none, so nothing to compare",
                 key=key,
@@ -155,85 +156,62 @@ def variants_of(
             raise InputError(
                 f"several are called {name}", key="problems", remedy="give each a name of its own"
             )
-    table = own_settings(problems, horizons, planners, costs_to_go, sweep)
+    table = own_settings(problems, lists)
     if table is None:
-        return _product(problems, horizons, planners, costs_to_go, sweep)
+        return _product(problems, lists)
     found: list[Variant] = []
     for number, group in enumerate(table.settings):
-        lists = group.horizons or None, group.planners or None, group.costs_to_go or None
+        where: dict[str, Any] = {"file": problems[0].file, "key": f"compare.settings[{number}]"}
+        own = (group.horizons or None, group.planners or None, group.costs_to_go or None)
         try:
-            found += _product(problems, *lists, group.sweep)
+            found += _product(problems, Lists(*own, group.sweep))
         except InputError as error:
-            raise InputError(
-                error.message if error.key is None else f"{error.key} {error.message}",
-                file=problems[0].file,
-                key=f"compare.settings[{number}]",
-                remedy=error.remedy,
-            ) from error
+            message = error.message if error.key is None else f"{error.key} {error.message}"
+            raise InputError(message, remedy=error.remedy, **where) from error
         settings = [(each.sweep, *_labels(asked)) for each in found for asked in each.asked]
         if any(setting in settings[:n] for n, setting in enumerate(settings)):
-            raise InputError(
-                "has a setting that is there twice",
-                file=problems[0].file,
-                key=f"compare.settings[{number}]",
-                remedy="leave it out",
-            )
+            raise InputError("has a setting that is there twice", remedy="leave it out", **where)
     return found
 
 
 def _labels(asked: Problem | TaskRun) -> tuple[int, str, str | None]:
-    """Horizon, planner and cost-to-go of a setting."""
+    """Return horizon, planner and cost-to-go of a setting."""
     if isinstance(asked, TaskRun):
         return asked.horizon, asked.planner, None
     return asked.planner.horizon, asked.planner.name, asked.cost_to_go
 
 
-def _product(
-    problems: Sequence[AnyProblem],
-    horizons: Sequence[int] | None,
-    planners: Sequence[str] | None,
-    costs_to_go: Sequence[str] | None,
-    sweep: Mapping[str, Sequence[Any]] | None,
-) -> list[Variant]:
-    """The product of all lists."""
-    swept = dict(sweep or {})
-    own = {"horizons": horizons, "planners": planners, "costs_to_go": costs_to_go}
+def _product(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
+    """Return the product of all lists."""
+    swept = dict(lists.sweep or {})
     for key, option in OWN_OPTIONS.items():
-        if key in swept and own[option] is not None:
+        if key in swept and getattr(lists, option) is not None:
             raise InputError(f"is swept, and given as {option}", key=key, remedy="give it once")
     variants: list[Variant] = []
     for problem, values in product(problems, product(*swept.values())):
         changes = dict(zip(swept, values, strict=True))
         changed = with_changes(problem, changes)
-        asked = (
-            _task_runs(changed, horizons, planners, costs_to_go)
-            if isinstance(changed, TaskProblem)
-            else _motion_runs(changed, horizons, planners, costs_to_go, swept)
-        )
+        is_task = isinstance(changed, TaskProblem)
+        asked = _task_runs(changed, lists) if is_task else _motion_runs(changed, lists)
         variants.append(Variant(changed, changes, tuple(asked)))
     return variants
 
 
-def _motion_runs(
-    problem: Problem,
-    horizons: Sequence[int] | None,
-    planners: Sequence[str] | None,
-    costs_to_go: Sequence[str] | None,
-    swept: Mapping[str, Sequence[Any]],
-) -> list[Problem]:
-    costs: Sequence[str | None] = costs_to_go or (None,)
-    if costs_to_go is None and "objective.cost_to_go" not in swept:
+def _motion_runs(problem: Problem, lists: Lists) -> list[Problem]:
+    """Return the runs of a problem of motion planning."""
+    costs: Sequence[str | None] = lists.costs_to_go or (None,)
+    if lists.costs_to_go is None and "objective.cost_to_go" not in (lists.sweep or {}):
         costs = default_costs_to_go(problem)
     return [
         with_overrides(problem, horizon=n, planner=p, cost_to_go=c)
         for c in costs
-        for p in planners or (None,)
-        for n in _horizons_of(p or problem.planner.name, horizons or (None,))
+        for p in lists.planners or (None,)
+        for n in _horizons_of(p or problem.planner.name, lists.horizons or (None,))
     ]
 
 
 def _horizons_of(planner: str, horizons: Sequence[int | None]) -> Sequence[int | None]:
-    """Return those that matter to a planner: bounds foresee the whole run whatever the horizon."""
+    """Return the horizons that matter to a planner: bounds foresee the whole run."""
     return horizons[:1] if planner_kind(planner).foresees else horizons
 
 
@@ -242,12 +220,7 @@ def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
     return ("geodesic", "connected") if problem.task == "reach" else (None,)
 
 
-def _task_runs(
-    problem: TaskProblem,
-    horizons: Sequence[int] | None,
-    planners: Sequence[str] | None,
-    costs_to_go: Sequence[str] | None,
-) -> list[TaskRun]:
+def _task_runs(problem: TaskProblem, lists: Lists) -> list[TaskRun]:
     """Return the runs of a problem by planner and horizon, each once."""
     task = task_of(problem)
     if task.simulate is None:
@@ -259,7 +232,7 @@ def _task_runs(
         )
     found: list[TaskRun] = []
     for cost, planner, horizon in product(
-        costs_to_go or (None,), planners or (None,), horizons or (None,)
+        lists.costs_to_go or (None,), lists.planners or (None,), lists.horizons or (None,)
     ):
         asked = task.overridden(problem, horizon=horizon, planner=planner, cost_to_go=cost)
         table = getattr(asked.given, "planner", None)

@@ -348,7 +348,7 @@ def test_rule_of_connectivity_has_its_line(plan, problem):
     ("form", "more", "required"),
     [
         ("joint", {}, False),
-        ("data", {"data_mbit": 10.0, "deadline_s": 100.0}, False),
+        ("data", {"data_mbit": 10.0, "deadline_s": 100.0, "rate_mbit_s": 1.0}, False),
         ("outage", {"outage_max_s": 10.0}, True),
     ],
 )

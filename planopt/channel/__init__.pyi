@@ -46,10 +46,10 @@ from planopt.channel.parameter_uncertainty import MarginalPosterior as MarginalP
 from planopt.channel.parameter_uncertainty import marginalise as marginalise
 from planopt.channel.parameters import ChannelParameters as ChannelParameters
 from planopt.channel.parameters import Station as Station
-from planopt.channel.path_loss_estimate import estimate_theta as estimate_theta
 from planopt.channel.posterior import ChannelPosterior as ChannelPosterior
 from planopt.channel.posterior import at_time as at_time
 from planopt.channel.posterior import condition as condition
+from planopt.channel.posterior import estimate_theta as estimate_theta
 from planopt.channel.power_log import LogFormat as LogFormat
 from planopt.channel.power_log import read_log as read_log
 from planopt.channel.prediction import Prediction as Prediction

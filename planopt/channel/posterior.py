@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -432,6 +432,49 @@ def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> C
 def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:
     """The same knowledge, predicting for the time `now_s`; shares the factor, costs nothing."""
     return replace(posterior, now_s=require_finite(now_s, "now_s"))
+
+
+Estimator = Literal["ml", "ls"]
+
+
+@dataclass(frozen=True, eq=False)
+class ThetaEstimate:
+    """Path loss."""
+
+    theta: NDArray[np.float64]  # (2,) (K_PL in dBm, n_PL)
+    covariance: NDArray[np.float64]  # (2, 2) of its error under the channel's xi, beta and omega
+
+
+def estimate_theta(
+    measurements: Measurements | Table, parameters: ChannelParameters, how: Estimator = "ml"
+) -> ThetaEstimate:
+    """Estimate path loss for given xi, beta and omega (equations 1.7 and 1.9).
+
+    Maximum likelihood is generalised least squares, M_ML = (Gamma' U^-1 Gamma)^-1, the smallest
+    error of an unbiased estimate; ordinary least squares has (G'G)^-1 G'UG (G'G)^-1, which is never
+    smaller. Where the measurements do not identify theta, a weak prior about the theta of
+    `parameters` stands in (`WEAK_THETA_DEVIATION`).
+
+    Parameters
+    ----------
+    measurements
+        Any number. Censored ones are Gaussian sites to ``ml``; ``ls`` leaves them out.
+    parameters
+        The channel; its theta is not used but as said.
+    how
+        ``ml``: generalised least squares. ``ls``: ordinary least squares.
+
+    Raises
+    ------
+    InputError
+        There is no such estimator.
+    """
+    measurements = as_measurements(measurements)
+    if how not in get_args(Estimator):
+        raise InputError(f"{how!r} is no estimator", key="how", remedy="use ml or ls")
+    rule = "estimated" if how == "ml" else "least_squares"
+    posterior = condition(parameters, measurements, theta=rule)
+    return ThetaEstimate(posterior.theta, posterior.theta_covariance)
 
 
 def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> ChannelPosterior:

@@ -9,8 +9,7 @@ import pytest
 import shapely
 
 from planopt import InputError, check, load, simulate, solve
-from planopt.channel.path_loss_estimate import estimate_theta
-from planopt.channel.posterior import condition
+from planopt.channel.posterior import condition, estimate_theta
 from planopt.planning.drawn_places import with_drawn_starts
 from planopt.planning.learn import prepare
 from planopt.problems.channel_setup import GivenParameters, SampledMeasurements

@@ -1,108 +1,18 @@
-"""The distance that a robot drives until it is connected, along a given path (equation 3.10).
-
-The prior field along a straight line, place by place: exact and fast.
-
-With an exponential covariance the shadowing along a line is a Markov chain, so that the joint
-probability of an event at every place so far is a one-dimensional integral carried forward. It
-holds for the field before any measurement, on a line; elsewhere use
-:mod:`planopt.channel.connection.joint_connectivity`.
-"""
+"""The distance that a robot drives until it is connected, along a given path (equation 3.10)."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.connection.joint_connectivity import prefix_probabilities
 from planopt.channel.joint import joint_prediction
-from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.places import leg_lengths_m, require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
-
-REACH = 8.5
-"""The grid spans this many deviations of shadowing on both sides; the rest weighs 1e-17."""
-
-STEPS_PER_WIDTH = 2.0
-"""Grid steps in the narrowest deviation, multipath's or that of one leg's innovation: equally
-spaced sums over Gaussians are then exact to rounding."""
-
-MAX_NODES = 4000
-
-STRAIGHT = 1e-9
-"""A path is straight while its length exceeds its chord by no more than this share."""
-
-
-def line_prefix_probabilities(
-    parameters: ChannelParameters,
-    positions_m: NDArray[np.float64],  # (h, 2) on a straight line, without turning back
-    threshold_dbm: float,
-    event: Literal["connected", "disconnected"],
-) -> NDArray[np.float64]:
-    """P(event at places 1 .. k) for every k, before any measurement; ``(h,)``.
-
-    J_0(s) = N(s; 0, xi^2) g_0(s), J_k(s) = g_k(s) int N(s; rho s', xi^2 (1 - rho^2)) J_{k-1}(s')
-    ds', rho = exp(-leg / beta), g_k(s) = P(event at k | shadowing s) (equation 3.9); the integral
-    of J_k is the value. Exact to about 1e-12.
-    """
-    places = require_places(positions_m)
-    legs = leg_lengths_m(places)
-    chord = float(np.hypot(*(places[-1] - places[0])))
-    if float(legs.sum()) - chord > STRAIGHT * chord:
-        raise InputError(
-            "the path is not straight, or turns back",
-            key="positions_m",
-            remedy="use first_passage or joint_connectivity, which take any path",
-        )
-    mean = regressors(places, parameters.station) @ np.array([parameters.k_pl_db, parameters.n_pl])
-    above = mean - require_finite(threshold_dbm, "threshold_dbm")
-    carry = np.exp(-legs / parameters.decorrelation_m)
-    innovation = parameters.shadow_std_db * np.sqrt(
-        -np.expm1(-2.0 * legs / parameters.decorrelation_m)
-    )
-    shadowing, step = _grid(parameters, innovation)
-    sign = 1.0 if event == "connected" else -1.0
-    happens = np.asarray(
-        ndtr(sign * (above[:, None] + shadowing) / parameters.multipath_std_db), dtype=np.float64
-    )
-    # Without shadowing the grid is the single value 0, whatever its deviation.
-    weight = np.exp(-0.5 * (shadowing / (parameters.shadow_std_db or 1.0)) ** 2)
-    mass = weight / weight.sum() * happens[0]
-    probability = [mass.sum()]
-    for rho, spread, now in zip(carry, innovation, happens[1:], strict=True):
-        if spread > 0.0:
-            distance = (shadowing[:, None] - rho * shadowing) / spread
-            density = np.exp(-0.5 * distance * distance) / (math.sqrt(2.0 * math.pi) * spread)
-            mass = step * (density @ mass)
-        mass = mass * now
-        probability.append(mass.sum())
-    return np.array(probability)
-
-
-def _grid(
-    parameters: ChannelParameters, innovation_db: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], float]:
-    """Values of shadowing, equally spaced about zero, and their step."""
-    if parameters.shadow_std_db == 0.0:
-        return np.zeros(1), 1.0
-    narrowest = min([parameters.multipath_std_db, *innovation_db[innovation_db > 0.0].tolist()])
-    reach = REACH * parameters.shadow_std_db
-    half = math.inf if narrowest == 0.0 else math.ceil(STEPS_PER_WIDTH * reach / narrowest)
-    if 2 * half >= MAX_NODES:
-        raise InputError(
-            f"a leg or the multipath is too small for the integral along the line (narrowest "
-            f"deviation {narrowest:.3g} dB)",
-            key="positions_m",
-            remedy="use first_passage or joint_connectivity, which take any path",
-        )
-    step = reach / half
-    return step * np.arange(-half, half + 1.0), step
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,41 +92,13 @@ def first_passage(
     prediction = joint_prediction(posterior, asked)
     below = require_finite(threshold_dbm, "threshold_dbm") - prediction.mean_db
     found = prefix_probabilities(below, prediction.covariance_db2, generator, tolerance)
-    return _passage(places, found.probability, found.error, disconnected_now)
-
-
-def first_passage_on_line(
-    parameters: ChannelParameters,
-    positions_m: NDArray[np.float64],
-    threshold_dbm: float,
-    *,
-    disconnected_now: bool = False,
-) -> FirstPassage:
-    """First connection along a straight line before any measurement: exact and fast.
-
-    By the recursion of :func:`planopt.channel.connection.first_passage.line_prefix_probabilities`;
-    arguments and errors as there and in :func:`first_passage`.
-    """
-    places = require_places(positions_m, 2)
-    asked = places if disconnected_now else places[1:]
-    found = line_prefix_probabilities(parameters, asked, threshold_dbm, "disconnected")
-    return _passage(places, found, np.zeros_like(found), disconnected_now)
-
-
-def _passage(
-    places_m: NDArray[np.float64],
-    probability: NDArray[np.float64],
-    error: NDArray[np.float64],
-    disconnected_now: bool,
-) -> FirstPassage:
-    """Put the certain start in front, or divide by the probability of what is given."""
+    probability, error = found.probability, found.error
     if not disconnected_now:
-        probability = np.concatenate([[1.0], probability])
-        error = np.concatenate([[0.0], error])
+        probability, error = np.append(1.0, probability), np.append(0.0, error)
     elif probability[0] == 0.0:
         raise InputError(
             "the first place is certain to be connected: it cannot be given that it is not",
             key="disconnected_now",
         )
-    travelled = np.concatenate([[0.0], np.cumsum(leg_lengths_m(places_m))])
+    travelled = np.append(0.0, np.cumsum(leg_lengths_m(places)))
     return FirstPassage(travelled, probability / probability[0], error / probability[0])

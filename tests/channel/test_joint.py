@@ -49,17 +49,6 @@ def test_equals_dense_formulas():
 
 
 @pytest.mark.parametrize("theta", ["estimated", "known"])
-@pytest.mark.parametrize("count", [0, 1, 60])
-def test_marginals_are_the_predictions(theta, count):
-    """Mean and diagonal equal predict at any number of measurements."""
-    data = simulated(CHANNEL, 3, count, 200.0) if count else NOTHING
-    posterior = condition(CHANNEL, data, theta=theta)
-    found, expected = joint_prediction(posterior, PATH), predict(posterior, PATH)
-    np.testing.assert_allclose(found.mean_db, expected.mean_db, rtol=1e-10)
-    np.testing.assert_allclose(found.deviation_db, expected.deviation_db, rtol=1e-9)
-
-
-@pytest.mark.parametrize("theta", ["estimated", "known"])
 def test_factor_is_sequential_conditioning(theta):
     """The factor's diagonal is the deviation after measuring the earlier places (equation 1.11)."""
     posterior = condition(CHANNEL, DATA, theta=theta)
@@ -120,12 +109,6 @@ def test_no_path(positions):
     """Empty, of another shape, or not finite: an error of ours that names the argument."""
     with pytest.raises(InputError, match="positions_m"):
         joint_prediction(condition(CHANNEL, NOTHING), positions)
-
-
-def test_no_draws():
-    """A count below one is an error."""
-    with pytest.raises(InputError, match="count"):
-        sample_power(condition(CHANNEL, NOTHING), PATH, 0, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(

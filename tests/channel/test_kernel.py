@@ -23,20 +23,3 @@ def test_covariance_equals_scikit_learns():
     """Matern with nu = 1/2, the length scale being beta itself."""
     oracle = ConstantKernel(25.0) * Matern(20.0, nu=0.5)
     np.testing.assert_allclose(shadow_covariance_db2(A, B, PARAMETERS), oracle(A, B), rtol=1e-12)
-
-
-def test_batches_are_separate_problems():
-    """Leading axes are batches; inputs are left alone."""
-    several = np.stack([A, A + 5.0, 2.0 * A])
-    others = np.stack([B, B, -B])
-    kept = several.copy()
-    found = shadow_covariance_db2(several, others, PARAMETERS)
-    assert found.shape == (3, 7, 4)
-    for one, a, b in zip(found, several, others, strict=True):
-        np.testing.assert_array_equal(one, shadow_covariance_db2(a, b, PARAMETERS))
-    np.testing.assert_array_equal(several, kept)
-
-
-def test_no_positions_are_allowed():
-    """Empty in, empty out."""
-    assert shadow_covariance_db2(np.zeros((0, 2)), B, PARAMETERS).shape == (0, 4)

@@ -9,14 +9,6 @@ STATION = Station((0.0, 0.0))
 POSITIONS = np.array([[3.0, 4.0], [6.0, 8.0], [30.0, 40.0]])
 
 
-def test_two_columns_are_theta():
-    """With n_PL identifiable, coefficients are theta and covariances pass through."""
-    model = mean_model(POSITIONS, np.ones(3, bool), STATION, True)
-    np.testing.assert_array_equal(model.columns, regressors(POSITIONS, STATION))
-    assert model.theta(np.array([-40.0, 2.5])) == (-40.0, 2.5)
-    np.testing.assert_array_equal(model.theta_covariance(np.eye(2)), np.eye(2))
-
-
 def test_one_column_predicts_the_prior_slope():
     """With n_PL assumed, the mean model and theta give the same path loss."""
     model = mean_model(POSITIONS, np.ones(3, bool), STATION, False)

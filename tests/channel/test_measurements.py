@@ -43,21 +43,6 @@ def test_numbers_must_be_possible(coordinate, power):
         Measurements(np.array([[coordinate, 0.0]]), np.array([power]), np.array([False]))
 
 
-def test_join_keeps_order_and_flags():
-    """First before second, everything together."""
-    joined = join(some(3), some(2, start=10.0))
-    assert len(joined) == 5
-    np.testing.assert_array_equal(joined.power_dbm, [0.0, 1.0, 2.0, 10.0, 11.0])
-    np.testing.assert_array_equal(joined.positions_m[:, 1], joined.power_dbm)
-    np.testing.assert_array_equal(joined.censored, [False, True, False, False, True])
-
-
-def test_none_is_a_number_too():
-    """Empty sets are valid and neutral."""
-    assert len(some(0)) == 0
-    assert len(join(some(0), some(2))) == 2
-
-
 def all_given(count, start=0.0):
     """Measurements with every field given, each value another."""
     values = start + np.arange(count, dtype=float)

@@ -177,15 +177,6 @@ def test_coverage_where_much_is_censored():
     assert 0.92 < np.mean(inside) < 0.98
 
 
-def test_estimate_without_multipath():
-    """An estimate at the edge, omega = 0: the design begins at the edge of what is searched."""
-    data = simulated(FIG_3, 1, 20, 50.0)
-    quiet = replace(FIG_3, multipath_std_db=0.0)
-    found = marginalise(quiet, data)
-    assert all(part.parameters.multipath_std_db > 0.0 for part in found.components)
-    assert np.isfinite(found.predict(PLACES).mean_db).all()
-
-
 def test_bad_places():
     """Positions that cannot be used, and no measurements."""
     data = simulated(FIG_3, 1, 20, 50.0)
@@ -193,18 +184,3 @@ def test_bad_places():
         marginalise(FIG_3, data).predict(np.zeros(3))
     with pytest.raises(InputError):
         marginalise(FIG_3, subset(data, np.arange(0)))
-
-
-def test_similar_sites_only_save_sweeps():
-    """Sites that start from those of other parameters end where those from nothing end."""
-    data = simulated(FIG_3, 6, 400, 40.0)
-    floor = float(np.median(data.power_dbm))
-    data = replace(
-        data, power_dbm=np.maximum(data.power_dbm, floor), censored=data.power_dbm <= floor
-    )
-    other = replace(FIG_3, decorrelation_m=1.3 * FIG_3.decorrelation_m)
-    near = {"exact_limit": 100}
-    alone = condition(other, data, **near)
-    started = condition(other, data, similar=condition(FIG_3, data, **near), **near)
-    apart = (started.values_db - alone.values_db) / np.sqrt(alone.noise_variance_db2)
-    assert 0.0 < np.abs(apart).max() < 5e-3

@@ -21,8 +21,3 @@ def test_at_the_station_the_logarithm_stays_finite():
     """Distances do not fall below the least one."""
     rows = regressors(np.array([[7.0, 7.0]]), Station((7.0, 7.0)))
     assert rows[0, 1] == -10.0 * np.log10(MIN_DISTANCE_M)
-
-
-def test_rasters_of_positions_pass_through():
-    """Any leading shape is kept."""
-    assert regressors(np.ones((3, 5, 2)), Station((0.0, 0.0))).shape == (3, 5, 2)

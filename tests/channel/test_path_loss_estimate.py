@@ -51,15 +51,6 @@ def test_ml_is_never_worse():
         assert np.linalg.eigvalsh(worse - best)[0] > -1e-9
 
 
-def test_both_agree_without_shadowing():
-    """For independent powers of one variance both are the same estimate."""
-    quiet = dataclasses.replace(CHANNEL, shadow_std_db=1e-9)
-    measurements = simulated(CHANNEL, 1, 30, 200.0)
-    ml, ls = (estimate_theta(measurements, quiet, how) for how in ("ml", "ls"))
-    np.testing.assert_allclose(ml.theta, ls.theta, rtol=1e-9)
-    np.testing.assert_allclose(ml.covariance, ls.covariance, rtol=1e-9)
-
-
 def test_lemma_3_equals_the_batch():
     """Measuring along a path, the recursion gives the batch's M at every step to 1e-10."""
     measurements = simulated(CHANNEL, 2, 20, 200.0)

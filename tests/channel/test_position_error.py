@@ -12,7 +12,6 @@ from planopt.channel.measurement_covariance import (
     shadow_covariance_db2,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import condition
 
@@ -100,16 +99,6 @@ def test_intervals_cover():
         untold.append(inside(power, predict(condition(CHANNEL, without_errors(data)), places)))
     assert 0.94 < np.mean(told) < 0.96
     assert np.mean(untold) < np.mean(told)
-
-
-def test_intervals_cover_where_the_channel_is_learnt():
-    """With the uncertainty of xi, beta and omega counted, over 8 surveys."""
-    found = []
-    for seed in range(8):
-        data, places, power = surveyed(100 + seed, 120)
-        fitted = fit_channel(data, CHANNEL.station).parameters
-        found.append(inside(power, marginalise(fitted, data).predict(places)))
-    assert 0.93 < np.mean(found) < 0.97
 
 
 def test_intervals_of_an_uncertain_robot_cover():

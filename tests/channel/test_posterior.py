@@ -4,15 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-from planopt.channel.kriging import kriging_terms, predict
+from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import WEAK_THETA_DEVIATION, condition, extend
-from planopt.channel.prediction import combine
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 THETA = np.array([PARAMETERS.k_pl_db, PARAMETERS.n_pl])
@@ -44,23 +41,6 @@ def places(count=40, seed=9):
     return np.random.default_rng(seed).uniform(-120.0, 120.0, (count, 2))
 
 
-def test_known_theta_equals_scikit_learn():
-    """Mean and deviation with theta known, omega^2 in the variance, to 1e-10 of their values."""
-    data = measured(150)
-    kernel = ConstantKernel(36.0, "fixed") * Matern(30.0, "fixed", nu=0.5) + WhiteKernel(
-        4.0, "fixed"
-    )
-    oracle = GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None)
-    oracle.fit(
-        data.positions_m, data.power_dbm - regressors(data.positions_m, PARAMETERS.station) @ THETA
-    )
-    mean, deviation = oracle.predict(places(), return_std=True)
-    found = condition(PARAMETERS, data, theta="known").predict(places())
-    path_loss = regressors(places(), PARAMETERS.station) @ THETA
-    np.testing.assert_allclose(found.mean_db, mean + path_loss, rtol=1e-10)
-    np.testing.assert_allclose(found.deviation_db, deviation, rtol=1e-10)
-
-
 def dense(data, positions):
     """Theta, M, mean and deviation by equations 1.6 to 1.8, with dense inverses."""
     covariance = shadow_covariance_db2(data.positions_m, data.positions_m, PARAMETERS)
@@ -89,27 +69,6 @@ def test_estimated_theta_equals_dense_universal_kriging(count):
     np.testing.assert_allclose(posterior.theta_covariance, spread, atol=1e-8)
     np.testing.assert_allclose(found.mean_db, mean, atol=1e-8)
     np.testing.assert_allclose(found.deviation_db, deviation, atol=1e-8)
-
-
-def test_far_away_the_trend_and_its_uncertainty_remain():
-    """Out of shadowing's reach the variance is xi^2 + omega^2 + gamma' M gamma."""
-    posterior = condition(PARAMETERS, measured(30))
-    far = np.array([[5e4, 0.0]])
-    gamma = regressors(far, PARAMETERS.station)[0]
-    found = posterior.predict(far)
-    assert found.mean_db[0] == pytest.approx(gamma @ posterior.theta, abs=1e-9)
-    assert found.deviation_db[0] ** 2 == pytest.approx(
-        40.0 + gamma @ posterior.theta_covariance @ gamma, rel=1e-9
-    )
-
-
-def test_factor_is_that_of_the_covariance():
-    """L L' = R + diag(noise)."""
-    data = measured(600)
-    posterior = condition(PARAMETERS, data)
-    covariance = shadow_covariance_db2(data.positions_m, data.positions_m, PARAMETERS)
-    covariance[np.diag_indices(600)] += posterior.noise_variance_db2
-    np.testing.assert_allclose(posterior.factor @ posterior.factor.T, covariance, atol=1e-10)
 
 
 @pytest.mark.parametrize("theta", ["estimated", "known"])
@@ -148,21 +107,6 @@ def test_branches_of_one_posterior_do_not_disturb_each_other():
         found = posterior.predict(places())
         np.testing.assert_allclose(found.mean_db, expected.mean_db, atol=1e-10)
         np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=1e-10)
-
-
-def test_extending_by_nothing_changes_nothing():
-    """No measurements in, the same posterior out."""
-    posterior = condition(PARAMETERS, measured(4))
-    assert posterior.extend(measured(0)) is posterior
-
-
-def test_order_of_measurements_does_not_matter():
-    """Permuting them permutes nothing but rounding."""
-    data = measured(60)
-    shuffled = part(data, np.random.default_rng(3).permutation(60))
-    one, two = (condition(PARAMETERS, each).predict(places()) for each in (data, shuffled))
-    np.testing.assert_allclose(one.mean_db, two.mean_db, atol=1e-10)
-    np.testing.assert_allclose(one.deviation_db, two.deviation_db, atol=1e-10)
 
 
 def test_more_measurements_never_raise_the_deviation():
@@ -256,17 +200,6 @@ def test_one_distance_from_the_station_takes_the_weak_prior(count):
     assert np.isfinite(posterior.predict(places()).deviation_db).all()
 
 
-def test_identified_theta_has_no_prior():
-    """Two measurements at two distances already fit theta exactly."""
-    data = Measurements(
-        np.array([[30.0, 0.0], [300.0, 0.0]]), np.array([-80.0, -120.0]), np.zeros(2, dtype=bool)
-    )
-    posterior = condition(PARAMETERS, data)
-    np.testing.assert_allclose(
-        regressors(data.positions_m, PARAMETERS.station) @ posterior.theta, data.power_dbm
-    )
-
-
 def test_deviation_is_the_simulated_error():
     """Universal kriging's variance equals the mean squared error over many draws (equation 1.8)."""
     generator = np.random.default_rng(4)
@@ -357,47 +290,6 @@ def test_fine_steps_widen_the_noise_in_a_batch_and_in_extensions():
         np.testing.assert_allclose(posterior.noise_variance_db2, np.repeat([4.0, 4.75], 10))
     np.testing.assert_allclose(
         grown.predict(places()).mean_db, batch.predict(places()).mean_db, rtol=1e-10
-    )
-
-
-def test_coarse_powers_in_sequence_are_close_to_the_batch():
-    """Sites found one after the other differ from joint ones by a fraction of the deviation."""
-    data = measured(30)
-    data = dataclasses.replace(
-        data, power_dbm=np.round(data.power_dbm / 6.0) * 6.0, resolution_db=np.full(30, 6.0)
-    )
-    batch = condition(PARAMETERS, data, theta="known")
-    nothing = data.take(slice(0, 0))
-    grown = condition(PARAMETERS, nothing, theta="known").extend(data)
-    one, other = batch.predict(places()), grown.predict(places())
-    difference = np.abs(one.mean_db - other.mean_db) / one.deviation_db
-    assert 0.0 < difference.max() < 0.2
-    np.testing.assert_allclose(other.deviation_db, one.deviation_db, rtol=0.05)
-
-
-def test_a_limit_far_above_says_nothing():
-    """A floor 100 dB above the prediction leaves it alone."""
-    posterior = condition(PARAMETERS, measured(15))
-    spot = np.array([[20.0, 30.0]])
-    limit = Measurements(spot, posterior.predict(spot).mean_db + 100.0, np.array([True]))
-    after = posterior.extend(limit)
-    np.testing.assert_allclose(
-        after.predict(places()).mean_db, posterior.predict(places()).mean_db, atol=1e-2
-    )
-
-
-def test_blocks_of_prediction_agree(monkeypatch):
-    """Splitting the places into blocks changes nothing."""
-    posterior = condition(PARAMETERS, measured(50))
-    whole = kriging_terms(posterior, places())
-    monkeypatch.setattr("planopt.channel.kriging.PREDICTION_ELEMENTS", 150)
-    split = kriging_terms(posterior, places())
-    np.testing.assert_allclose(split.data_db, whole.data_db, atol=1e-10)
-    np.testing.assert_allclose(split.trend, whole.trend, atol=1e-10)
-    np.testing.assert_allclose(split.variance_db2, whole.variance_db2, atol=1e-10)
-    combined = combine(split, posterior.theta, posterior.theta_covariance)
-    np.testing.assert_allclose(
-        combined.deviation_db, posterior.predict(places()).deviation_db, atol=1e-10
     )
 
 

@@ -181,9 +181,3 @@ def test_continues():
     louder = ChannelParameters(-40.0, 3.0, 7.0, 15.0, 2.0, PARAMETERS.station)
     assert not condition(louder, data).continues(start)
     assert condition(PARAMETERS, join(data, measured(3))).continues(start)
-
-
-def test_the_limit_is_that_of_the_design():
-    """Design 4.2: exact up to 5,000, and beyond it without being asked."""
-    assert EXACT_LIMIT == 5000
-    assert condition(PARAMETERS, measured(10)).exact_limit == EXACT_LIMIT

@@ -98,16 +98,6 @@ def test_casadi():
             )
 
 
-def test_blocks_do_not_show(monkeypatch):
-    """The same whatever is worked on at once."""
-    posterior = condition(PARAMETERS, measured())
-    whole = posterior_derivatives(posterior, PLACES)
-    monkeypatch.setattr("planopt.channel.derivatives.ELEMENTS", 20 * 7)
-    parts = posterior_derivatives(posterior, PLACES)
-    np.testing.assert_allclose(parts.deviation_hessian, whole.deviation_hessian, rtol=1e-10)
-    np.testing.assert_allclose(parts.mean_gradient, whole.mean_gradient, rtol=1e-10)
-
-
 def test_measured_place_is_an_error(monkeypatch):
     """At the cusp there is no derivative; the error counts over all blocks."""
     data = measured()
@@ -115,23 +105,6 @@ def test_measured_place_is_an_error(monkeypatch):
     places = np.concatenate([PLACES[:9], data.positions_m[3:4], PLACES[9:]])
     with pytest.raises(InputError, match="position 9 is where measurement 3 was taken"):
         posterior_derivatives(condition(PARAMETERS, data), places)
-
-
-def test_one_sided_slopes_beside_a_measured_place():
-    """A hair beside the cusp: finite, and the slopes on its two sides differ by the kernel's."""
-    data = measured()
-    posterior = condition(PARAMETERS, data, theta="known")
-    step = np.array([1e-9, 0.0])
-    right, left = (
-        posterior_derivatives(posterior, (data.positions_m[3] + way)[None]) for way in (step, -step)
-    )
-    theta = np.array([PARAMETERS.k_pl_db, PARAMETERS.n_pl])
-    weight = np.linalg.solve(
-        posterior.factor.T, posterior.whitened_values - posterior.whitened_regressors @ theta
-    )[3]
-    jump = right.mean_gradient[0, 0] - left.mean_gradient[0, 0]
-    assert jump == pytest.approx(-2.0 * 36.0 / 30.0 * weight, rel=1e-6)
-    assert np.isfinite(right.deviation_hessian).all()
 
 
 def test_station():
@@ -152,13 +125,6 @@ def test_station():
         found.mean_hessian[2], np.diag([-slope / outside, slope / outside]), rtol=1e-9
     )
     np.testing.assert_array_equal(found.deviation_gradient, 0.0)
-
-
-def test_power_known_exactly():
-    """No variance left, as without multipath a rounding error beside a measured place."""
-    certain = ChannelParameters(-40.0, 3.0, 0.0, 30.0, 0.0, Station((5.0, -10.0), 12.0))
-    with pytest.raises(InputError, match="known exactly"):
-        posterior_derivatives(condition(certain, measured(), theta="known"), PLACES)
 
 
 def test_bad_places():

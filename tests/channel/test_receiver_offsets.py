@@ -9,14 +9,11 @@ from simulated_channel import simulated
 from planopt.channel import measurement_covariance
 from planopt.channel import offsets as module
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.least_squares import coefficient_covariance, least_squares
-from planopt.channel.estimation.station_fit import fit_channel_and_station
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.offsets import receiver_offsets
-from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 from planopt.channel.posterior import condition
 
 CHANNEL = ChannelParameters(-20.0, 2.5, 5.0, 15.0, 2.0, Station((50.0, 130.0), 5.0))
@@ -86,19 +83,6 @@ def test_the_prior_hardly_matters():
     np.testing.assert_allclose(predict(condition(CHANNEL, data), PLACES).mean_db, mean, atol=0.02)
 
 
-def test_predictions_are_free_of_offsets():
-    """The more is measured the nearer to the prediction from data without offsets."""
-    gaps = []
-    for count in (60, 900):
-        data = cooperative(2, count)
-        with_offsets = predict(condition(CHANNEL, data), PLACES)
-        free = predict(condition(CHANNEL, without_offsets(data)), PLACES)
-        gaps.append(np.abs(with_offsets.mean_db - free.mean_db).max())
-        assert (with_offsets.deviation_db >= free.deviation_db - 1e-9).all()
-    assert gaps[1] < 0.3
-    assert gaps[1] < gaps[0]
-
-
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("share", [0.0, 0.1])
 def test_every_fit_finds_them(method, share):
@@ -148,25 +132,6 @@ def test_no_measurement_by_the_reference():
     assert line.standard_errors["k_pl_db"] > 8.0
 
 
-def test_least_squares_has_a_column_each():
-    """Residuals and coefficients are those of the regression with indicators."""
-    data = cooperative(5, 90)
-    model = mean_model(data.positions_m, ~data.censored, CHANNEL.station, True)
-    found = least_squares(model, data)
-    columns = np.column_stack([model.columns, data.receiver == 1, data.receiver == 2])
-    solution, *_ = np.linalg.lstsq(columns, data.power_dbm, rcond=None)
-    np.testing.assert_allclose(found.coefficients, solution[:2], atol=1e-3)
-    np.testing.assert_allclose(found.residual_db, data.power_dbm - columns @ solution, atol=1e-4)
-    positions = data.positions_m
-    dense = shadow_covariance_db2(positions, positions, CHANNEL) + 4.0 * np.eye(90)
-    outer = np.linalg.pinv(columns)
-    np.testing.assert_allclose(
-        coefficient_covariance(model, data, CHANNEL),
-        (outer @ dense @ outer.T)[:2, :2],
-        rtol=1e-3,
-    )
-
-
 def test_a_receiver_that_thinning_would_miss():
     """Three measurements among a thousand still give an offset with an honest error."""
     data = cooperative(6, 1000)
@@ -178,18 +143,6 @@ def test_a_receiver_that_thinning_would_miss():
     assert found.receiver == 5
     assert abs(found.offset_db - 9.0) < 3.0 * found.standard_error_db
     assert found.standard_error_db < 4.0
-
-
-def test_other_ways_to_learn():
-    """The station's search and the marginal posterior are free of offsets too."""
-    data = cooperative(7, 80)
-    sites = [fit_channel_and_station(d).parameters.station for d in (data, without_offsets(data))]
-    one, other = (np.array(site.position_m) for site in sites)
-    assert np.linalg.norm(one - other) < 40.0
-    fitted = fit_channel(data, CHANNEL.station).parameters
-    found = marginalise(fitted, data).predict(PLACES)
-    free = marginalise(fitted, without_offsets(data)).predict(PLACES)
-    assert np.abs(found.mean_db - free.mean_db).mean() < 1.0
 
 
 def test_small_and_degenerate_sets():

@@ -173,17 +173,6 @@ def test_the_refit_with_intervals_is_an_optimum():
             )
 
 
-def test_fine_steps_cost_nothing():
-    """Steps of 1 dB at omega = 2 dB are no intervals, and hardly change the estimate."""
-    channel = dataclasses.replace(CHANNEL, multipath_std_db=2.0)
-    raw = simulated(channel, 5, 150, 60.0)
-    told = in_steps(raw, 1.0)
-    exact, found = (fit_channel(each, CHANNEL.station).parameters for each in (raw, told))
-    assert not needs_site(told, found.multipath_std_db**2).any()
-    assert found.multipath_std_db == pytest.approx(exact.multipath_std_db, abs=0.15)
-    assert found.shadow_std_db == pytest.approx(exact.shadow_std_db, rel=0.05)
-
-
 @pytest.mark.parametrize("method", ["lemma1", "capped", "convex", "nls"])
 def test_other_methods_take_rounding_out_of_omega(method):
     """omega^2 = alpha - xi^2 without the r^2 / 12 that rounding adds to alpha."""

@@ -10,13 +10,11 @@ from planopt.errors import InputError
 from planopt.targets.information_filter import (
     InformationState,
     TargetModel,
-    covariance_of,
     information_state,
     position_variance_m2,
     predict,
     predicted_information,
     simulate_target,
-    time_averaged_variance_m2,
     update,
 )
 from planopt.targets.sensor import Sensor, noise_covariance_m2, sense
@@ -123,23 +121,6 @@ def test_a_lost_packet_is_not_read():
         update(state, torn, noise[0], np.ones(3, dtype=bool))
 
 
-def test_the_order_of_robots_does_not_matter():
-    """Packets are added: any order, or one after the other."""
-    measured, noise, _ = packets(1, 1.0)
-    state = predict(MODEL, information_state(MEAN, COVARIANCE))
-    arrived = np.array([True, True, False])
-    together = update(state, measured[0], noise[0], arrived)
-    shuffled = [2, 0, 1]
-    other = update(state, measured[0][shuffled], noise[0][shuffled], arrived[shuffled])
-    each = state
-    for robot in range(3):
-        part = slice(robot, robot + 1)
-        each = update(each, measured[0][part], noise[0][part], arrived[part])
-    for found in (other, each):
-        np.testing.assert_allclose(found.vector, together.vector, rtol=1e-14)
-        np.testing.assert_allclose(found.matrix, together.matrix, rtol=1e-14)
-
-
 def test_from_nothing_it_is_least_squares():
     """A zero information matrix is a start; after packets it equals weighted least squares."""
     still = TargetModel(0.5, np.zeros((2, 2)))
@@ -172,28 +153,11 @@ def test_after_one_packet_the_velocity_is_unknown():
         position_variance_m2(state.matrix)
 
 
-def test_drops_for_ever():
-    """500 steps of silence: the information stays one, and is the covariance recursion's."""
-    matrix, spread = np.linalg.inv(COVARIANCE), COVARIANCE
-    for _ in range(500):
-        matrix = predicted_information(MODEL, matrix)
-        spread = MODEL.transition @ spread @ MODEL.transition.T + MODEL.process_covariance
-    assert np.linalg.eigvalsh(matrix)[0] > 0.0
-    np.testing.assert_allclose(covariance_of(matrix), spread, rtol=1e-6)
-
-
 def test_enormous_accelerations_cancel_nothing():
     """Joseph's form: with Theta a billion times too large J- stays positive semidefinite."""
     wild = TargetModel(1.0, 1e9 * np.eye(2))
     matrix = predicted_information(wild, np.linalg.inv(COVARIANCE))
     assert np.linalg.eigvalsh(matrix)[0] >= -1e-15
-
-
-def test_time_average():
-    """The mean of the position's variance over a run."""
-    matrices = np.stack([np.linalg.inv(s * COVARIANCE) for s in (1.0, 2.0, 6.0)])
-    np.testing.assert_allclose(position_variance_m2(matrices), [2.0, 4.0, 12.0])
-    assert time_averaged_variance_m2(matrices) == pytest.approx(6.0)
 
 
 def test_consistency_of_errors():

@@ -13,7 +13,6 @@ from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.errors import InputError
 
 
 def line(shadow_std_db, multipath_std_db, decorrelation_m, marginal, count=20):
@@ -86,14 +85,6 @@ def test_hunter_is_exact_for_two_places():
         assert found.hunter.value == pytest.approx(found.exact.value, abs=2e-6)
 
 
-def test_independent_places():
-    """The product is the joint probability."""
-    prediction = JointPrediction(np.array([1.0, 0.5, 2.0]), np.eye(3))
-    found = joint_connectivity(prediction, 0.0, np.random.default_rng(0))
-    assert found.exact.value == pytest.approx(found.product.value, abs=1e-12)
-    assert found.exact.value == pytest.approx(found.at_each.prod(), abs=1e-12)
-
-
 def test_negative_correlation_is_said():
     """No product bound, and why; Hunter's is the lower bound."""
     covariance = np.array([[1.0, -0.2, 0.1], [-0.2, 1.0, 0.3], [0.1, 0.3, 1.0]])
@@ -155,9 +146,3 @@ def connects(edges, count):
     for one, other in edges:
         group = [group[one] if label == group[other] else label for label in group]
     return len(set(group)) == 1
-
-
-def test_no_threshold():
-    """NaN is refused."""
-    with pytest.raises(InputError, match="threshold_dbm"):
-        joint_connectivity(line(3.0, 1.0, 5.0, 0.9), float("nan"))

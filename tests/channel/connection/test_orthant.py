@@ -5,7 +5,6 @@ import pytest
 from scipy.stats import multivariate_normal, norm
 
 from planopt.channel.connection.joint_connectivity import prefix_probabilities
-from planopt.errors import InputError
 
 
 def rng():
@@ -76,22 +75,8 @@ def test_error_estimate_covers():
     assert held >= 18
 
 
-def test_tighter_tolerance_is_met():
-    """More points are used when asked."""
-    covariance = 0.5 + 0.5 * np.eye(6)
-    found = prefix_probabilities(np.zeros(6), covariance, rng(), 5e-6)
-    assert found.error.max() <= 5e-6
-    assert found.probability[-1] == pytest.approx(1.0 / 7.0, abs=1e-5)
-
-
 def test_tolerance_out_of_reach_ends():
     """The last lattice's answer comes with the error it has."""
     found = prefix_probabilities(np.zeros(3), 0.5 + 0.5 * np.eye(3), rng(), 1e-300)
     assert 0.0 < found.error[-1] < 1e-5
     assert found.probability[-1] == pytest.approx(0.25, abs=1e-5)
-
-
-def test_no_tolerance():
-    """Zero is refused."""
-    with pytest.raises(InputError, match="tolerance"):
-        prefix_probabilities(np.zeros(2), np.eye(2), rng(), 0.0)

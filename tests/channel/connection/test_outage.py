@@ -103,15 +103,6 @@ def test_deadline_cuts():
     assert (start == 0.0).all()
 
 
-def test_same_seed_same_drives():
-    """Both questions see the same drives from the same source."""
-    posterior, _ = independent()
-    one, two = (
-        longest_outage(posterior, PATH, TIMES, THRESHOLD, 50, rng()).metres.draws for _ in range(2)
-    )
-    np.testing.assert_array_equal(one, two)
-
-
 @pytest.mark.parametrize(
     ("changes", "named"),
     [

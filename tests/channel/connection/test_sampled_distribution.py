@@ -34,20 +34,6 @@ def test_exceedance_is_scipys(limit):
     assert found.high == pytest.approx(expected.high, abs=1e-12)
 
 
-def test_quantiles_are_draws():
-    """The least, the median and the greatest."""
-    sample = SampledDistribution(np.array([3.0, 1.0, 2.0]))
-    assert [sample.quantile(share).value for share in (0.0, 0.5, 1.0)] == [1.0, 2.0, 3.0]
-    assert sample.count == 3
-
-
-@pytest.mark.parametrize("share", [-0.1, 1.1, np.nan])
-def test_no_probability(share):
-    """Refused."""
-    with pytest.raises(InputError, match="share"):
-        SampledDistribution(np.zeros(3)).quantile(share)
-
-
 @pytest.mark.parametrize("draws", [np.zeros(1), np.zeros((3, 2))])
 def test_no_distribution(draws):
     """At least two draws of one number."""

@@ -110,13 +110,3 @@ def test_power_that_is_known_exactly_decides() -> None:
     assert found == pytest.approx([1.0, ndtr(-5.0)], abs=1e-12)
     margin = bound_margin_db(law.mean_db, law.deviation_db, -80.0, 0.9)
     assert margin[0] == pytest.approx(10.0, abs=0.02)
-
-
-def test_shifting_all_powers_and_thresholds_shifts_the_law() -> None:
-    """Only differences count."""
-    each = predictions(2)
-    louder = [Prediction(p.mean_db + 7.0, p.deviation_db) for p in each]
-    law = serving_prediction(each, (-80.0, -76.0), 0.9)
-    other = serving_prediction(louder, (-73.0, -69.0), 0.9)
-    assert other.mean_db == pytest.approx(law.mean_db + 7.0, abs=1e-8)
-    assert other.deviation_db == pytest.approx(law.deviation_db, rel=1e-8)

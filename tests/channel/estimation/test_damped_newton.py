@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from planopt.channel.estimation.likelihood_climb import MAX_EVALUATIONS, minimise_damped
+from planopt.channel.estimation.likelihood_climb import minimise_damped
 
 TARGET = np.array([1.0, -2.0, 0.5])
 CURVATURE = np.array([[4.0, 1.9, 0.0], [1.9, 1.0, 0.1], [0.0, 0.1, 9.0]])
@@ -57,35 +57,6 @@ def test_minimum_on_the_boundary(seed):
     assert ((lower <= point) & (point <= upper)).all()
 
 
-@pytest.mark.parametrize("factor", [0.1, 4.0])
-def test_wrong_curvature_is_corrected(factor):
-    """With a diagonal several times too small or too large a quartic's minimum is found."""
-
-    def quartic(x):
-        value, gradient, curvature = quadratic(x)
-        quarter = (x - TARGET) ** 3
-        return (
-            value + 0.25 * float(((x - TARGET) ** 4).sum()),
-            gradient + quarter,
-            factor * np.diag(np.diag(curvature)),
-        )
-
-    objective, points = counted(quartic)
-    _, point = minimise_damped(objective, np.array([-1.2, 1.0, 2.0]), -WIDE, WIDE, 1e-10)
-    np.testing.assert_allclose(point, TARGET, atol=1e-3)
-    assert len(points) < MAX_EVALUATIONS
-
-
-def test_a_fixed_variable_stays():
-    """Where both corners agree in a variable the others are minimised with it there."""
-    lower, upper = np.array([-10.0, 0.3, -10.0]), np.array([10.0, 0.3, 10.0])
-    _, point = minimise_damped(quadratic, np.zeros(3), lower, upper, 1e-12)
-    assert point[1] == 0.3
-    rest = np.ix_([0, 2], [0, 2])
-    expected = TARGET[[0, 2]] - np.linalg.solve(CURVATURE[rest], CURVATURE[[0, 2], 1] * 2.3)
-    np.testing.assert_allclose(point[[0, 2]], expected, atol=1e-5)
-
-
 def test_nothing_to_gain():
     """At a minimum, in a corner or where all is flat, one evaluation is enough."""
     for objective, start in (
@@ -97,16 +68,3 @@ def test_nothing_to_gain():
         _, point = minimise_damped(counting, start, -WIDE, WIDE, 1e-9)
         np.testing.assert_array_equal(point, start)
         assert len(points) == 1
-
-
-def test_a_kink_ends_it():
-    """Where no step gains what its gradient promises it stops, at the best point seen."""
-
-    def kinked(x):
-        return float(np.abs(x).sum()), np.where(x >= 0.0, 1.0, -1.0), np.eye(3)
-
-    objective, points = counted(kinked)
-    value, point = minimise_damped(objective, np.full(3, 1.3), -WIDE, WIDE, 1e-12)
-    assert value == min(float(np.abs(p).sum()) for p in points)
-    np.testing.assert_allclose(point, 0.0, atol=0.5)
-    assert len(points) <= MAX_EVALUATIONS

@@ -31,10 +31,3 @@ def test_blocks_do_not_lose_pairs():
     assert found.pairs.sum() == 1200 * 1199 / 2
     np.testing.assert_allclose(found.covariance_db2, 1.0)
     assert found.lag_m[-1] == pytest.approx(np.sqrt(2.0), rel=0.02)
-
-
-def test_repeated_positions_give_lag_zero():
-    """Two measurements in one place are a pair at distance 0, not an error."""
-    found = empirical_correlation(np.array([[0.0, 0], [0, 0], [1, 0]]), np.array([2.0, 3, 0]), 1.0)
-    assert found.lag_m[0] == 0.0
-    assert found.covariance_db2[0] == 6.0

@@ -9,13 +9,11 @@ import pytest
 from simulated_channel import simulated, subset
 
 from planopt.channel.estimation.fit import fit_channel, fitted_parameters
-from planopt.channel.estimation.least_squares import least_squares
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import (
     PRIOR_N_PL,
     ChannelParameters,
     Station,
-    mean_model,
     regressors,
 )
 from planopt.channel.power_log import LogFormat, read_log
@@ -90,30 +88,6 @@ def test_censoring_is_a_term_of_the_likelihood():
     assert (errors["censored"] < 0.6 * errors["dropped"]).all()
     assert errors["censored"][1] < 0.25
     assert errors["censored"][2] < 0.6
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_few_censored_change_little(method):
-    """Censoring one value of many moves no estimate far, and is counted."""
-    measurements = simulated(CHANNEL, 5, 200, 300.0)
-    flags = np.zeros(200, bool)
-    flags[np.argmin(measurements.power_dbm)] = True
-    one = dataclasses.replace(measurements, censored=flags)
-    without, with_one = (fit_channel(m, CHANNEL.station, method) for m in (measurements, one))
-    assert (without.censored, with_one.censored) == (0, 1)
-    np.testing.assert_allclose(values(with_one)[1:3], values(without)[1:3], rtol=0.15)
-    assert any("expected values" in text for text in with_one.warnings) == (method != "reml")
-
-
-@pytest.mark.parametrize("method", METHODS[:4])
-def test_least_squares_methods_share_theta(method):
-    """Theta of equation 2.1 does not depend on how the covariance is fitted."""
-    measurements = simulated(CHANNEL, 6, 100, 300.0)
-    model = mean_model(measurements.positions_m, ~measurements.censored, CHANNEL.station, True)
-    expected = least_squares(model, measurements).coefficients
-    fit = fit_channel(measurements, CHANNEL.station, method)
-    np.testing.assert_allclose(values(fit)[:2], expected)
-    assert fit.log_likelihood is None
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -290,17 +264,6 @@ def test_places_hardly_apart_are_one_place(extent_m, method):
         fit_channel(told, Station((50.0, 50.0)), method)
 
 
-@pytest.mark.parametrize("count", [12, 900])
-def test_pairs_hardly_apart_among_others(count):
-    """Some places that nearly coincide do no harm."""
-    rng = np.random.default_rng(1)
-    places = rng.uniform(1.0, 50.0, (count, 2))
-    places[1::2] = places[::2] * (1.0 + 1e-15)
-    places[-2:] = [[1e-160, 0.0], [0.0, 1e-160]]
-    told = Measurements(places, rng.normal(-70.0, 3.0, count), np.zeros(count, bool))
-    assert_usable(fit_channel(told, Station((-50.0, 50.0))))
-
-
 def test_what_cannot_be_told_apart_is_said():
     """Shadowing that is forgotten at once is multipath: no errors, and words for why."""
     rng = np.random.default_rng(1)
@@ -344,13 +307,3 @@ def test_campus_logs(name, station, line):
     assert 7.0 < np.hypot(shadow, multipath) < 9.5
     assert 0.45 < shadow**2 / (shadow**2 + multipath**2) < 0.8
     assert 50.0 < beta < 180.0
-
-
-@pytest.mark.skipif(not CAMPUS.exists(), reason="the campus logs are not shipped")
-def test_shuffled_campus_log():
-    """Every row counts, in any order: the same estimate to the last bit."""
-    file = CAMPUS / "garage.csv"
-    log = read_log(file, LogFormat(censored_column="near_floor"))
-    shuffled = log.take(np.random.default_rng(0).permutation(len(log)))
-    station = Station((83.6, -390.9))
-    assert fit_channel(shuffled, station).parameters == fit_channel(log, station).parameters

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.estimation.least_squares import examine, nearest_distance_m
+from planopt.channel.estimation.least_squares import examine
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
@@ -34,13 +34,6 @@ def test_a_measurement_at_the_station_is_named():
     examine(measurements, Station((0.0, 0.0), 3.0))
 
 
-def test_all_in_one_place():
-    """Several measurements in one place are refused, a single one is not."""
-    with pytest.raises(InputError, match="all 4 measurements are in one place"):
-        examine(at([[1, 2]] * 4), ORIGIN)
-    assert examine(at([[1, 2]]), ORIGIN).n_pl_reason is not None
-
-
 def test_a_circle_about_the_station_does_not_tell_the_exponent():
     """At one distance n_PL is not identifiable, but the covariance is."""
     angle = np.linspace(0, 6, 20)
@@ -67,9 +60,3 @@ def test_bounds_of_beta_follow_spacing_and_extent():
     for offset in (1.0, 3e6):
         found = examine(at(np.repeat(lattice, 2, axis=0) + offset), ORIGIN)
         assert found.decorrelation_bounds_m == pytest.approx((2.0, np.hypot(24.0, 18.0)))
-
-
-def test_nearest_distance():
-    """The nearest neighbour of each of three points."""
-    found = nearest_distance_m(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]]))
-    np.testing.assert_allclose(found, [5.0, 1.0, 1.0])

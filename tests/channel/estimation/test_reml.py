@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from simulated_channel import simulated, subset
+from simulated_channel import simulated
 
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.least_squares import examine
 from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
-from planopt.channel.estimation.likelihood_climb import START_MEASUREMENTS, thinned
+from planopt.channel.estimation.likelihood_climb import START_MEASUREMENTS
 from planopt.channel.estimation.reml import reml_fit
 from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, Station, mean_model
@@ -96,20 +96,3 @@ def test_standard_errors_are_the_spread_over_channels():
         for fit in fits
     ]
     assert 0.7 < np.std(z) < 1.4
-
-
-def test_thinning_is_a_fixed_draw_in_order():
-    """Few are kept whole; of many the same subset is drawn each time, in order."""
-    np.testing.assert_array_equal(thinned(5, 10), np.arange(5))
-    rows = thinned(5000, 800)
-    np.testing.assert_array_equal(rows, thinned(5000, 800))
-    assert len(rows) == 800 and (np.diff(rows) > 0).all()
-
-
-def test_the_order_of_measurements_does_not_matter():
-    """A permutation, censored ones included, gives the same estimate."""
-    measurements = simulated(CHANNEL, 3, 80, 300.0, 0.25)
-    shuffled = subset(measurements, np.random.default_rng(0).permutation(80))
-    first, second = fitted(measurements)[2], fitted(shuffled)[2]
-    assert second.best.log_likelihood == pytest.approx(first.best.log_likelihood, abs=1e-4)
-    np.testing.assert_allclose(second.best.coefficients, first.best.coefficients, rtol=1e-2)

@@ -97,13 +97,6 @@ def test_seed_fixes_the_field_and_xi_scales_it():
     np.testing.assert_allclose(double, 2.0 * one)
 
 
-def test_units_do_not_matter():
-    """Cells and decorrelation distance in kilometres give the same field."""
-    metres = shadow_field_db((8, 9), 2.0, 2.0, 6.0, np.random.default_rng(6)).values_db
-    kilometres = shadow_field_db((8, 9), 0.002, 2.0, 0.006, np.random.default_rng(6)).values_db
-    np.testing.assert_allclose(metres, kilometres, atol=1e-12)
-
-
 def test_a_torus_that_does_not_fit_is_refused(monkeypatch):
     """A clear error instead of a machine out of memory."""
     monkeypatch.setattr("planopt.channel.fields.field.MAX_TORUS_CELLS", 10_000)

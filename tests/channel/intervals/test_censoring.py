@@ -7,10 +7,8 @@ import pytest
 from scipy.stats import norm
 
 from planopt.channel.gaussian_sites import (
-    FINE_STEP,
     MAX_SITE_VARIANCE_DB2,
     gaussian_sites,
-    intervals,
     needs_site,
 )
 from planopt.channel.measurement_covariance import shadow_covariance_db2
@@ -104,33 +102,6 @@ def test_rounded_posterior_agrees_with_gibbs_sampling():
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), draws.std(0), rtol=0.12)
 
 
-def test_fine_steps_add_the_variance_of_rounding():
-    """Up to the stated multiple of omega values stay and variances are omega^2 + r^2 / 12."""
-    exact, power = simulated(0, share=0.0)
-    step = FINE_STEP * CHANNEL.multipath_std_db
-    measurements = rounded(power, exact.positions_m, step)
-    sites = gaussian_sites(CHANNEL, measurements)
-    np.testing.assert_array_equal(sites.values_db, measurements.power_dbm)
-    np.testing.assert_allclose(sites.noise_variance_db2, 4.0 + step**2 / 12.0)
-
-
-def test_the_rule_hardly_matters_where_it_switches():
-    """Just above the switch the posterior is that just below it, to 5 % of a deviation."""
-    exact, power = simulated(7, share=0.0)
-    step = FINE_STEP * CHANNEL.multipath_std_db
-    found = []
-    for factor in (1.0, 1.0 + 1e-9):
-        measurements = rounded(power, exact.positions_m, step)
-        resolution = np.full(40, factor * step)
-        measurements = dataclasses.replace(measurements, resolution_db=resolution)
-        found.append(posterior(measurements, gaussian_sites(CHANNEL, measurements)))
-    (mean, covariance), (other_mean, other_covariance) = found
-    deviation = np.sqrt(np.diag(covariance))
-    difference = np.abs(mean - other_mean) / deviation
-    assert 0.0 < difference.max() < 0.05
-    np.testing.assert_allclose(np.sqrt(np.diag(other_covariance)), deviation, rtol=0.05)
-
-
 def test_only_the_rounded_and_censored_are_changed():
     """Exact, finely and coarsely rounded and censored ones stand in one log."""
     exact, power = simulated(8, share=0.0)
@@ -146,19 +117,6 @@ def test_only_the_rounded_and_censored_are_changed():
     assert (np.abs(sites.values_db - power)[20:30] < 9.0).all()
     assert (sites.values_db != power)[20:].all()
     assert (np.abs(sites.noise_variance_db2[20:30] / (4.0 + 6.75) - 1.0) < 0.5).all()
-
-
-def test_a_rounded_limit_is_half_a_step_higher():
-    """Censored and rounded: at most the upper end of its step; an exact value has no width."""
-    measurements = Measurements(
-        np.zeros((3, 2)),
-        np.array([-80.0, -90.0, -70.0]),
-        np.array([False, True, False]),
-        np.array([1.0, 1.0, 0.0]),
-    )
-    known = intervals(measurements)
-    np.testing.assert_array_equal(known.upper_db, [-79.5, -89.5, -70.0])
-    np.testing.assert_array_equal(known.width_db, [1.0, np.inf, 0.0])
 
 
 def test_position_errors_widen_what_a_site_is_judged_against():

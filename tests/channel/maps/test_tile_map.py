@@ -52,15 +52,6 @@ def test_all_measurements_give_the_exact_posterior(count):
     assert np.isnan(lattice.deviation_db[~NEEDED]).all()
 
 
-def test_neighbours_come_close_to_the_exact_posterior():
-    """32 of 300 measurements: 0.1 dB rms."""
-    posterior = condition(PARAMETERS, data(300))
-    lattice = fresh(posterior, 32)
-    xx, yy = np.meshgrid(X, Y)
-    exact = predict(posterior, np.column_stack([xx[NEEDED], yy[NEEDED]]))
-    assert np.sqrt(np.mean((lattice.mean_db[NEEDED] - exact.mean_db) ** 2)) < 0.1
-
-
 def test_incremental_equals_fresh():
     """From no measurement to 90, singly and in groups, across the number of neighbours."""
     everything = data(90)
@@ -160,10 +151,3 @@ def test_a_new_theta_alone_is_recombined_everywhere():
     assert lattice.refresh(far) == 0
     assert np.nanmax(np.abs(lattice.mean_db - before)) > 1e-6
     assert_same(lattice, fresh(far, 12))
-
-
-def test_nothing_needed_is_nothing_computed():
-    """An empty selection is allowed."""
-    lattice = TileMap(X, Y, np.zeros((27, 33), dtype=bool))
-    assert lattice.refresh(condition(PARAMETERS, data(40))) == 0
-    assert np.isnan(lattice.mean_db).all()

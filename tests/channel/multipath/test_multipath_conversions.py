@@ -13,7 +13,6 @@ from planopt.channel.fields.multipath import (
     nakagami_std_db,
     rician_k_of_nakagami,
     rician_k_of_std,
-    rician_mean_db,
     rician_std_db,
 )
 from planopt.errors import InputError
@@ -44,15 +43,6 @@ def test_moments_are_those_of_scipys_log_gamma(m):
     scale = 10.0 / np.log(10.0)
     assert nakagami_mean_db(m) == pytest.approx(scale * (law.mean() - np.log(m)), rel=1e-9)
     assert nakagami_std_db(m) == pytest.approx(scale * law.std(), rel=1e-9)
-
-
-def test_rayleigh_is_both():
-    """It has m = 1 and K = 0."""
-    assert nakagami_m_of_rician(0.0) == 1.0
-    assert rician_k_of_nakagami(1.0) == 0.0
-    assert nakagami_std_db(1.0) == pytest.approx(rician_std_db(0.0), rel=1e-12)
-    assert nakagami_mean_db(1.0) == pytest.approx(rician_mean_db(0.0), rel=1e-12)
-    assert rician_k_of_std(rician_std_db(0.0)) == pytest.approx(0.0, abs=1e-6)
 
 
 @given(st.floats(0.0, 1e4))

@@ -1,6 +1,5 @@
 """The local channel model against the exact posterior, and which measurements it takes."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,12 +15,10 @@ from planopt.channel.nearest.local_channel import (
     nearby_terms,
     predict_nearby,
 )
-from planopt.errors import InputError
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 4.0, 20.0, 1.13, Station((5.0, -10.0), 12.0))
 CENTRES = np.random.default_rng(8).uniform(0.0, 100.0, (25, 2))
 PATH = np.array([40.0, 30.0]) + np.arange(6)[:, None] * [3.0, 2.0]
-ALONG = np.array([10.0, 20.0]) + np.linspace(0.0, 1.0, 2 * GROUP + 5)[:, None] * [75.0, 60.0]
 
 
 def measured(count, seed=0, **columns):
@@ -68,21 +65,6 @@ def test_all_measurements_give_the_exact_posterior(available):
     np.testing.assert_allclose(deviation, exact.deviation_db, atol=1e-9)
 
 
-def test_position_errors_and_age_are_counted():
-    """A channel that forgets, measured at uncertain places."""
-    rng = np.random.default_rng(1)
-    data = measured(
-        200, position_std_m=rng.uniform(0.0, 3.0, 200), time_s=rng.uniform(0.0, 100.0, 200)
-    )
-    posterior = condition(replace(PARAMETERS, forgetting_s=60.0), data)
-    expected = posterior.predict(PATH)
-    channel = LocalChannel.around(posterior, PATH, 200)
-    assert_close(channel.predict(PATH), expected, 1e-8, 1e-8)
-    mean, deviation = from_numbers(channel, PATH)
-    np.testing.assert_allclose(mean, expected.mean_db, atol=1e-8)
-    np.testing.assert_allclose(deviation, expected.deviation_db, atol=1e-8)
-
-
 def test_errors_of_places_are_counted():
     """As kriging from all measurements counts them."""
     data = measured(60)
@@ -100,17 +82,6 @@ def test_accuracy_of_48_of_1000():
     exact = posterior.predict(places)
     assert np.sqrt(np.mean((found.mean_db[:, 0] - exact.mean_db) ** 2)) < 0.1
     assert np.abs(found.deviation_db[:, 0] - exact.deviation_db).max() < 0.01
-
-
-def test_error_falls_with_the_number_of_neighbours():
-    """More neighbours come nearer to the full posterior, and 128 come within 0.01 dB."""
-    posterior = condition(PARAMETERS, measured(400))
-    full = posterior.predict(ALONG).mean_db
-    errors = [
-        np.abs(predict_nearby(posterior, ALONG, m).mean_db - full).max() for m in (8, 32, 128)
-    ]
-    assert errors[0] > errors[1] > errors[2]
-    assert errors[2] < 0.01
 
 
 def test_fewer_measurements_never_lower_the_deviation():
@@ -186,10 +157,3 @@ def test_grid():
     phi = channel.rows_db2(grid)
     explained = np.vecdot(phi, found.solved.T)
     np.testing.assert_allclose(4.0**2 + 1.13**2 - explained, terms.variance_db2)
-
-
-@pytest.mark.parametrize("count", [0, -3])
-def test_too_few(count):
-    """At least one measurement is required."""
-    with pytest.raises(InputError):
-        LocalChannel.around(condition(PARAMETERS, measured(20)), PATH, count)

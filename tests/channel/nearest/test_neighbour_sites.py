@@ -68,23 +68,3 @@ def test_many_limits_at_one_place():
     found = neighbour_sites(PARAMETERS, data)
     np.testing.assert_allclose(found.values_db, found.values_db[0], rtol=1e-4)
     assert (found.noise_variance_db2 > 4.0).all()
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_few(count):
-    """None, and one limit with no neighbour at all."""
-    data = measured(count, 1.0) if count else measured(3, 0.0).take(slice(0, 0))
-    found, joint = neighbour_sites(PARAMETERS, data), gaussian_sites(PARAMETERS, data)
-    np.testing.assert_allclose(found.values_db, joint.values_db, rtol=1e-4)
-    np.testing.assert_allclose(found.noise_variance_db2, joint.noise_variance_db2, rtol=1e-3)
-
-
-def test_without_limits_nothing_is_changed():
-    """Exact and finely rounded powers are returned as they are."""
-    data = measured(30, 0.0).take(slice(1, 30))
-    data = Measurements(
-        data.positions_m, data.power_dbm, np.zeros(29, dtype=bool), resolution_db=np.ones(29)
-    )
-    found = neighbour_sites(PARAMETERS, data)
-    np.testing.assert_array_equal(found.values_db, data.power_dbm)
-    np.testing.assert_allclose(found.noise_variance_db2, 4.0 + 1.0 / 12.0)

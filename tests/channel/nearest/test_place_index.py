@@ -61,11 +61,3 @@ def test_taking_everyone_leaves_the_reach_open():
         indices, farthest = PlaceIndex.of(np.zeros((total, 2))).nearest(CENTRES, 3)
         assert indices.shape == (25, total)
         assert np.isinf(farthest).all()
-
-
-def test_many_at_one_place():
-    """Repeated places are told apart by number only."""
-    positions = np.repeat(scattered(5), 200, axis=0)
-    indices, farthest = PlaceIndex.of(positions).nearest(positions[:1], 150)
-    assert len(set(indices[0])) == 150 and indices.max() < 200
-    assert farthest[0] == 0.0

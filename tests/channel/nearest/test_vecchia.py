@@ -11,11 +11,10 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.nearest.place_index import PlaceIndex
 from planopt.channel.nearest.vecchia import vecchia_information
-from planopt.channel.nearest.windows import BESIDE, BLOCK, later_windows
+from planopt.channel.nearest.windows import BESIDE, BLOCK
 from planopt.channel.parameters import regressors
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
-NOWHERE = PlaceIndex.of(np.zeros((0, 2)))
 
 
 def measured(count, receivers=(0,), seed=0, places=None):
@@ -37,11 +36,6 @@ def dense(data, values, noise):
     covariance = own_covariance_db2(measured_origins(data, PARAMETERS), PARAMETERS)
     inverse = np.linalg.inv(covariance + np.diag(noise))
     return columns.T @ inverse @ columns, inverse
-
-
-def one_by_one(given, start):
-    """Information of measurements taken in their order."""
-    return vecchia_information(PARAMETERS, *given, before=(start, NOWHERE))
 
 
 @pytest.mark.parametrize("count", [0, 1, BLOCK + 1, BESIDE + 20])
@@ -69,38 +63,6 @@ def test_the_order_of_a_batch_does_not_matter():
         vecchia_information(PARAMETERS, data, values, noise).products,
         rtol=1e-9,
     )
-
-
-def test_blocks_serve_a_path_better():
-    """Of a path of dense rows the information of theta is nearer to exact than in its order."""
-    generator = np.random.default_rng(4)
-    along, row = np.arange(1500) % 50, np.arange(1500) // 50
-    along = np.where(row % 2, 49 - along, along)
-    places = np.column_stack([along, 2.0 * row]) + generator.normal(0.0, 0.1, (1500, 2))
-    data, values, _ = measured(1500, places=places)
-    given = data, values, np.full(1500, 4.0)
-    expected = np.linalg.inv(dense(*given)[0][1:, 1:])
-    errors = [
-        np.abs(np.diag(np.linalg.inv(found.products[1:, 1:])) / np.diag(expected) - 1.0).max()
-        for found in (
-            vecchia_information(PARAMETERS, *given),
-            one_by_one(given, vecchia_information(PARAMETERS, *measured(0))),
-        )
-    ]
-    assert errors[0] < 0.6 * errors[1]
-    assert errors[0] < 0.1
-
-
-@pytest.mark.parametrize("before", [0, 3, 400])
-def test_later_windows_take_the_nearest_before(before):
-    """Against sorting the distances to all before."""
-    positions = np.random.default_rng(1).uniform(0.0, 1.0, (before + 50, 2))
-    windows = later_windows(positions, PlaceIndex.of(positions[:before]), 10)
-    assert len(windows) == 50
-    for number, window in enumerate(windows, start=before):
-        distance = np.linalg.norm(positions[:number] - positions[number], axis=1)
-        assert list(window.own) == [number]
-        assert set(window.beside) == set(np.argsort(distance)[:10])
 
 
 @pytest.mark.parametrize("receivers", [[0], [0, 3, 1], [2, 5]])

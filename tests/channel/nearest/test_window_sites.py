@@ -1,7 +1,6 @@
 """Sites matched in windows, and the evidence that goes with them."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +8,8 @@ from scipy.stats import multivariate_normal, norm
 
 from planopt.channel.gaussian_sites import intervals
 from planopt.channel.measurement_covariance import (
-    Origins,
     measured_origins,
     own_covariance_db2,
-    own_distance_m,
 )
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.window_sites import IntervalRows, window_sites
@@ -41,16 +38,6 @@ def settled(measurements, mean_db, start=None, tolerance=1e-6, block=48, beside=
         start,
         tolerance,
     )
-
-
-def test_distances_at_hand_change_nothing():
-    """The same sites whether the distances within windows are given or found."""
-    origins = Origins(np.array([[0.0, 0.0], [3.0, 4.0], [10.0, 0.0]]), np.array([0.5, 0.0, 1.0]))
-    found = own_covariance_db2(origins, CHANNEL)
-    distance_m = own_distance_m(origins)
-    before = distance_m.copy()
-    np.testing.assert_allclose(own_covariance_db2(origins, CHANNEL, distance_m), found, rtol=1e-14)
-    np.testing.assert_array_equal(distance_m, before)
 
 
 def density(measurements, mean_db, sites):
@@ -104,35 +91,3 @@ def test_slope_is_that_of_the_likelihood_alone():
     hazard = norm.pdf(below) / norm.cdf(below)
     expected = -0.5 * hazard * below / spread**2
     assert settled(measurements, -95.0).slope == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_warm_start_reaches_the_same_sites():
-    """From the sites of another mean."""
-    generator = np.random.default_rng(0)
-    power = -95.0 + 6.0 * generator.standard_normal(300)
-    floor = np.quantile(power, 0.4)
-    measurements = Measurements(
-        generator.uniform(0.0, 200.0, (300, 2)), np.maximum(power, floor), power <= floor
-    )
-    cold = settled(measurements, -95.0)
-    warm = settled(measurements, -95.0, settled(measurements, -93.0))
-    np.testing.assert_allclose(warm.precision, cold.precision, rtol=1e-3, atol=1e-7)
-    np.testing.assert_allclose(warm.shift, cold.shift, rtol=1e-3, atol=1e-5)
-    assert warm.log_factor == pytest.approx(cold.log_factor, abs=0.05)
-
-
-def test_displaced_ones_tell_less():
-    """A position error's variance is part of what the others leave open."""
-    measurements = Measurements(
-        np.array([[0.0, 0.0], [3.0, 0.0]]), np.array([-100.0, -95.0]), np.array([True, False])
-    )
-    rows = np.array([0])
-    windows = surrounding_windows(measurements.positions_m, (rows,), 5)
-    known = IntervalRows(rows, intervals(measurements.take(rows)), np.zeros(1), windows)
-    origins = measured_origins(measurements, CHANNEL)
-    gaussian = (measurements.power_dbm, np.full(2, 4.0))
-    given = (CHANNEL, origins, gaussian)
-    sure = window_sites(*given, known, np.full(2, -95.0), None, 1e-8)
-    known = replace(known, displaced_db2=np.array([400.0]))
-    unsure = window_sites(*given, known, np.full(2, -95.0), None, 1e-8)
-    assert unsure.precision[0] < 0.2 * sure.precision[0]

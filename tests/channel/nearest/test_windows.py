@@ -21,19 +21,6 @@ def test_blocks_are_a_partition(count):
     assert count <= 20 or min(sizes) >= 10
 
 
-def test_many_in_one_place_are_divided():
-    """Ties are cut by number."""
-    blocks = place_blocks(np.zeros((50, 2)), 20)
-    assert sorted(len(block) for block in blocks) == [16, 17, 17]
-
-
-def test_blocks_are_compact():
-    """The mean spread within blocks of 16 of 1,024 is near that of the squares of a chessboard."""
-    points = np.random.default_rng(1).uniform(0.0, 1.0, (1024, 2))
-    spread = [points[block].std(axis=0).mean() for block in place_blocks(points, 16)]
-    assert np.mean(spread) < 1.4 * 0.125 / np.sqrt(12.0)
-
-
 def test_surrounding_windows_have_the_nearest():
     """Those nearest to any member of the block, and none of the block."""
     points = places(200)
@@ -67,13 +54,3 @@ def test_blocks_come_from_coarse_to_fine():
     ]
     apart = np.linalg.norm(np.array(centres[:6])[:, None] - centres[:6], axis=2)
     assert apart[np.triu_indices(6, 1)].min() > 0.3
-
-
-def test_translation_changes_nothing():
-    """Blocks depend on where places are to each other."""
-    points = np.round(places(150))
-    here, there = (
-        earlier_windows(moved, place_blocks(moved, 20), 30) for moved in (points, points + 2.0**20)
-    )
-    for one, other in zip(here, there, strict=True):
-        np.testing.assert_array_equal(one.rows, other.rows)

@@ -106,11 +106,3 @@ def test_moving_the_scene_moves_the_station(method, motion):
     expected = turn @ found(measurements, method) + shift
     # Rounds end when the position stands still within a tenth of its deviation, 4 m.
     np.testing.assert_allclose(found(there, method), expected, atol=0.4)
-
-
-def test_many_measurements_are_thinned():
-    """The search's sample is refined on more, and the result is near."""
-    channel = dataclasses.replace(CHANNEL, shadow_std_db=1.0)
-    measurements = simulated(channel, 6, 320, 200.0)
-    for method in METHODS:
-        assert np.hypot(*(found(measurements, method) - (130.0, 70.0))) < 3.0

@@ -11,12 +11,11 @@ from planopt.channel.estimation.station_fit import (
     gauss_newton,
     gaussian_covariance_db2,
     losses,
-    mean_jacobian,
     station_surface,
 )
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station, regressors
+from planopt.channel.parameters import ChannelParameters, Station, regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 4.0, 25.0, 1.5, Station((130.0, 70.0), 10.0))
 MEASUREMENTS = simulated(CHANNEL, 1, 50, 200.0)
@@ -83,16 +82,6 @@ def test_power_that_grows_with_the_distance_is_no_candidate():
     surface = station_surface(measurements, CHANNEL, has_prior=False)
     found = losses(surface, np.array([[-50.0, 50.0], [150.0, 50.0]])).loss
     assert np.isfinite(found[0]) and np.isinf(found[1])
-
-
-def test_jacobian_where_the_distance_is_held():
-    """Columns are the derivatives of the mean; nearer than the least distance it does not move."""
-    station = Station((0.0, 0.0))
-    places = np.array([[3.0, 4.0], [0.5 * MIN_DISTANCE_M, 0.0]])
-    found = mean_jacobian(places, station, 2.0)
-    np.testing.assert_allclose(found[:, :2], regressors(places, station))
-    per_metre = 20.0 / math.log(10.0) / 25.0
-    np.testing.assert_allclose(found[:, 2:], [[3.0 * per_metre, 4.0 * per_metre], [0.0, 0.0]])
 
 
 def test_all_that_is_known_of_measurements_is_in_the_covariance():

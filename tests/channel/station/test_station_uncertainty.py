@@ -8,7 +8,6 @@ import pytest
 from simulated_channel import simulated
 
 from planopt.channel.estimation.station_fit import (
-    fisher_information,
     fit_channel_and_station,
     joint_covariance_m2,
     line_covariance_m2,
@@ -45,13 +44,6 @@ def ring_variance_m2():
     slope = 10.0 * WHITE.n_pl / math.log(10.0)
     information = slope**2 * sum(0.5 * ON_A_RING / radius**2 for radius in RADII_M) / 0.3**2
     return 1.0 / information
-
-
-def test_fisher_information_of_white_noise():
-    """On rings about the station it is known in closed form, and apart from theta's."""
-    information = fisher_information(rings(), WHITE)
-    np.testing.assert_allclose(information[2:, 2:], np.eye(2) / ring_variance_m2(), atol=1e-9)
-    np.testing.assert_allclose(information[:2, 2:], 0.0, atol=1e-9)
 
 
 def test_both_ways_agree_with_the_closed_form():
@@ -102,17 +94,6 @@ def test_normalised_error_is_near_two(method, most):
     assert np.mean(np.array(normalised) < 5.991) >= 0.85
 
 
-def test_independent_errors_would_be_too_sure():
-    """Correlation makes the sandwich several times the plain least-squares covariance."""
-    measurements = simulated(CHANNEL, 3, 200, 200.0)
-    total = math.hypot(CHANNEL.shadow_std_db, CHANNEL.multipath_std_db)
-    plain = dataclasses.replace(CHANNEL, shadow_std_db=0.0, multipath_std_db=total)
-    ratio = line_covariance_m2(measurements, CHANNEL) @ np.linalg.inv(
-        line_covariance_m2(measurements, plain)
-    )
-    assert np.trace(ratio) / 2.0 > 3.0
-
-
 def test_theta_follows_the_position():
     """Without residuals, the derivative is that of the profiled theta by the position."""
     base = simulated(CHANNEL, 2, 60, 200.0)
@@ -144,13 +125,6 @@ def test_a_station_at_the_edge_of_the_search_is_not_bounded(covariance_m2):
     edge = low - 2.0 * math.hypot(*(high - low))
     channel = dataclasses.replace(CHANNEL, station=Station((edge[0], 100.0), 10.0))
     assert covariance_m2(base, channel) is None
-
-
-def test_noise_alone_bounds_no_position():
-    """Where shadowing explains everything, far positions are not rejected."""
-    weak = dataclasses.replace(CHANNEL, n_pl=0.3, shadow_std_db=8.0, decorrelation_m=80.0)
-    measurements = simulated(weak, 7, 40, 200.0)
-    assert joint_covariance_m2(measurements, weak) is None
 
 
 def test_a_position_that_no_derivative_tells_is_not_determined():

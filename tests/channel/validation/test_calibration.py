@@ -91,13 +91,6 @@ def test_wilson_interval_covers():
     assert 0.91 <= np.mean(held) <= 0.985
 
 
-def test_all_censored():
-    """No error where no power is known."""
-    data = Measurements(np.zeros((3, 2)), np.zeros(3), np.ones(3, dtype=bool))
-    found = calibrate(Prediction(np.zeros(3), np.ones(3)), data)
-    assert np.isnan(found.rmse_db)
-
-
 @pytest.mark.parametrize(
     ("mean", "deviation", "levels"),
     [

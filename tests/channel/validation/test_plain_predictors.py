@@ -72,16 +72,6 @@ def test_process_does_not_depend_on_the_order_of_rows(monkeypatch):
         np.testing.assert_array_equal(other, first)
 
 
-@pytest.mark.parametrize("count", [1, 2, 8])
-def test_process_in_one_place_is_the_mean(count):
-    """With the deviation of the powers, were it zero."""
-    powers = -70.0 + np.arange(count)
-    there = Measurements(np.ones((count, 2)), powers, np.zeros(count, dtype=bool))
-    found = learn_plain_process(there)(simulated(CHANNEL, 1, 5, 100.0))
-    np.testing.assert_allclose(found.mean_db, powers.mean())
-    np.testing.assert_allclose(found.deviation_db, max(powers.std(), 1e-3))
-
-
 def test_upper_limits_alone_are_refused():
     """There is nothing to learn."""
     limits = dataclasses.replace(simulated(CHANNEL, 2, 9, 90.0), censored=np.ones(9, dtype=bool))

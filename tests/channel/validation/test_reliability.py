@@ -29,14 +29,6 @@ def test_bins_partition_the_predictions():
         assert one.realised == pytest.approx(realised[inside].mean())
 
 
-def test_empty_bins_are_left_out():
-    """Nothing predicted, no bin; nothing near one half, no bin there."""
-    nothing = np.zeros(0)
-    assert reliability(nothing, nothing.astype(bool), nothing.astype(int)) == ()
-    [low, high] = reliability(np.array([0.1, 0.9]), np.array([True, True]), np.array([0, 1]))
-    assert (low.high, high.low) == (0.15, 0.85)
-
-
 def test_no_interval_from_few_groups():
     """Four runs give none, five do, however many steps each has."""
     for groups in (FEWEST_GROUPS - 1, FEWEST_GROUPS):

@@ -24,7 +24,7 @@ from planopt.channel.prediction import connection_probability
 from planopt.planning.learn import Prepared, learn_measured, prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.proof.motion import is_at_goal
-from planopt.planning.proof.predictions import broad_prediction
+from planopt.planning.proof.predictions import connectivity_law
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.problems.problem import Problem
@@ -62,8 +62,7 @@ def drive_plain(
         if is_at_goal(problem, here):
             break
         if step % REPLANNED_STEPS == 0 or len(way) < 2:
-            broad = broad_prediction(problem, belief.posteriors)
-            margins.refresh(belief.posterior, broad)
+            margins.refresh(connectivity_law(problem, belief.posteriors))
             share = margins.outage_share
             away = np.linalg.norm(roads.nodes_m[:, None] - driven[-REPLANNED_STEPS:], axis=2)
             seen |= (away <= sees_m).any(axis=1) & (sees_m > 0.0)

@@ -28,7 +28,7 @@ from planopt.planning.judge import Judge
 from planopt.planning.learn import learn
 from planopt.planning.plan import Plan
 from planopt.planning.proof.context import verifier_context
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.predictions import search_power
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
@@ -190,7 +190,7 @@ def single_step(
     while True:
         place = scene(horizon, count, seed, munich_like)
         at = np.asarray(place.problem.robots[0].start_m)
-        power = search_prediction(place.belief.posterior, at[None])
+        power = search_power(place.belief.posterior, at[None])
         if bound_margin_db(power.mean_db, power.deviation_db, -40.0, P_MIN)[0] >= 0.0:
             break
         seed += 1000

@@ -11,12 +11,12 @@ from planopt.channel.connection.first_passage import FirstPassage as FirstPassag
 from planopt.channel.connection.first_passage import first_passage as first_passage
 from planopt.channel.connection.joint_connectivity import JointConnectivity as JointConnectivity
 from planopt.channel.connection.joint_connectivity import joint_connectivity as joint_connectivity
+from planopt.channel.connection.law import connected_to_any as connected_to_any
 from planopt.channel.connection.outage import DeliveredData as DeliveredData
 from planopt.channel.connection.outage import LongestOutage as LongestOutage
 from planopt.channel.connection.outage import Traffic as Traffic
 from planopt.channel.connection.outage import delivered_data as delivered_data
 from planopt.channel.connection.outage import longest_outage as longest_outage
-from planopt.channel.connection.serving_power import connected_to_any as connected_to_any
 from planopt.channel.derivatives import posterior_derivatives as posterior_derivatives
 from planopt.channel.estimation.channel_fit import ChannelFit as ChannelFit
 from planopt.channel.estimation.fit import fit_channel as fit_channel

@@ -7,7 +7,7 @@ neither. A solver evaluates a path some twenty times a step: kernel values and d
 stages are therefore one array, which two products with matrices prepared once turn into the rest.
 
 The serving power of several stations has the law of
-:mod:`planopt.channel.connection.serving_power`, except that its deviation is held at that along the
+:mod:`planopt.channel.connection.law`, except that its deviation is held at that along the
 path that the programme is built around:
 
     mean = t_1 + c z,    deviation = c
@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.serving_power import LEAST_DEVIATION_DB, any_score_derivatives
+from planopt.channel.connection.law import LEAST_DEVIATION_DB, any_score_derivatives
 from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, score_probability

@@ -176,7 +176,7 @@ class ReachPlanner:
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
         places = np.vstack([plan.positions_m, route])
-        power = search_prediction(context.posterior, places, context.broad)
+        power = search_prediction(context.law, places)
         holes = holes_on(problem, power, places)
         return replace(plan, pivot=pivot, route_m=route, holes=holes)
 

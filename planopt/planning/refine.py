@@ -241,8 +241,7 @@ class Refiner:
         """Margins and scores conditioned on the measurements nearest to each stage of a path."""
         problem = self._judge.problem
         predict_stages = stage_predictor(
-            self._judge.context.posterior,
-            self._judge.context.broad,
+            self._judge.context.law,
             path_m,
             problem.planner.neighbours,
         )

@@ -25,6 +25,7 @@ from planopt.objectives import ReachObjective
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.learn import Prepared
 from planopt.planning.proof.context import VerifierContext, obstacles_ahead, verifier_context
+from planopt.planning.proof.predictions import stations_law
 from planopt.planning.proof.verify import Judgement, verify
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
@@ -225,7 +226,7 @@ def search_of(
     """A new search, the belief that its margins follow, and the scene."""
     scene, belief = build_scene(problem), belief_of(problem, power_at)
     search = GlobalSearch(problem, scene)
-    search.margins.refresh(belief.posterior)
+    search.margins.refresh(stations_law(problem, belief.posteriors))
     return search, belief, scene
 
 

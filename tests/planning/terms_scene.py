@@ -16,7 +16,7 @@ from planopt.extend import casadi_term
 from planopt.planning.judge import Judge
 from planopt.planning.learn import prepare
 from planopt.planning.proof.context import VerifierContext
-from planopt.planning.proof.predictions import broad_prediction
+from planopt.planning.proof.predictions import uncertain_law
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
@@ -118,8 +118,8 @@ def situation_of(problem: Problem, seed: int = 0) -> tuple[StepContext, Belief]:
     region = workspace_region(problem)
     known = np.diag([2.0, 2.0, 8.0, 8.0])
     index = index_obstacles(problem.workspace)
-    broad = broad_prediction(problem, belief.posteriors)
-    base = VerifierContext(problem, index, belief.posteriors, at, broad=broad)
+    uncertain = uncertain_law(problem, belief.posteriors)
+    base = VerifierContext(problem, index, belief.posteriors, at, uncertain=uncertain)
     turns = np.array([at, [18.0, 30.0], [30.0, 30.0]])
     situation = replace(
         step_context(base, region, Aim(target, information=known)),

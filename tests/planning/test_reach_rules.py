@@ -16,6 +16,7 @@ from planopt.planning.explain.no_way import explain_blocked
 from planopt.planning.history import History
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
+from planopt.planning.proof.predictions import stations_law
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
@@ -139,7 +140,7 @@ def test_what_would_open_a_hard_bound():
     problem = ruled(0.9, ConnectivityRule(slack_max_db=0.0))
     scene, belief = build_scene(problem), belief_of(problem, GAP)
     margins = NodeMargins(scene.road_map, problem.stations[0].threshold_dbm, 0.9)
-    margins.refresh(belief.posterior)
+    margins.refresh(stations_law(problem, belief.posteriors))
     first, _ = first_moves(scene.ground, problem, np.array(START))
 
     def solve_again(changed):

@@ -10,7 +10,6 @@ import numpy as np
 
 from planopt.channel.belief import Belief
 from planopt.planning.learn import Prepared
-from planopt.planning.proof.predictions import broad_prediction
 from planopt.problems.base_station import BaseStation
 from planopt.problems.problem import Problem
 from tests.planning.scenes import (
@@ -91,6 +90,5 @@ def swapped_belief(belief: Belief) -> Belief:
 
 def known_in(problem: Problem, belief: Belief) -> dict[str, Any]:
     """Belief of all stations, and the prediction that the bound rests on."""
-    broad = broad_prediction(problem, belief.posteriors)
-    assert (broad is None) == (len(problem.stations) == 1)
-    return {"posteriors": belief.posteriors, "broad": broad}
+    assert len(problem.stations) == len(belief.posteriors)
+    return {"posteriors": belief.posteriors}

@@ -295,7 +295,7 @@ class RestrictedLikelihood:
     ) -> Evaluation:
         """Evaluate it; log L may be off by about `tolerance` where that is faster."""
         logs = np.log(covariance)
-        found = (
+        found: tuple[Evaluation, WindowSites | IntervalSites | None, NDArray[np.float64]] = (
             self._whole(covariance, site_tolerance)
             if self.data.is_whole
             else self._blocks(covariance, logs, tolerance >= ROUGH_TOLERANCE)
@@ -369,7 +369,8 @@ class RestrictedLikelihood:
                     2.0 * np.vdot(half, correlation) - diagonal.sum(),
                     diagonal[data.gaussian].sum(),
                     2.0 * np.vdot(half, correlation_slope),
-                ]
+                ],
+                dtype=np.float64,
             ),
             -(weights.T @ moved),
             np.zeros((3, 3)),
@@ -465,9 +466,10 @@ def _evaluation(
     """Put the sums together."""
     coefficients, spread = estimate
     count = len(data.line)
-    if log_likelihood is None:
+    value = log_likelihood
+    if value is None:
         squares = sums.products[0, 0] - float(sums.products[0, 1:] @ coefficients)
-        log_likelihood = log_factor - 0.5 * (
+        value = log_factor - 0.5 * (
             sums.log_determinant
             - float(np.linalg.slogdet(spread)[1])
             - float(np.log(data.prior_precision[count:]).sum())
@@ -483,7 +485,7 @@ def _evaluation(
     )
     gradient[1] += nugget_slope
     return Evaluation(
-        log_likelihood,
+        value,
         gradient,
         sums.information,
         data.line + coefficients[:count],

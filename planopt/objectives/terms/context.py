@@ -188,7 +188,7 @@ class TermContext(Protocol):
         """Return the power that connectivity rests on at places (n, 2)."""
         ...
 
-    def law(self, powers: Sequence[Prediction]) -> Prediction:
+    def combined(self, powers: Sequence[Prediction]) -> Prediction:
         """Return what connectivity rests on, from each station's power."""
         ...
 
@@ -223,7 +223,7 @@ class Paths:
     @cached_property
     def power(self) -> Prediction:
         """Power that connectivity rests on at every place; ``(c N,)``."""
-        return self.at.law(self.each)
+        return self.at.combined(self.each)
 
     @cached_property
     def chance(self) -> NDArray[np.float64]:

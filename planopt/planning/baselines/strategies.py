@@ -87,7 +87,7 @@ class StrategyPlanner:
         path = self._home(situation) if self._assumed is informed_disk else None
         if path is None:
             # Whoever assumes a channel has learned nothing of it on the run either.
-            seen = replace(situation, posteriors=(channel,), broad=None, history=BEGINNING)
+            seen = replace(situation, posteriors=(channel,), uncertain=None, history=BEGINNING)
             assuming = replace(judge, context=seen, objective=ObjectiveValue(seen))
             path = self._planner.plan(seen, assuming, warm).positions_m[1:]
         return released(judge, path, begun)

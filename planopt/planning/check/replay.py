@@ -254,7 +254,7 @@ def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
     if problem.task == "reach" and isinstance(said, RobotPlan) and said.route is not None:
         route_m = said.route.positions_m
         places = np.vstack([path_m, route_m])
-        ahead = search_prediction(case.context.posterior, places, case.context.broad)
+        ahead = search_prediction(case.context.law, places)
         holes = holes_on(problem, ahead, places)
     return Plan(
         robot=problem.robots[0].name,
@@ -289,7 +289,7 @@ def _reach_cost(case: _Case, saved: SavedPlan, power: Prediction) -> float:
     def certified(places_m: NDArray[np.float64]) -> Prediction:
         if np.array_equal(places_m, saved.path_m):
             return power
-        return search_prediction(case.context.posterior, places_m, case.context.broad)
+        return search_prediction(case.context.law, places_m)
 
     pivot = saved.pivot
 

@@ -20,7 +20,7 @@ from planopt.planning.explain.no_way import explain_blocked, explain_no_way, is_
 from planopt.planning.explain.violated import explain_violated
 from planopt.planning.learn import prepare
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.proof.predictions import broad_prediction
+from planopt.planning.proof.predictions import connectivity_law
 from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
@@ -139,7 +139,7 @@ def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Rel
     trials = Trials(partial(_planned, belief=belief, scenes=[scene]), ends_s)
     radio, p_min = problem.stations[0], problem.constraints.p_min
     margins = NodeMargins(scene.road_map, radio.threshold_dbm, p_min)
-    margins.refresh(belief.posterior, broad_prediction(problem, belief.posteriors))
+    margins.refresh(connectivity_law(problem, belief.posteriors))
     first, _ = first_moves(scene.ground, problem, np.asarray(problem.robots[0].start_m))
     return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, trials)
 
@@ -171,7 +171,7 @@ def explain_crossing(
     threshold_dbm = problem.stations[0].threshold_dbm - (rule.slack_max_db or 0.0)
     everywhere = problem.reach.charges_everywhere
     margins = NodeMargins(scene.road_map, threshold_dbm, constraints.p_min, everywhere)
-    margins.refresh(posteriors[0], broad_prediction(problem, posteriors))
+    margins.refresh(connectivity_law(problem, posteriors))
     price, start = problem.reach.outage_price, plan.positions_m[0]
     cost_m, _ = _way(problem, scene, margins, start, price * margins.outage_share)
     _, way = _way(problem, scene, margins, start, np.where(margins.outside, BY_ALL_MEANS, 0.0))

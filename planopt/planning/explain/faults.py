@@ -15,7 +15,7 @@ from planopt.planning.explain.keys import Missed
 from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan
 from planopt.planning.proof.goal_paths import build_goal_grid
-from planopt.planning.proof.predictions import broad_prediction, search_prediction
+from planopt.planning.proof.predictions import connectivity_law, search_prediction
 from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
 from planopt.planning.proof.rules.each_step import counted_steps
 from planopt.planning.proof.rules.rule import rule_of
@@ -176,16 +176,16 @@ def _best_by_step(
     The search refines negative scores. If steps may miss p_min at a price, the whole workspace is
     within reach.
     """
-    broad = broad_prediction(problem, posteriors)
+    law = connectivity_law(problem, posteriors)
     if is_priced(problem):
         places = build_goal_grid(problem, index_obstacles(problem.workspace)).nodes_m
-        found = score(search_prediction(posteriors[0], places, broad)).max()
+        found = score(search_prediction(law, places)).max()
         return np.full(problem.planner.horizon, float(found))
     state = problem.robots[0].start_state
     best = best_margins_by_step(
         index_obstacles(problem.workspace),
         problem.workspace.bounds_m,
-        lambda places: score(search_prediction(posteriors[0], places, broad)),
+        lambda places: score(search_prediction(law, places)),
         state[:2],
         problem.step_length_m,
         np.arange(1, problem.planner.horizon + 1),

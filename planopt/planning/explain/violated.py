@@ -19,7 +19,7 @@ from planopt.planning.explain.faults import (
 )
 from planopt.planning.explain.keys import MOST_DB, Key, Trials, least_amount, violated_keys
 from planopt.planning.proof.context import VerifierContext
-from planopt.planning.proof.predictions import broad_prediction, certified_prediction
+from planopt.planning.proof.predictions import certified_prediction, stations_law
 from planopt.planning.proof.rules.rule import PathCase, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.problems.problem import problem_of_robot
@@ -101,15 +101,15 @@ def _is_kept(case: Case, key: Key, amount: float) -> bool:
     """Return whether the plan's path satisfies the rule with a loosened key."""
     changed = key.changed(case.problem, key.loosened(amount))
     problem, plan = problem_of_robot(changed, case.number), case.plan
-    rule, first, broad = problem.constraints.rule, case.posteriors[0], None
+    rule = problem.constraints.rule
     power = Prediction(plan.mean_dbm[1:], plan.deviation_db[1:])
     if len(case.posteriors) > 1:
         # The law that replaces several powers depends on thresholds and on p_min.
-        broad = broad_prediction(problem, case.posteriors)
-        power, _ = certified_prediction(first, plan.positions_m[1:], broad)
+        law = stations_law(problem, case.posteriors)
+        power, _ = certified_prediction(law, plan.positions_m[1:])
     if not rule.by_step:
         index, start = index_obstacles(problem.workspace), plan.positions_m[0]
-        context = VerifierContext(problem, index, tuple(case.posteriors), start, broad=broad)
+        context = VerifierContext(problem, index, tuple(case.posteriors), start)
         result = whole_plan_result(PathCase(context, plan.positions_m, power))
         return result.slack_db > 0.0 or not result.is_missed
     margins = margins_asked_db(problem, power) + (rule.slack_max_db or 0.0)

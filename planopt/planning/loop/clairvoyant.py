@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.serving_power import serving_power_dbm
+from planopt.channel.connection.law import serving_power_dbm
 from planopt.channel.fields.truth import Truth, mean_power_dbm
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS

@@ -15,7 +15,7 @@ from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.loop.target_watch import TargetWatch
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.predictions import search_power
 from planopt.robots.drive import Drive
 from planopt.short_repr import short_repr
 from planopt.targets.information_filter import predict
@@ -213,7 +213,7 @@ def channel_errors_db(
     predict, makes all maps look alike. Means over the powers of all stations.
     """
     power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
-    predicted = [search_prediction(posterior, places_m).mean_db for posterior in posteriors]
+    predicted = [search_power(posterior, places_m).mean_db for posterior in posteriors]
     error = np.stack(predicted) - power
     rms = float(np.sqrt((error**2).mean()))
     shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])

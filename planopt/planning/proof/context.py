@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.connection.law import ConnectivityLaw
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid
-from planopt.planning.proof.predictions import Broad, broad_prediction
+from planopt.planning.proof.predictions import stations_law, uncertain_law
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
 from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs, predicted_discs
@@ -30,9 +31,7 @@ class VerifierContext:
     state: NDArray[np.float64]  # (s,) the robot's state, its position first
     moving: MovingDiscs = NOTHING_MOVES  # Moving obstacles and other robots during the steps
     history: History = BEGINNING  # Steps executed so far: rules over the whole run count them
-    # Prediction that the bound rests on, if not the posterior alone: with uncertain parameters, or
-    # of several stations
-    broad: Broad | None = None
+    uncertain: ConnectivityLaw | None = None  # With all parameters uncertain, if that is required
     # The verifier's grid of paths to the goal; None: laid when it is needed
     goal_grid: GoalGrid | None = None
     _goal_costs: list[tuple[GoalGrid, GoalCosts]] = field(
@@ -46,6 +45,11 @@ class VerifierContext:
     def posterior(self) -> ChannelPosterior:
         """Belief of the first station's channel."""
         return self.posteriors[0]
+
+    @property
+    def law(self) -> ConnectivityLaw:
+        """The law of connectivity."""
+        return self.uncertain or stations_law(self.problem, self.posteriors)
 
     @property
     def position_m(self) -> NDArray[np.float64]:
@@ -87,9 +91,9 @@ def verifier_context(
     """Return the context of the step after `history`."""
     if moving is None:
         moving = obstacles_ahead(problem, history.steps)
-    broad = broad_prediction(problem, posteriors)
+    uncertain = uncertain_law(problem, posteriors)
     return VerifierContext(
-        problem, index, tuple(posteriors), state, moving, history, broad, goal_grid
+        problem, index, tuple(posteriors), state, moving, history, uncertain, goal_grid
     )
 
 

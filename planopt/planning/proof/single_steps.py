@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from planopt.planning.proof.goal_paths import (
     goal_costs,
     price_path,
 )
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.predictions import search_power, search_prediction
 from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
 from planopt.planning.proof.rules.each_step import counted_steps
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
@@ -173,7 +174,7 @@ def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple
     def contact_at(
         places_m: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        power = search_prediction(context.posterior, places_m, context.broad)
+        power = search_prediction(context.law, places_m)
         margin = bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
         chance = connection_probability(power.mean_db, power.deviation_db, threshold)
         everywhere = problem.reach.charges_everywhere
@@ -221,10 +222,4 @@ def _too_dear(
 
 def _margins_of(context: VerifierContext) -> MarginAt:
     """Connectivity margin by position, as searches look at it."""
-    threshold, p_min = context.problem.stations[0].threshold_dbm, context.problem.constraints.p_min
-
-    def margin_db(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        power = search_prediction(context.posterior, places, context.broad)
-        return bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
-
-    return margin_db
+    return partial(context.law.margin_db, predict=search_power)

@@ -83,7 +83,7 @@ def verify(
     apart = verify_apart(context.moving, swept, len(positions_m) - 1)
     reasons += apart.reasons
 
-    power, kind = certified_prediction(context.posterior, positions_m, context.broad)
+    power, kind = certified_prediction(context.law, positions_m)
     planned = Prediction(power.mean_db[1:], power.deviation_db[1:])
     probability = connection_probability(
         planned.mean_db, planned.deviation_db, problem.stations[0].threshold_dbm

@@ -105,8 +105,7 @@ class GlobalSearch:
     def find_start(self, situation: StepContext) -> GlobalStart | None:
         """Search from where the robot is; None if no node is in reach."""
         problem, scene = self._problem, self._scene
-        broad = situation.broad
-        self.margins.refresh(situation.posterior, broad, situation.power)
+        self.margins.refresh(situation.law, situation.power)
         ways = scene.ways
         if self._has_wandered(situation.history):
             nodes = self._shortest(situation, ways)

@@ -93,9 +93,7 @@ def _reached(
     places = places[is_clear(clearance_m(judge.index, places), clear_m)]
     if not len(places):
         return places, np.zeros(0), np.zeros(0)
-    margins = judge.margins_db(
-        search_prediction(judge.context.posterior, places, judge.context.broad)
-    )
+    margins = judge.margins_db(search_prediction(judge.context.law, places))
     tried = _promise(margins, np.linalg.norm(places - ways.start_m, axis=1))[:MEASURED]
     length = path_lengths_m(ways, places[tried])
     tried, length = tried[np.isfinite(length)], length[np.isfinite(length)]

@@ -12,11 +12,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.connection.law import ConnectivityLaw
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.channel.tile_map import TileMap
 from planopt.objectives.reach import outage_share
-from planopt.planning.proof.predictions import Broad, Serving, search_prediction
+from planopt.planning.proof.predictions import search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.values.context import StepContext
 from planopt.world.lattice import Lattice, node_positions
@@ -43,25 +43,23 @@ class LatticeMap:
 
     def refresh(
         self,
-        posterior: ChannelPosterior,
-        broad: Broad | None = None,
+        law: ConnectivityLaw,
         window_m: tuple[float, float, float, float] | None = None,
     ) -> None:
         """Follow what is believed, within a window or everywhere."""
-        if not isinstance(broad, Serving):
-            self._maps[0].refresh(posterior, window_m)
-            return
-        while len(self._maps) < len(broad.posteriors):
+        while len(self._maps) < len(law.posteriors):
             self._maps.append(self._tile_map())
-        for own, station in zip(self._maps, broad.posteriors, strict=True):
+        for own, station in zip(self._maps, law.posteriors, strict=True):
             own.refresh(station, window_m)
+        if len(self._maps) == 1:
+            return
         known = np.isfinite(self._maps[0].mean_db)
-        law = broad.law(
+        power = law.combined(
             [Prediction(own.mean_db[known], own.deviation_db[known]) for own in self._maps]
         )
         self.mean_db = np.full(known.shape, np.nan)
         self.deviation_db = np.full(known.shape, np.nan)
-        self.mean_db[known], self.deviation_db[known] = law.mean_db, law.deviation_db
+        self.mean_db[known], self.deviation_db[known] = power.mean_db, power.deviation_db
 
     @property
     def stations(self) -> list[TileMap]:
@@ -94,13 +92,12 @@ class NodeMargins:
 
     def refresh(
         self,
-        posterior: ChannelPosterior,
-        broad: Broad | None = None,
+        law: ConnectivityLaw,
         power: Callable[[NDArray[np.float64]], Prediction] | None = None,
     ) -> None:
         """Follow the belief: recompute what its new measurements changed."""
-        self._map.refresh(posterior, broad)
-        self._power = power or partial(search_prediction, posterior, broad=broad)
+        self._map.refresh(law)
+        self._power = power or partial(search_prediction, law)
         self.mean_db = self._map.mean_db.take(self._nodes)
         self.deviation_db = self._map.deviation_db.take(self._nodes)
         self.margin_db, self.outage_share = self._values(
@@ -156,8 +153,7 @@ class NodeField:
         """Follow the belief within `reach_m` of the robot along both axes."""
         low, high = situation.position_m - reach_m, situation.position_m + reach_m
         self._map.refresh(
-            situation.posterior,
-            situation.broad,
+            situation.law,
             (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
         )
         self.mean_db, self.deviation_db = self._map.mean_db, self._map.deviation_db

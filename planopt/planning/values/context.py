@@ -29,7 +29,7 @@ from planopt.objectives.moments import KnownPlaces, Region, known_places
 from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held
 from planopt.planning.proof.context import VerifierContext
-from planopt.planning.proof.predictions import Serving, search_prediction
+from planopt.planning.proof.predictions import search_power, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.values.exploration import explores, region_near
 from planopt.planning.values.steered_path import SteeringWay
@@ -209,7 +209,7 @@ class StepContext(VerifierContext):
         if new:
             new |= self._soon
             self._soon.clear()
-            found = search_prediction(self.posterior, np.array(list(new.values())), self.broad)
+            found = search_prediction(self.law, np.array(list(new.values())))
             values = zip(found.mean_db.tolist(), found.deviation_db.tolist(), strict=True)
             self._power.update(zip(new, values, strict=True))
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)
@@ -237,9 +237,9 @@ class StepContext(VerifierContext):
         """Return the posterior of each station's channel."""
         return self.posteriors
 
-    def law(self, powers: Sequence[Prediction]) -> Prediction:
+    def combined(self, powers: Sequence[Prediction]) -> Prediction:
         """Return the power that connectivity rests on, from each station's prediction."""
-        return self.broad.law(powers) if isinstance(self.broad, Serving) else powers[0]
+        return self.law.combined(powers)
 
     @cached_property
     def measuring(self) -> MeasuringRule:
@@ -306,7 +306,7 @@ class StepContext(VerifierContext):
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
         """Chance of a connection at a place (2,), whatever else is predicted."""
-        power = self.law([search_prediction(each, place_m[None]) for each in self.stations])
+        power = self.combined([search_power(each, place_m[None]) for each in self.stations])
         threshold = self.problem.stations[0].threshold_dbm
         return float(connection_probability(power.mean_db, power.deviation_db, threshold)[0])
 
@@ -331,7 +331,7 @@ def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext
         base.state,
         base.moving,
         base.history,
-        base.broad,
+        base.uncertain,
         base.goal_grid,
         region=region,
         target_m=aim.target_m,

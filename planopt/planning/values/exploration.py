@@ -22,7 +22,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Term
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.predictions import search_power
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import (
@@ -135,7 +135,7 @@ def left_to_learn(
         if not len(places):
             return places
         variance = np.max(
-            [search_prediction(station, places).deviation_db ** 2 for station in posteriors], axis=0
+            [search_power(station, places).deviation_db ** 2 for station in posteriors], axis=0
         )
         return places[variance > threshold]
     left = nodes[rule.is_open(nodes)]

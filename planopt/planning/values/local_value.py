@@ -13,6 +13,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.connection.law import ConnectivityLaw
 from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
@@ -28,7 +29,6 @@ from planopt.planning.programme.margin_source import (
     margins_of,
     remembering,
 )
-from planopt.planning.proof.predictions import Broad, Serving
 from planopt.planning.values.context import StepContext, shares_places, structure_of
 from planopt.planning.values.exploration import region_along
 from planopt.planning.values.rule_rows import RuleRows, has_step_rows, rule_rows
@@ -42,13 +42,12 @@ def local_value(
     situation: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
 ) -> EvaluatePath:
     """Worth about a start path (N, 2), and what a solver must bound by `rows`."""
-    problem, posterior = situation.problem, situation.posterior
+    problem = situation.problem
     structure = structure_of(problem)
 
     @cache
     def predictor() -> StagePredictor | ServingStages:
-        broad = situation.broad
-        return stage_predictor(posterior, broad, path_m, problem.planner.neighbours)
+        return stage_predictor(situation.law, path_m, problem.planner.neighbours)
 
     anticipated = _joint_channels(situation, situation.anticipated, path_m)
     channels = [channel for channel, _ in anticipated]
@@ -97,15 +96,15 @@ def local_value(
 
 
 def stage_predictor(
-    posterior: ChannelPosterior,
-    broad: Broad | None,
+    law: ConnectivityLaw,
     path_m: NDArray[np.float64],
     neighbours: int,
 ) -> StagePredictor | ServingStages:
-    """Return the predictor of stages about a path (N, 2), of several stations by `broad`."""
-    if isinstance(broad, Serving):
-        return ServingStages(broad.posteriors, broad.thresholds_dbm, broad.law, path_m, neighbours)
-    return StagePredictor(LocalChannel.around_each(posterior, path_m, neighbours))
+    """Return the predictor of stages about a path (N, 2), of one station or several."""
+    first, *others = law.posteriors
+    if others:
+        return ServingStages(law.posteriors, law.thresholds_dbm, law.combined, path_m, neighbours)
+    return StagePredictor(LocalChannel.around_each(first, path_m, neighbours))
 
 
 def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:

@@ -29,7 +29,7 @@ from planopt.objectives.measuring import OPEN_SPACINGS
 from planopt.objectives.terms.mapping import MappingTerm
 from planopt.objectives.terms.term import Term
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.predictions import search_power
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import LatticeMap, NodeMargins
@@ -79,7 +79,7 @@ class Steering:
             variance = self._map.deviation_db[self._at] ** 2
         else:
             # What the others will have measured changes every step: no map keeps up with it.
-            variance = search_prediction(posterior, self._places_m).deviation_db ** 2
+            variance = search_power(posterior, self._places_m).deviation_db ** 2
         above = variance - self._term.variance_threshold_db2
         is_open = situation.measuring.is_open(self._places_m)
         counted = np.where(is_open, np.maximum(above, 0.0), 0.0)
@@ -154,7 +154,7 @@ class ConnectionSteering:
         """Chance of a connection at some nodes within `radius_m` of the robot; ``(k,)``."""
         low, high = situation.position_m - radius_m, situation.position_m + radius_m
         window = float(low[0]), float(low[1]), float(high[0]), float(high[1])
-        self._map.refresh(situation.posterior, situation.broad, window)
+        self._map.refresh(situation.law, window)
         at = self._ground.road_map.rows[nodes], self._ground.road_map.columns[nodes]
         threshold = self._problem.stations[0].threshold_dbm
         mean, deviation = self._map.mean_db[at], self._map.deviation_db[at]
@@ -184,7 +184,7 @@ class GoalSteering:
         nodes, lengths = first_moves(self._ground, self._problem, here)
         if self._goal_node is None or not len(nodes):
             return None
-        self._margins.refresh(situation.posterior, situation.broad)
+        self._margins.refresh(situation.law)
         metre_cost = np.where(self._margins.outside & self._bounded, FORBIDDEN, 1.0)
         ways = lattice_paths(road_map, self._goal_node, metre_cost)
         cost = lengths * metre_cost[nodes] + ways.cost_m[nodes]

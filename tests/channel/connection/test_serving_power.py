@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from planopt.channel.connection.serving_power import (
+from planopt.channel.connection.law import (
     any_probability,
     serving_power_dbm,
     serving_prediction,

@@ -11,15 +11,12 @@ from scipy.stats import norm
 from terms_scene import TRACKING, terms_problem
 
 from planopt import check, load
+from planopt.channel.connection.law import UncertainParameters, mixture_quantile_dbm
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.prediction import Prediction, bound_margin_db
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.predictions import (
-    BroadPrediction,
-    broad_prediction,
-    mixture_quantile_dbm,
-)
+from planopt.planning.proof.predictions import uncertain_law
 from planopt.planning.solve import solve
 
 SEED = 3
@@ -64,15 +61,15 @@ def test_margin_is_that_of_the_mixture():
     """At any place: zero margin where the mixture's chance of connection is p_min."""
     problem = all_uncertain(terms_problem(TRACKING, p_min=0.9))
     posterior = solve(problem, seed=SEED).belief.posterior
-    broad = broad_prediction(problem, [posterior])
-    assert isinstance(broad, BroadPrediction)
+    law = uncertain_law(problem, [posterior])
+    assert isinstance(law, UncertainParameters)
     places = np.random.default_rng(1).uniform(5.0, 35.0, (40, 2))
-    power = broad(places)
+    power = law.power(places)
     marginal = marginalise(posterior.parameters, posterior.measurements)
     for place, mean, deviation in zip(places, power.mean_db, power.deviation_db, strict=True):
         threshold = float(bound_margin_db(mean, deviation, 0.0, 0.9))
         assert marginal.connectivity(place[None], threshold)[0] == pytest.approx(0.9, abs=1e-9)
-    assert broad_prediction(terms_problem(TRACKING, p_min=0.9), [posterior]) is None
+    assert uncertain_law(terms_problem(TRACKING, p_min=0.9), [posterior]) is None
 
 
 def test_plan_keeps_the_bound_of_the_mixture(tmp_path: Path):
@@ -108,14 +105,14 @@ def test_what_is_possible_is_asked_of_the_mixture():
     problem = replace(problem, robots=(replace(problem.robots[0], start_m=(37.0, 37.0)),))
     solution = solve(problem, seed=SEED)
     plan, posterior = solution.plans[0], solution.belief.posterior
-    broad = broad_prediction(problem, [posterior])
-    assert broad is not None
+    law = uncertain_law(problem, [posterior])
+    assert law is not None
     certificate = plan.certificate
     assert certificate.relaxed_steps[0] == 1
     start = np.array([37.0, 37.0])
     grid = np.stack(np.meshgrid(*[np.linspace(-2.0, 2.0, 81)] * 2), axis=-1).reshape(-1, 2)
     places = start + grid[np.hypot(*grid.T) <= problem.step_length_m]
-    power = broad(places)
+    power = law.power(places)
     margin = bound_margin_db(
         power.mean_db, power.deviation_db, problem.stations[0].threshold_dbm, 0.9
     )

@@ -16,22 +16,19 @@ import pytest
 import test_serving
 from test_rules_mutants import source_of
 
+from planopt.channel.connection.law import StationsLaw
 from planopt.planning.proof.rules.rule import PathCase, Rule
 
-SCORE = "planopt.channel.connection.serving_power"
-POWER = "planopt.channel.connection.serving_power"
-SERVING = "planopt.planning.proof.predictions"
+SCORE = "planopt.channel.connection.law"
+POWER = "planopt.channel.connection.law"
 PREDICTIONS = "planopt.planning.proof.predictions"
-BROAD = "planopt.planning.proof.predictions"
 RULE = "planopt.planning.proof.rules.rule"
 JOINT = "planopt.planning.proof.rules.joint"
 DRAWS = "planopt.planning.proof.rules.path_draws"
 USERS = (
     SCORE,
     POWER,
-    SERVING,
     PREDICTIONS,
-    BROAD,
     RULE,
     JOINT,
     DRAWS,
@@ -52,22 +49,26 @@ MUTANTS = (
     (POWER, "offsets = thresholds_dbm[0] - np", "offsets = 0.0 * np"),
     (POWER, "prediction.mean_db - threshold\n", "prediction.mean_db - thresholds_dbm[0]\n"),
     (
-        PREDICTIONS,
-        "return broad.law([prediction for prediction, _ in found])",
-        "return found[0][0]",
+        POWER,
+        "return self.combined([predict(station, positions_m) for station in self.posteriors])",
+        "return predict(self.posteriors[0], positions_m)",
     ),
-    (BROAD, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
-    (BROAD, "if len(posteriors) > 1:", "if len(posteriors) > 2:"),
+    (
+        PREDICTIONS,
+        "radio.threshold_dbm for radio in",
+        "problem.stations[0].threshold_dbm for radio in",
+    ),
+    (PREDICTIONS, "tuple(posteriors), thresholds", "tuple(posteriors)[::-1], thresholds"),
     (
         RULE,
-        "broad.probability(self.positions_m[1:], slack_db)",
-        "broad.probability(self.positions_m[1:], 0)",
+        "law.probability(self.positions_m[1:], slack_db)",
+        "law.probability(self.positions_m[1:], 0)",
     ),
-    (DRAWS, "serving_power_dbm(np.stack(each)", "serving_power_dbm(np.stack(each[:1])"),
+    (POWER, "serving_power_dbm(np.stack(drawn)", "serving_power_dbm(np.stack(drawn[:1])"),
     (JOINT, "threshold - slack_db).sum", "threshold + slack_db).sum"),
     (JOINT, "least_dbm >=", "least_dbm <"),
-    (JOINT, "broad).min(axis=1)", "broad).max(axis=1)"),
-    (DRAWS, "(station, path_m), number)", "(station, path_m), 0)"),
+    (JOINT, "SEED).min(axis=1)", "SEED).max(axis=1)"),
+    (POWER, "[seed, number] if number else seed", "seed"),
 )
 
 
@@ -102,7 +103,7 @@ def test_mutant_is_found_out(mutant: tuple[str, str, str], monkeypatch: pytest.M
             same = getattr(value, "__module__", None) == module
             # Classes stay, but for those that nothing is derived from.
             stays = isinstance(value, type) and (
-                value is Rule or not issubclass(value, PathCase | Rule)
+                value is Rule or not issubclass(value, PathCase | Rule | StationsLaw)
             )
             if callable(value) and same and not stays:
                 monkeypatch.setattr(user, name, getattr(changed, name))

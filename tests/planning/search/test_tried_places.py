@@ -85,9 +85,9 @@ def test_few_places_are_predicted(step, monkeypatch):
     asked: list[int] = []
     predict = situation_module.search_prediction
 
-    def counted(posterior, places, broad=None):
+    def counted(law, places):
         asked.append(len(places))
-        return predict(posterior, places, broad)
+        return predict(law, places)
 
     monkeypatch.setattr(situation_module, "search_prediction", counted)
     found_ways(problem, replace(situation), ground)

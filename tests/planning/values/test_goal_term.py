@@ -69,7 +69,7 @@ def test_the_way_round_an_obstacle_is_the_shortest():
 
 def metre_cost(situation, places_m, p_min, price=10.0):
     """What a metre counts, from all measurements."""
-    power = search_prediction(situation.posterior, places_m)
+    power = search_prediction(situation.law, places_m)
     margin = power.mean_db - situation.problem.stations[0].threshold_dbm
     chance = norm.cdf(margin / power.deviation_db)
     return 1.0 + price * np.where(chance < p_min, 1.0 - chance, 0.0)

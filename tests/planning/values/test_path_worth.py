@@ -42,9 +42,9 @@ def test_several_paths_are_predicted_at_once(monkeypatch):
     asked: list[int] = []
     predict = context_module.search_prediction
 
-    def counted(posterior, places, broad=None):
+    def counted(law, places):
         asked.append(len(places))
-        return predict(posterior, places, broad)
+        return predict(law, places)
 
     monkeypatch.setattr(context_module, "search_prediction", counted)
     ObjectiveValue(situation).of_each(paths)

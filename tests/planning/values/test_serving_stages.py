@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from planopt.channel.connection.law import StationsLaw
 from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters, Station
@@ -14,7 +15,6 @@ from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.objectives.stage_power import ServingStages, StagePredictor, connectivity_derivatives
 from planopt.planning.programme.margin_source import margins_of
-from planopt.planning.proof.predictions import Serving
 
 PATH = np.array([[12.0, 9.0], [16.3, 11.2], [21.1, 13.0], [27.7, 12.1], [33.4, 8.2]])
 P_MIN = 0.8
@@ -34,23 +34,23 @@ def posterior(number: int) -> ChannelPosterior:
 
 
 @pytest.fixture
-def serving() -> Serving:
+def serving() -> StationsLaw:
     """Both stations."""
-    return Serving((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
+    return StationsLaw((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
 
 
-def stages(serving: Serving) -> ServingStages:
+def stages(serving: StationsLaw) -> ServingStages:
     """About the path, from all measurements."""
-    return ServingStages(serving.posteriors, serving.thresholds_dbm, serving.law, PATH, 60)
+    return ServingStages(serving.posteriors, serving.thresholds_dbm, serving.combined, PATH, 60)
 
 
-def predicted(serving: Serving, places: np.ndarray) -> Prediction:
+def predicted(serving: StationsLaw, places: np.ndarray) -> Prediction:
     """The law of what each station's own stages predict."""
     each = [
         StagePredictor(LocalChannel.around_each(posterior, PATH, 60))(places)
         for posterior in serving.posteriors
     ]
-    return serving.law([Prediction(mean.value, deviation.value) for mean, deviation in each])
+    return serving.combined([Prediction(mean.value, deviation.value) for mean, deviation in each])
 
 
 def test_along_its_own_path_it_is_the_law_of_the_stages(serving) -> None:
@@ -99,8 +99,8 @@ def test_derivatives_are_finite_differences(serving, what: str) -> None:
 
 def test_the_order_of_stations_changes_only_the_reference() -> None:
     """Powers are for the first threshold."""
-    both = Serving((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
-    other = Serving((posterior(1), posterior(0)), THRESHOLDS[::-1], P_MIN)
+    both = StationsLaw((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
+    other = StationsLaw((posterior(1), posterior(0)), THRESHOLDS[::-1], P_MIN)
     places = PATH + np.array([-1.1, 0.4])
     one, two = stages(both)(places), stages(other)(places)
     assert two[0].value - THRESHOLDS[1] == pytest.approx(one[0].value - THRESHOLDS[0], abs=1e-7)

@@ -17,16 +17,16 @@ def test_power_is_the_search_prediction_made_once(monkeypatch):
     places = np.random.default_rng(0).uniform(1.0, 39.0, (7, 2))
     asked = []
 
-    def counted(posterior, new, _broad):
+    def counted(law, new):
         asked.append(len(new))
-        return search_prediction(posterior, new)
+        return search_prediction(law, new)
 
     monkeypatch.setattr(module, "search_prediction", counted)
     situation.power(places[:4])
     found = situation.power(places[[6, 0, 2, 5, 4]])
     situation.power(places)
     assert asked == [4, 3]
-    expected = search_prediction(situation.posterior, places[[6, 0, 2, 5, 4]])
+    expected = search_prediction(situation.law, places[[6, 0, 2, 5, 4]])
     np.testing.assert_allclose(found.mean_db, expected.mean_db, rtol=1e-12)
     np.testing.assert_allclose(found.deviation_db, expected.deviation_db, rtol=1e-12)
     replace(situation).power(places[:1])

@@ -33,7 +33,7 @@ def alone(situation: StepContext, station: int) -> StepContext:
     """What is known, with one of the stations."""
     problem = replace(situation.problem, stations=(situation.problem.stations[station],))
     posterior = situation.stations[station]
-    return replace(situation, problem=problem, posteriors=(posterior,), broad=None)
+    return replace(situation, problem=problem, posteriors=(posterior,))
 
 
 def raised(situation: StepContext, by_db: float) -> StepContext:
@@ -42,13 +42,7 @@ def raised(situation: StepContext, by_db: float) -> StepContext:
         replace(radio, threshold_dbm=radio.threshold_dbm + by_db)
         for radio in situation.problem.stations
     )
-    broad = situation.broad
-    higher = replace(broad, thresholds_dbm=tuple(r.threshold_dbm for r in stations))
-    return replace(
-        situation,
-        problem=replace(situation.problem, stations=stations),
-        broad=higher,
-    )
+    return replace(situation, problem=replace(situation.problem, stations=stations))
 
 
 def drawn_connected(situation: StepContext, path: np.ndarray) -> np.ndarray:

@@ -14,7 +14,8 @@ from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History, data_of_steps_mbit
 from planopt.planning.proof.rules.path_draws import (
     DRAWN,
-    path_draws_dbm,
+    DRAWS,
+    SEED,
     require_shown,
     share_at_least,
 )
@@ -84,7 +85,7 @@ class Data(Rule):
         station, p_min = case.problem.stations[0], case.problem.constraints.p_min
         if p_min == 0.0:
             return super().by_slack(case)
-        drawn_dbm = path_draws_dbm(case.context.posterior, case.positions_m[1:], case.context.broad)
+        drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, SEED)
         needed = self.pace_mbit(case.history, drawn_dbm.shape[1])
 
         def result(slack_db: float) -> RuleResult:

@@ -12,10 +12,9 @@ from planopt.channel.connection.joint_connectivity import JointConnectivity, joi
 from planopt.channel.joint import JointPrediction
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
-from planopt.planning.proof.predictions import Serving
 from planopt.planning.proof.rules.path_draws import (
     DRAWN,
-    path_draws_dbm,
+    DRAWS,
     path_prediction,
     require_shown,
     share_at_least,
@@ -63,10 +62,10 @@ class Joint(Rule):
         """
         problem, path_m = case.problem, case.positions_m[1:]
         threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
-        if not isinstance(case.context.broad, Serving):
+        if len(case.context.posteriors) == 1:
             prediction = path_prediction(case.context.posterior, path_m)
             return lambda slack_db: joint_result(prediction, threshold - slack_db, p_min)
-        least_dbm = path_draws_dbm(case.context.posterior, path_m, case.context.broad).min(axis=1)
+        least_dbm = case.context.law.sample(path_m, DRAWS, SEED).min(axis=1)
 
         def drawn(slack_db: float) -> RuleResult:
             kept = int((least_dbm >= threshold - slack_db).sum())

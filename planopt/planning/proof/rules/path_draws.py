@@ -10,12 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.cholesky import semidefinite_factor
-from planopt.channel.connection.serving_power import serving_power_dbm
 from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.errors import InputError
-from planopt.planning.proof.predictions import Broad, Serving
 from planopt.problems.problem import Problem
 
 DRAWS, SEED = 10_000, 0
@@ -57,23 +54,3 @@ def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) ->
     of less data.
     """
     return joint_prediction(factored_near(posterior, path_m), path_m)
-
-
-def drawn_powers_dbm(prediction: JointPrediction, station: int = 0) -> NDArray[np.float64]:
-    """Powers along the path in `DRAWS` channels, from each station's own seed; ``(DRAWS, N)``."""
-    generator = np.random.default_rng([SEED, station] if station else SEED)
-    normal = generator.standard_normal((DRAWS, len(prediction)))
-    return prediction.mean_db + normal @ semidefinite_factor(prediction.covariance_db2).T
-
-
-def path_draws_dbm(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], broad: Broad | None
-) -> NDArray[np.float64]:
-    """Powers along a path (N, 2) in drawn channels, of several stations the serving ones."""
-    if not isinstance(broad, Serving):
-        return drawn_powers_dbm(path_prediction(posterior, path_m))
-    each = [
-        drawn_powers_dbm(path_prediction(station, path_m), number)
-        for number, station in enumerate(broad.posteriors)
-    ]
-    return serving_power_dbm(np.stack(each), broad.thresholds_dbm)

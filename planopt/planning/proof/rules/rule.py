@@ -21,7 +21,6 @@ from planopt.parts import class_name
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.context import VerifierContext
-from planopt.planning.proof.predictions import Serving
 from planopt.problems.problem import Problem
 
 BySlack = Callable[[float], RuleResult]
@@ -57,9 +56,8 @@ class PathCase:
 
     def probability(self, slack_db: float) -> NDArray[np.float64]:
         """Return the probability of connection after each step, (N,), with so much slack."""
-        broad = self.context.broad
-        if isinstance(broad, Serving) and slack_db > 0.0:
-            return broad.probability(self.positions_m[1:], slack_db)
+        if len(self.context.posteriors) > 1 and slack_db > 0.0:
+            return self.context.law.probability(self.positions_m[1:], slack_db)
         threshold = self.problem.stations[0].threshold_dbm - slack_db
         return connection_probability(self.power.mean_db, self.power.deviation_db, threshold)
 

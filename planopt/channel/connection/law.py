@@ -1,4 +1,7 @@
-"""Connection to any of several stations: its probability, its margin, and the serving power.
+"""The law of connectivity: one station, several, or a channel with uncertain parameters.
+
+A :class:`ConnectivityLaw` says how probably a robot at a position is connected, by how many dB that
+exceeds a required probability, and how the powers along a path are drawn together.
 
 With powers P_i and thresholds t_i, each station's fading its own,
 
@@ -23,7 +26,9 @@ of both tails are kept, so that z has twelve digits from -1e3 to 1e3.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,10 +39,17 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
 )
 
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
+from planopt.channel.joint import sample_power
 from planopt.channel.kriging import predict
+from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
 from planopt.channel.places import require_finite, require_places
-from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction, bound_quantile
+from planopt.channel.posterior import ChannelPosterior, factored_near
+from planopt.channel.prediction import (
+    Prediction,
+    bound_margin_db,
+    bound_quantile,
+    connection_probability,
+)
 from planopt.errors import InputError
 
 LEAST_DEVIATION_DB = math.sqrt(MIN_NOISE_VARIANCE_DB2)
@@ -191,6 +203,167 @@ def any_margin_db(
         margin[open_places] = there
         open_places = open_places[np.abs(there - here) > SETTLED_DB]
     return margin
+
+
+Predictor = Callable[[ChannelPosterior, NDArray[np.float64]], Prediction]
+"""Predicts a station's power at positions (n, 2): from all measurements, or from the nearest."""
+
+
+class ConnectivityLaw(Protocol):
+    """Probability that a robot at a position is connected."""
+
+    @property
+    def posteriors(self) -> tuple[ChannelPosterior, ...]:
+        """The posterior of each station's channel."""
+        ...
+
+    @property
+    def thresholds_dbm(self) -> tuple[float, ...]:
+        """Power from which on each station connects."""
+        ...
+
+    def combined(self, powers: Sequence[Prediction]) -> Prediction:
+        """Return the power that the first threshold decides on, from each station's power."""
+        ...
+
+    def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
+        """Return the power that the first threshold decides on at positions (n, 2)."""
+        ...
+
+    def probability(
+        self, positions_m: NDArray[np.float64], slack_db: float = 0.0
+    ) -> NDArray[np.float64]:
+        """Return P(connected) at positions (n, 2), all thresholds `slack_db` lower; ``(n,)``."""
+        ...
+
+    def margin_db(
+        self, positions_m: NDArray[np.float64], predict: Predictor = predict
+    ) -> NDArray[np.float64]:
+        """Return by how many dB P(connected) >= p_min holds at positions (n, 2); ``(n,)``."""
+        ...
+
+    def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
+        """Return the power that decides along a path (N, 2) in drawn channels; ``(count, N)``."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class StationsLaw:
+    """Connection to the only station, or to any of several with fading of their own."""
+
+    posteriors: tuple[ChannelPosterior, ...]
+    thresholds_dbm: tuple[float, ...]
+    p_min: float  # Required probability: the combined law has its margin
+
+    def combined(self, powers: Sequence[Prediction]) -> Prediction:
+        """Return the normal law that stands for the serving power."""
+        return serving_prediction(powers, self.thresholds_dbm, self.p_min)
+
+    def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
+        """Return the normal law that stands for the serving power at positions."""
+        return self.combined([predict(station, positions_m) for station in self.posteriors])
+
+    def probability(
+        self, positions_m: NDArray[np.float64], slack_db: float = 0.0
+    ) -> NDArray[np.float64]:
+        """Return P(connected to any station)."""
+        each = [predict(station, positions_m) for station in self.posteriors]
+        return any_probability(each, self.thresholds_dbm, slack_db)
+
+    def margin_db(
+        self, positions_m: NDArray[np.float64], predict: Predictor = predict
+    ) -> NDArray[np.float64]:
+        """Return by how much all thresholds may be raised until P(connected) is p_min."""
+        power = self.power(positions_m, predict)
+        return bound_margin_db(
+            power.mean_db, power.deviation_db, self.thresholds_dbm[0], self.p_min
+        )
+
+    def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
+        """Draw each station's powers along a path from its own seed; the serving power."""
+        drawn = [
+            _drawn_dbm(station, path_m, count, [seed, number] if number else seed)
+            for number, station in enumerate(self.posteriors)
+        ]
+        return serving_power_dbm(np.stack(drawn), self.thresholds_dbm)
+
+
+def _drawn_dbm(
+    posterior: ChannelPosterior, path_m: NDArray[np.float64], count: int, seed: int | list[int]
+) -> NDArray[np.float64]:
+    """Powers of one station along a path (N, 2), drawn jointly; ``(count, N)``."""
+    near = factored_near(posterior, path_m)
+    return sample_power(near, path_m, count, np.random.default_rng(seed))
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainParameters(StationsLaw):
+    """Connection to the only station with xi, beta and omega uncertain, not only path loss.
+
+    The law of power is a mixture over covariances. It is represented by the normal law of its
+    deviation that has its quantile at the required probability, so that margins are exact.
+    """
+
+    marginal: MarginalPosterior
+
+    def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
+        """Return the normal law with the mixture's deviation and quantile, whatever `predict`."""
+        weights = self.marginal.weights
+        parts = [component.predict(positions_m) for component in self.marginal.components]
+        deviation = mixture(weights, parts).deviation_db
+        kept_dbm = mixture_quantile_dbm(weights, parts, self.p_min)
+        return Prediction(kept_dbm + bound_quantile(self.p_min) * deviation, deviation)
+
+    def probability(
+        self, positions_m: NDArray[np.float64], slack_db: float = 0.0
+    ) -> NDArray[np.float64]:
+        """Return P(connected) of the mixture."""
+        return self.marginal.connectivity(positions_m, self.thresholds_dbm[0] - slack_db)
+
+
+MOST_ROUNDS = 60
+"""Steps towards a quantile at most: so many bisections lead from hundreds of dB to rounding."""
+NEWTON_STEP_DB = 1e-8
+"""After a step of Newton's method as short as this the next would be within rounding."""
+
+
+def mixture_quantile_dbm(
+    weights: NDArray[np.float64], parts: list[Prediction], p_min: float
+) -> NDArray[np.float64]:
+    """The power that a mixture of normal laws exceeds with probability `p_min`; ``(n,)``.
+
+    Between the least and the greatest of the parts' own, by Newton's method, and by bisection where
+    that leaves what is known to hold the quantile.
+    """
+    means = np.stack([part.mean_db for part in parts])
+    deviations = np.stack([part.deviation_db for part in parts])
+    own = means - bound_quantile(p_min) * deviations
+    low: NDArray[np.float64] = own.min(axis=0)
+    high: NDArray[np.float64] = own.max(axis=0)
+    found: NDArray[np.float64] = 0.5 * (low + high)
+    for _ in range(MOST_ROUNDS):
+        # Of (mean - power) above zero.
+        excess = weights @ connection_probability(means - found, deviations, 0.0) - p_min
+        low, high = np.where(excess >= 0.0, found, low), np.where(excess < 0.0, found, high)
+        density = weights @ _normal_density(found - means, deviations)
+        step = np.divide(excess, density, out=np.full(len(found), np.inf), where=density > 0.0)
+        middle = 0.5 * (low + high)
+        better = np.where((low <= found + step) & (found + step <= high), found + step, middle)
+        moved = np.abs(better - found)
+        found = better
+        if (moved <= NEWTON_STEP_DB).all():
+            break
+    return found
+
+
+def _normal_density(
+    away_db: NDArray[np.float64], deviation_db: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Density of normal laws; zero where the deviation is."""
+    spread = deviation_db > 0.0
+    score = np.divide(away_db, deviation_db, out=np.zeros_like(away_db), where=spread)
+    bell = np.exp(-0.5 * score**2) / math.sqrt(2.0 * math.pi)
+    return np.divide(bell, deviation_db, out=np.zeros_like(away_db), where=spread)
 
 
 def connected_to_any(

@@ -35,6 +35,9 @@ StageReward = Callable[[int, Window], NDArray[np.float64]]
 Node = tuple[int, int]
 """A node (iy, ix)."""
 
+MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
+"""(dx, dy) of each move."""
+
 STANDING = 0
 """The move that leads nowhere."""
 
@@ -45,8 +48,7 @@ class MoveValues:
 
     table: MoveTable  # Which moves are open
     value: NDArray[np.float64]  # (21,)
-    # In addition a move costs its factor, (21,), times the sum of the charges at both ends; charges
-    # (ny + 2 REACH, nx + 2 REACH), with the lattice's margin
+    # In addition a move costs its factor, (21,), times the sum of the charges of both nodes, (n,)
     factor: NDArray[np.float64] | None = None
     charge: NDArray[np.float64] | None = None
     rest: Node | None = None  # Where standing still costs nothing
@@ -59,12 +61,18 @@ class MoveValues:
 
     def surcharge(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return what each move to nodes (n,), margin counted, costs besides its value; (21, n)."""
-        from_rows, from_columns = sources_of(rows, columns)
-        closed = self.table.closed[np.arange(len(MOVES))[:, None], from_rows, from_columns]
+        width, places = self.table.number.shape[1], self.table.number.size
+        end = rows * width + columns
+        source = np.asarray(end - (MOVES[:, 1:] * width + MOVES[:, :1]), dtype=np.intp)
+        of_move = source + places * np.arange(len(MOVES))[:, None]
+        closed = self.table.closed.reshape(-1)[of_move]
         if self.factor is None or self.charge is None:
             return -closed
-        both = self.charge[from_rows, from_columns] + self.charge[rows, columns]
-        return self.factor[:, None] * both - closed
+        number = self.table.number.reshape(-1)
+        both = self.charge[number[source]] + self.charge[number[end]]
+        both *= self.factor[:, None]
+        both -= closed
+        return both
 
     def rests(self, step: int) -> bool:
         """Return whether the robot may stand at `rest` during a step."""
@@ -74,19 +82,11 @@ class MoveValues:
         return self.moving is None or not self.moving.blocked(step, row, column)[STANDING].any()
 
 
-def sources_of(
-    rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return rows and columns, (21, n), from which each move leads to nodes (n,)."""
-    return rows - MOVES[:, 1:], columns - MOVES[:, :1]
-
-
 class StageFrame:
     """The previous stage's values, around all nodes that any stage looks at.
 
     If moves are free and unblocked, the maximisation over a node's 21 predecessors is a disc-shaped
-    max filter: five maxima along rows and columns. Hindered nodes then look at their sources one by
-    one.
+    max filter: five maxima along rows and columns. Other nodes look at their sources one by one.
     """
 
     def __init__(self, moves: MoveValues, windows: list[Window]) -> None:
@@ -95,10 +95,8 @@ class StageFrame:
         self._top, self._left = windows[-1][0].start - REACH, windows[-1][1].start - REACH
         height, width = window_shape(windows[-1])
         self._value = np.full((height + 2 * REACH, width + 2 * REACH), -np.inf)
-        if moves.are_free:
-            self._find_hindered()
-        else:
-            self._surcharge = self._widest_surcharge()
+        self._listed: NDArray[np.intp] | None = None
+        self._list_nodes()
 
     def clear(self) -> None:
         """Forget all values."""
@@ -115,17 +113,17 @@ class StageFrame:
         around = self._value[
             rows.start - REACH : rows.stop + REACH, columns.start - REACH : columns.stop + REACH
         ]
+        best = np.full(window_shape(window), -np.inf)
         if self._moves.are_free:
             best = _largest_in_disc(around)
-            count = self._hindered_by_stage[stage]
-            rows, columns = self._nodes
-            sources = self._value.ravel()[self._sources[:, :count]]
-            sources -= self._hindered_surcharge[:, :count]
-            best[rows[:count] - window[0].start, columns[:count] - window[1].start] = sources.max(
-                axis=0, initial=-np.inf
-            )
-        else:
-            best = self._best_move(around, window)
+        count = self._listed_by_stage[stage]
+        rows, columns = self._nodes
+        sources = self._value.reshape(-1)[self._sources[:, :count]]
+        sources += self._moves.value[:, None]
+        sources -= self._surcharge[:, :count]
+        best[rows[:count] - window[0].start, columns[:count] - window[1].start] = sources.max(
+            axis=0, initial=-np.inf
+        )
         if self._moves.moving is not None:
             self._pass_by(self._moves.moving, stage, best)
         if self._moves.rest is not None and self._moves.rests(stage):
@@ -137,70 +135,49 @@ class StageFrame:
                 best[row, column] = max(best[row, column], around[row + REACH, column + REACH])
         return best
 
-    def _best_move(self, around: NDArray[np.float64], window: Window) -> NDArray[np.float64]:
-        """Return the best value of 21 shifted slices of the values `around` a window."""
-        height, width = window_shape(window)
-        best, arriving = np.full((height, width), -np.inf), np.empty((height, width))
-        top = window[0].start - self._windows[-1][0].start
-        left = window[1].start - self._windows[-1][1].start
-        for move, (dx, dy) in enumerate(MOVES):
-            source = around[REACH - dy : REACH - dy + height, REACH - dx : REACH - dx + width]
-            np.add(source, self._moves.value[move], out=arriving)
-            arriving -= self._surcharge[move, top : top + height, left : left + width]
-            np.maximum(best, arriving, out=best)
-        return best
-
     def _pass_by(self, moving: MovingMoves, stage: int, best: NDArray[np.float64]) -> None:
         """Correct the best values at nodes that some move comes too near to a moving disc for."""
         window = self._windows[stage]
         rows, columns, blocked = moving.hindered(stage, *without_margin(window))
         rows, columns = rows + REACH, columns + REACH
-        from_rows, from_columns = sources_of(rows, columns)
-        arriving = self._value[from_rows - self._top, from_columns - self._left]
-        arriving = arriving + self._moves.value[:, None]
+        arriving = self._value.reshape(-1).take(self._sources_of(rows, columns))
+        arriving += self._moves.value[:, None]
         arriving -= self._moves.surcharge(rows, columns)
         arriving[blocked] = -np.inf
         best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
-    def _find_hindered(self) -> None:
-        """List the hindered nodes of all windows by the stage that first looks at them."""
-        widest = self._windows[-1]
-        rows, columns = np.nonzero(self._moves.table.hindered[without_margin(widest)])
+    def _list_nodes(self) -> None:
+        """List the nodes that look at their sources, by the stage that first looks at them."""
+        widest, first, table = self._windows[-1], self._windows[0], self._moves.table
+        listed = table.hindered if self._moves.are_free else table.lattice.free
+        rows, columns = np.nonzero(listed[without_margin(widest)])
         rows, columns = rows + widest[0].start, columns + widest[1].start
-        stage = np.zeros(len(rows), dtype=np.intp)
-        for window in self._windows[:-1]:
-            stage += (rows < window[0].start) | (rows >= window[0].stop)
-            stage += (
-                (rows >= window[0].start)
-                & (rows < window[0].stop)
-                & ((columns < window[1].start) | (columns >= window[1].stop))
-            )
-        order = np.argsort(stage, kind="stable")
+        up = np.maximum(first[0].start - rows, rows - first[0].stop + 1)
+        beside = np.maximum(first[1].start - columns, columns - first[1].stop + 1)
+        stage = (np.maximum(np.maximum(up, beside), 0) + REACH - 1) // REACH
+        order = np.argsort(stage.astype(np.int16), kind="stable")
         rows, columns = rows[order], columns[order]
-        self._hindered_by_stage = np.searchsorted(
-            stage[order], np.arange(len(self._windows)), side="right"
-        )
+        stages = np.arange(len(self._windows))
+        self._listed_by_stage = np.searchsorted(stage[order], stages, side="right")
         self._nodes = rows, columns
-        self._hindered_surcharge = self._moves.surcharge(rows, columns)
-        from_rows, from_columns = sources_of(rows, columns)
-        self._sources = (from_rows - self._top) * self._value.shape[1] + from_columns - self._left
+        self._surcharge = self._moves.surcharge(rows, columns)
+        self._sources = self._sources_of(rows, columns)
 
-    def _widest_surcharge(self) -> NDArray[np.float64]:
-        """Return what each move to the nodes of the widest window costs besides its value."""
-        moves, (rows, columns) = self._moves, self._windows[-1]
-        found = np.empty((len(MOVES), *window_shape(self._windows[-1])))
-        for move, (dx, dy) in enumerate(MOVES):
-            source = (
-                slice(rows.start - dy, rows.stop - dy),
-                slice(columns.start - dx, columns.stop - dx),
-            )
-            if moves.factor is not None and moves.charge is not None:
-                np.add(moves.charge[source], moves.charge[rows, columns], out=found[move])
-                found[move] *= moves.factor[move]
-                found[move] -= moves.table.closed[move][source]
-            else:
-                np.negative(moves.table.closed[move][source], out=found[move])
-        return found
+    def _sources_of(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return where in the frame each move to nodes (n,) begins; (21, n)."""
+        width = self._value.shape[1]
+        end = (rows - self._top) * width + columns - self._left
+        return end - (MOVES[:, 1:] * width + MOVES[:, :1])
+
+    def surcharge(self, row: int, column: int) -> list[float]:
+        """Return what each move to a node, margin counted, costs besides its value."""
+        if self._moves.are_free:
+            return self._moves.surcharge(np.array([row]), np.array([column]))[:, 0].tolist()
+        if self._listed is None:
+            self._listed = np.zeros(self._value.shape, dtype=np.intp)
+            rows, columns = self._nodes
+            self._listed[rows - self._top, columns - self._left] = np.arange(len(rows))
+        return self._surcharge[:, self._listed[row - self._top, column - self._left]].tolist()
 
     def _at(self, window: Window) -> Window:
         """Return a window of the lattice with its margin, in the frame."""
@@ -235,6 +212,8 @@ class LatticeValues:
     # For each stage its window's values; the windows grow by `REACH` nodes to each side
     values: tuple[NDArray[np.float64], ...]
     windows: tuple[Window, ...]  # The windows, in the lattice with its margin
+    # What each move to a node of the last window, margin counted, costs besides its value
+    surcharge: Callable[[int, int], list[float]]
 
     def best_ends(self, count: int, apart: int) -> list[Node]:
         """Return the nodes of the highest values after the last step, best first."""
@@ -260,24 +239,24 @@ class LatticeValues:
 
     def _best_source(self, stage: int, node: Node) -> Node:
         """Return which of the 21 nodes (iy, ix) its best value came from."""
+        # One by one: for so few, arrays cost several times as much.
         moves, (rows, columns), value = self.moves, self.windows[stage], self.values[stage]
-        row, column = np.array(node).reshape(2, 1) + REACH
-        from_rows, from_columns = sources_of(row, column)
-        inside_rows, inside_columns = from_rows - rows.start, from_columns - columns.start
-        inside = (inside_rows >= 0) & (inside_rows < len(value))
-        inside &= (inside_columns >= 0) & (inside_columns < value.shape[1])
-        arriving = np.full(inside.shape, -np.inf)
-        arriving[inside] = value[inside_rows[inside], inside_columns[inside]]
-        standing = arriving[STANDING].copy()
-        arriving += moves.value[:, None]
-        arriving -= moves.surcharge(row, column)
-        if node == moves.rest and moves.rests(stage + 1):
-            arriving[STANDING] = standing
+        row, column = node[0] + REACH, node[1] + REACH
+        values, blocked = moves.value.tolist(), np.zeros(len(MOVES), dtype=np.bool_)
         if moves.moving is not None:
-            blocked = moves.moving.blocked(stage + 1, row - REACH, column - REACH)
-            arriving[blocked] = -np.inf
-        best = int(arriving.argmax())
-        return int(from_rows[best, 0]) - REACH, int(from_columns[best, 0]) - REACH
+            blocked = moves.moving.blocked(stage + 1, *np.array(node).reshape(2, 1))[:, 0]
+        surcharge = self.surcharge(row, column)
+        if node == moves.rest and moves.rests(stage + 1):
+            values[STANDING] = surcharge[STANDING] = 0.0
+        height, width = value.shape
+        best, source = -np.inf, node
+        for move, (dx, dy) in enumerate(MOVES_BY_NUMBER):
+            at, beside = row - dy - rows.start, column - dx - columns.start
+            if 0 <= at < height and 0 <= beside < width and not blocked[move]:
+                arriving = value.item(at, beside) + values[move] - surcharge[move]
+                if arriving > best:
+                    best, source = arriving, (node[0] - dy, node[1] - dx)
+        return source
 
 
 class LatticeSearch:
@@ -309,7 +288,7 @@ class LatticeSearch:
         for k in range(1, len(windows)):
             frame.put(windows[k - 1], values[-1])
             values.append(frame.arriving(k) + reward(k + 1, without_margin(windows[k])))
-        return LatticeValues(self._moves, tuple(values), tuple(windows))
+        return LatticeValues(self._moves, tuple(values), tuple(windows), frame.surcharge)
 
 
 @dataclass(frozen=True)
@@ -340,34 +319,29 @@ def search_cheapest(
     """
     if first_nodes.size == 0:
         return None
-    rows, columns, shape = road_map.rows, road_map.columns, road_map.lattice.shape
+    rows, columns, number = road_map.rows, road_map.columns, road_map.number
     half = None if surcharge_s_m is None else 0.5 * surcharge_s_m
     cost = step_cost_s(first_length_m, step_s, effort_weight_s2_m2)
-    charge: NDArray[np.float64] | None = None
     if half is not None:
         cost = cost + first_length_m * (half[first_nodes] + half[-1])
-        charge = np.zeros(table.closed.shape[1:])
-        charge[rows + REACH, columns + REACH] = half[:-1]
     moves = MoveValues(
         table,
         -step_cost_s(road_map.lengths_m, step_s, effort_weight_s2_m2),
-        None if charge is None else road_map.lengths_m,
-        charge,
+        None if half is None else road_map.lengths_m,
+        half,
         (int(rows[goal_node]), int(columns[goal_node])) if goal_node >= 0 else None,
         MovingMoves(road_map.lattice, moving) if moving is not None and len(moving) else None,
     )
-    reward = np.zeros((horizon if node_penalty_s.ndim > 1 else 1, *shape))
-    reward[:, rows, columns] -= node_penalty_s
+    # Values of nodes that are not free are minus infinity, whatever the last node's numbers are.
+    penalties = np.atleast_2d(node_penalty_s)
     first = np.stack([rows[first_nodes], columns[first_nodes]], axis=1)
     found = LatticeSearch(moves, first, -cost, horizon)(
-        lambda stage, window: reward[min(stage, len(reward)) - 1][window]
+        lambda stage, window: -penalties[min(stage, len(penalties)) - 1][number[window]]
     )
-    to_go = np.full(shape, np.inf)
-    to_go[rows, columns] = terminal_cost_s
-    total = found.values[-1] - to_go[without_margin(found.windows[-1])]
+    total = found.values[-1] - terminal_cost_s[number[without_margin(found.windows[-1])]]
     row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
     if not np.isfinite(total[row, column]):
         return None
     top, left = (part.start - REACH for part in found.windows[-1])
     path = found.path_to((row + top, column + left))
-    return LatticePath(road_map.number[path[:, 0], path[:, 1]], -float(total[row, column]))
+    return LatticePath(number[path[:, 0], path[:, 1]], -float(total[row, column]))

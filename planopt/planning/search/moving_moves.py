@@ -27,6 +27,8 @@ class MoveTable:
     closed: NDArray[np.float64]
     # (ny, nx) free nodes that some move from a free node does not lead to
     hindered: NDArray[np.bool_]
+    # (ny + 2 REACH, nx + 2 REACH) numbers of the free nodes in reading order, -1 elsewhere
+    number: NDArray[np.intp]
 
 
 def move_table(lattice: Lattice) -> MoveTable:
@@ -43,7 +45,9 @@ def move_table(lattice: Lattice) -> MoveTable:
             slice(REACH - dx, REACH - dx + nx),
         )
         hindered |= free[source] & (closed[move][source] != 0.0)
-    return MoveTable(lattice, closed, hindered & lattice.free)
+    number = np.full(free.shape, -1, dtype=np.intp)
+    number[free] = np.arange(int(free.sum()))
+    return MoveTable(lattice, closed, hindered & lattice.free, number)
 
 
 Window = tuple[slice, slice]

@@ -61,7 +61,6 @@ def check_apart(problem: Problem) -> None:
                 raise InputError(
                     f"is {list(robot.start_m)}, {distance:.3g} m from the start of "
                     f"{problem.robots[other].name}, less than the separation of {separation:g} m",
-                    file=problem.file,
                     key=f"robots[{number}].start_m",
                     remedy="move it, or lessen constraints.separation_m",
                 )
@@ -75,7 +74,6 @@ def check_apart(problem: Problem) -> None:
                     f"is {list(robot.start_m)}, {distance:.3g} m from where the moving obstacle "
                     f"{obstacle.name} is at time 0, less than the clearance of "
                     f"{problem.constraints.clearance_m:g} m",
-                    file=problem.file,
                     key=f"robots[{number}].start_m",
                     remedy="move it, or lessen constraints.clearance_m",
                 )
@@ -95,7 +93,6 @@ def _check_goals_apart(problem: Problem, number: int, other: int) -> None:
         raise InputError(
             f"is {list(goal)}, {distance:.3g} m from the goal of {problem.robots[other].name}, "
             f"not more than the separation of {separation:g} m",
-            file=problem.file,
             key=f"robots[{number}].goal_m",
             remedy="move it, or lessen constraints.separation_m",
         )
@@ -118,7 +115,6 @@ def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
             f"is {list(problem.robots[fast].start_rest)}: stopping from there leads within "
             f"{distance:.3g} m of {problem.robots[slow].name}, less than the separation of "
             f"{separation:g} m",
-            file=problem.file,
             key=f"robots[{fast}].start_velocity_m_s",
             remedy="lessen it, start elsewhere, or lessen constraints.separation_m",
         )
@@ -136,7 +132,6 @@ def check_channel(problem: Problem) -> None:
         if isinstance(measurements, SampledMeasurements) and measurements.count > 0:
             raise InputError(
                 "measurements cannot be taken from a truth that is not given",
-                file=problem.file,
                 key="channel.measurements.count",
                 remedy="add [channel.truth], or give the file of a log",
             )
@@ -147,7 +142,6 @@ def check_channel(problem: Problem) -> None:
     if isinstance(truth, FittedTruth) and sampled:
         raise InputError(
             'is "fitted", and there is no log to fit',
-            file=problem.file,
             key="channel.truth.kind",
             remedy="give the log as channel.measurements.file",
         )
@@ -164,7 +158,6 @@ def check_channel(problem: Problem) -> None:
                 raise InputError(
                     f"is {least_dbm:g}, not above the receiver's floor of {floor_dbm:g} "
                     "dBm, so that places without signal would count as connected",
-                    file=problem.file,
                     key=f"stations[{index}].{key}",
                     remedy=remedy,
                 )
@@ -175,7 +168,6 @@ def _check_cells(problem: Problem, cell_m: float) -> None:
     if not 0.0 < cell_m <= LARGEST_COORDINATE_M:
         raise InputError(
             f"is {cell_m!r}, which is no cell side",
-            file=problem.file,
             key="channel.truth.cell_m",
             remedy="give metres above 0",
         )
@@ -184,7 +176,6 @@ def _check_cells(problem: Problem, cell_m: float) -> None:
     if cells > MAX_TRUTH_CELLS:
         raise InputError(
             f"is {cell_m:g}, which makes {cells:.3g} cells, more than {MAX_TRUTH_CELLS:.3g}",
-            file=problem.file,
             key="channel.truth.cell_m",
             remedy="larger cells, or smaller bounds",
         )
@@ -197,7 +188,6 @@ def _check_spread(problem: Problem, number: int) -> None:
         raise InputError(
             f"is {robot.start_spread_m:g}, and starts are drawn only of single integrators, and "
             "not for the task reach",
-            file=problem.file,
             key=f"robots[{number}].start_spread_m",
             remedy="leave it out",
         )
@@ -209,7 +199,6 @@ def check_bounds(problem: Problem) -> None:
     if not (x_min < x_max and y_min < y_max):
         raise InputError(
             f"is {list(problem.workspace.bounds_m)}, should have x_min < x_max and y_min < y_max",
-            file=problem.file,
             key="world.bounds_m",
             remedy="[x_min, y_min, x_max, y_max]",
         )
@@ -223,7 +212,6 @@ def check_place(
     if not inside_bounds(problem.workspace, positions_m).all():
         raise InputError(
             f"is {list(place)}, outside the bounds {list(problem.workspace.bounds_m)}",
-            file=problem.file,
             key=key,
             remedy="move it, or widen world.bounds_m",
         )
@@ -231,7 +219,6 @@ def check_place(
     if around is not None:
         raise InputError(
             f"is {list(place)}, inside the obstacle {around.name}",
-            file=problem.file,
             key=key,
             remedy="move it",
         )
@@ -241,7 +228,6 @@ def check_place(
         raise InputError(
             f"is {list(place)}, {distance:.3g} m from the obstacle {nearest.name}, less than "
             f"the clearance of {problem.constraints.clearance_m:g} m",
-            file=problem.file,
             key=key,
             remedy="move it, or lessen constraints.clearance_m",
         )
@@ -267,7 +253,6 @@ def check_size(problem: Problem) -> None:
             f"is {problem.planner.step_s:g}, which for these bounds and speeds makes a lattice of "
             f"{nodes:.2g} nodes; with a horizon of {horizon} it would take "
             f"{needed / 1e9:.2g} GB, more than {LARGEST_LATTICE_BYTES / 1e9:g} GB",
-            file=problem.file,
             key="planner.step_s",
             remedy="lengthen the step, or narrow world.bounds_m, or lower planner.horizon",
         )
@@ -305,7 +290,7 @@ def _check_term(problem: Problem, term: Term, key: str) -> None:
     except InputError as error:
         raise InputError(
             error.message,
-            file=error.file or problem.file,
+            file=error.file,
             row=error.row,
             key=f"{key}.{error.key}" if error.key else key,
             remedy=error.remedy,
@@ -319,7 +304,6 @@ def _check_step(problem: Problem, number: int) -> None:
     if step_m < LEAST_STEP_M:
         raise InputError(
             f"is {speed_m_s:g}, which makes steps of {step_m:.3g} m, less than {LEAST_STEP_M:g} m",
-            file=problem.file,
             key=f"robots[{number}].speed_max_m_s",
             remedy="raise it, or planner.step_s",
         )
@@ -350,7 +334,6 @@ def _check_keys(problem: Problem) -> None:
             if there is not None and not goes:
                 raise InputError(
                     f"goes only with {table}",
-                    file=problem.file,
                     key=f"stations[{number}].{key}",
                     remedy="leave it out",
                 )
@@ -393,7 +376,6 @@ def _no_two_alike(
         if other < number:
             raise InputError(
                 words.format(other=other, value=value),
-                file=problem.file,
                 key=f"stations[{number}].{key}",
                 remedy=remedy,
             )
@@ -406,14 +388,12 @@ def check_rule(problem: Problem) -> None:
     if problem.task == "reach" and rule.slack_price > 0.0:
         raise InputError(
             f"is {rule.slack_price:g}, but the objective of task reach has no price for slack",
-            file=problem.file,
             key="constraints.slack_price",
             remedy="leave it out: slack_max_db alone bounds the slack",
         )
     if rule.parameter_uncertainty == "all" and len(problem.stations) > 1:
         raise InputError(
             f"all is for one station, and there are {len(problem.stations)}",
-            file=problem.file,
             key="constraints.parameter_uncertainty",
             remedy=f"ask for path_loss, or {ONE_STATION}",
         )
@@ -451,7 +431,6 @@ def check_own_map(problem: Problem, number: int) -> None:
             raise InputError(
                 f"{list(dynamics.rest_input)} does not let it rest: its state goes on changing, by "
                 f"{float(change.max()):.3g} m a step, as far as a search finds",
-                file=problem.file,
                 key=f"{key}.rest_input",
                 remedy="give the input with which it stays where it is; a function that is a "
                 "derivative needs continuous = True",
@@ -473,7 +452,6 @@ def check_stopping(problem: Problem, index: ObstacleIndex, number: int) -> None:
         raise InputError(
             f"is {list(robot.start_rest)}, too fast to stop "
             + ("within world.bounds_m" if outside else "clear of the obstacles ahead"),
-            file=problem.file,
             key=f"robots[{number}].start_velocity_m_s",
             remedy="lessen it, or start elsewhere",
         )

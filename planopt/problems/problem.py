@@ -262,7 +262,7 @@ def check_problem(problem: Problem) -> None:
     """Raise the first fault of a problem: of its tables, or of several of them together."""
     with located(ProblemFile, problem.file):
         ProblemFile.model_validate(tables_of(problem))
-    check(problem)
+        check(problem)
 
 
 def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Problem:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 
 import pytest
+import shapely
 
-from planopt import ConnectivityRule, Constraints, Robot
-from planopt.errors import InputError
+from planopt import ConnectivityRule, Constraints, InputError, Obstacle, Problem, Robot
+from planopt.objectives import TermsObjective
+from planopt.problems import Unicycle, list_problems
 from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
-from planopt.robots.unicycle import Unicycle
+from planopt.problems.tasks import MOTION
 
 DRIVEN = partial(
     Robot,
@@ -96,6 +99,14 @@ def test_planners_without_a_goal_are_not_for_reach(planner: str) -> None:
     assert caught.value.key == "planner.name"
 
 
+def test_planners_without_dynamics_are_not_for_robots_with_them() -> None:
+    """An override is held to what a file is."""
+    track = load("outdoor_track")
+    robot = replace(track.robots[0], dynamics=Unicycle(1.0, 0.6))
+    with pytest.raises(InputError, match="is for robots of dynamics single_integrator"):
+        with_overrides(replace(track, robots=(robot,)), planner="random")
+
+
 def test_an_error_of_an_override_says_so() -> None:
     """The value stands in no file, and the message says that it was given instead."""
     with pytest.raises(InputError, match="planner one_step was given in place") as caught:
@@ -110,3 +121,44 @@ def test_an_error_of_the_problem_itself_is_not_blamed_on_an_override() -> None:
     with pytest.raises(InputError) as caught:
         with_overrides(broken, horizon=7)
     assert "given in place" not in str(caught.value)
+
+
+def robot(problem: Problem, **changes) -> Problem:
+    """The first robot with changes."""
+    return replace(problem, robots=(replace(problem.robots[0], **changes), *problem.robots[1:]))
+
+
+def obstacle(problem: Problem, polygon: shapely.Polygon) -> Problem:
+    """One obstacle more."""
+    more = (*problem.workspace.obstacles, Obstacle("bad", polygon))
+    return replace(problem, workspace=replace(problem.workspace, obstacles=more))
+
+
+def test_what_no_task_asks() -> None:
+    """Copies are checked before they are used: counts, names, areas, and what the task needs."""
+    reach, track = load("open_field"), load("outdoor_track")
+    for problem in (
+        robot(reach, goal_m=None),
+        replace(reach, stations=()),
+        replace(reach, robots=()),
+        replace(reach, name="a/../b"),
+        obstacle(reach, shapely.Polygon([(20, 20), (30, 30), (30, 20), (20, 30)])),
+        obstacle(reach, shapely.Polygon()),
+        replace(reach, robots=reach.robots * 2),
+        robot(track, goal_m=(1.0, 1.0)),
+        replace(track, targets=()),
+        replace(track, robots=track.robots * 2),
+        replace(track, objective=TermsObjective((replace(track.terms[0], weight=math.nan),))),
+        replace(track, objective=TermsObjective((replace(track.terms[0], form="sum"),))),
+    ):
+        with pytest.raises(InputError):
+            with_overrides(problem)
+
+
+def test_every_problem_of_the_library_passes() -> None:
+    """They are as they should be."""
+    for entry in list_problems():
+        if entry.task not in MOTION:
+            continue
+        problem = load(entry.path)
+        assert with_overrides(problem) == problem

@@ -169,6 +169,10 @@ def test_a_fault_is_named_where_the_problem_is_made(changes, words: str) -> None
     [
         (lambda: replace(ROBOT, speed_max_m_s=-1.0), r"robots\[\]\.speed_max_m_s: is -1\.0"),
         (lambda: replace(ROBOT, start_m="ab"), r"robots\[\]\.start_m: is 'ab', should be an array"),
+        (lambda: replace(ROBOT, start_m=(1, 1, 1)), r"robots\[\]\.start_m: has 3 entries"),
+        (lambda: replace(ROBOT, start_m=("a", 1.0)), r"robots\[\]\.start_m\[0\]: is 'a'"),
+        (lambda: ChannelSetup(fit_method="guess"), r"channel\.fit\.method: is 'guess'"),
+        (lambda: ChannelSetup(measure_spacing_m=float("nan")), r"measurements\.spacing_m: is nan"),
         (lambda: replace(STATION, threshold_dbm=float("inf")), r"stations\[\]\.threshold_dbm"),
         (lambda: Constraints(p_min=float("nan")), r"constraints\.p_min: is nan"),
         (

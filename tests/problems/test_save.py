@@ -3,14 +3,30 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
+from small_tables import (
+    CART,
+    CASADI,
+    HEAVY,
+    LEARN,
+    MAPPING,
+    MODEL,
+    OWN,
+    RASTER,
+    REACH,
+    TIMED,
+    TRACK,
+    WHEELS,
+    Build,
+    Tables,
+    of_terms,
+    set_keys,
+)
 
-from planopt.channel.fields.multipath import Nakagami, Rician
+from planopt.channel.fields.multipath import Nakagami
 from planopt.errors import InputError
 from planopt.problems.channel_setup import LoggedMeasurements
 from planopt.problems.load import load
@@ -18,8 +34,8 @@ from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.studies.bench.cases import library_names
 
-Tables = dict[str, Any]
-Build = Callable[[object], Problem]
+RAYLEIGH = {"kind": "rayleigh"}
+J_CH = {"variance_threshold_db2": 2.0, "closeness_per_m": 0.1}
 
 
 def there_and_back(problem: Problem) -> Problem:
@@ -110,51 +126,61 @@ def test_moved_coordinate_is_seen() -> None:
     assert there_and_back(replace(problem, robots=(moved,))) != problem
 
 
-@pytest.mark.parametrize(
-    "fading",
-    [
-        {"multipath": {"kind": "rayleigh"}},
-        {"multipath": {"kind": "rician", "m": 3.27}},
-        {"multipath": {"kind": "nakagami", "std_db": 2.6}},
-        {"multipath": {"kind": "lognormal", "k": 10.0}},
-        {"rician_k": 10.0},
-        {},
-    ],
-)
-def test_multipath_of_a_map_survives(tables: Tables, built: Build, fading: Tables) -> None:
-    """Whatever it was given by, the law comes back exactly; a K keeps its old key."""
-    tables["channel"]["truth"] = {"kind": "raster", "file": "a.nc", "floor_db": -130.0, **fading}
+SURVIVE = [
+    (LEARN, {}),
+    (LEARN, HEAVY | {"robots.0.start_velocity_m_s": [0.25, -0.5]}),
+    (LEARN, WHEELS | {"robots.0.start_heading_rad": 2.5, "robots.0.speed_min_m_s": -0.25}),
+    (LEARN, {"robots.0.weights": [2.0], "robots.0.start_spread_m": 1.5}),
+    (TRACK, {"targets.0.packets": "estimates", "targets.0.start_distance_m": 3.0}),
+    (of_terms("connect", {"kind": "until_connected", "weight": 0.5, "beyond_m": 80.0}), {}),
+    (of_terms("custom", OWN | {"weight": -2.0}), CASADI),
+    *((of_terms("map", MAPPING | {"form": form, **J_CH}), {}) for form in ("path", "two_layer")),
+    *(
+        (REACH, {"channel.truth": RASTER | fading})
+        for fading in (
+            {"multipath": {"kind": "rayleigh"}},
+            {"multipath": {"kind": "rician", "m": 3.27}},
+            {"multipath": {"kind": "nakagami", "std_db": 2.6}},
+            {"multipath": {"kind": "lognormal", "k": 10.0}},
+            {"rician_k": 10.0},
+            {},
+        )
+    ),
+    (REACH, {"channel.truth": MODEL | {"multipath": {"kind": "nakagami", "m": 3.27}}}),
+    *(
+        (REACH, {"world.moving": [TIMED | {"position_std_m": 0.1, "probability": 0.95} | motion]})
+        for motion in (
+            {"start_m": [15.0, 8.0], "velocity_m_s": [1.0, -0.5]},
+            {"start_m": [15.0, 8.0], "velocity_m_s": [0.0, 0.0]},
+            {"times_s": [1.0, 2.5], "positions_m": [[15.0, 8.0], [0.1, 0.2]]},
+            {"times_s": [3.0], "positions_m": [[15.0, 8.0]], "velocity_m_s": [0.5, 0.25]},
+        )
+    ),
+    (REACH, {"world.moving": [CART]}),
+]
+
+
+@pytest.mark.parametrize(("base", "changes"), SURVIVE)
+def test_tables_survive_json_exactly(
+    tables: Tables, built: Build, base: Tables, changes: Tables
+) -> None:
+    """Whatever a value was given by, the problem comes back."""
+    set_keys(tables, base)
+    set_keys(tables, changes)
     problem = built(tables)
     assert there_and_back(problem) == problem
-    saved = problem_to_dict(problem)["channel"]["truth"]
-    law = problem.channel.truth.multipath
-    assert ("rician_k" in saved) == (isinstance(law, Rician) and law != Rician(0.0))
 
 
-def test_multipath_of_a_model_survives(tables: Tables, built: Build) -> None:
+def test_a_rician_factor_keeps_its_key(tables: Tables, built: Build) -> None:
+    """Files that have it are saved as they were; other laws have a table."""
+    for fading, has_factor in (({"rician_k": 10.0}, True), ({"multipath": RAYLEIGH}, False)):
+        tables["channel"]["truth"] = RASTER | fading
+        saved = problem_to_dict(built(tables))["channel"]["truth"]
+        assert ("rician_k" in saved) == has_factor
+
+
+def test_a_law_has_a_deviation(tables: Tables, built: Build) -> None:
     """The law in place of its deviation, which it gives."""
-    del tables["channel"]["truth"]["multipath_std_db"]
-    tables["channel"]["truth"]["multipath"] = {"kind": "nakagami", "m": 3.27}
-    problem = built(tables)
-    truth = problem.channel.truth
+    tables["channel"]["truth"] = MODEL | {"multipath": {"kind": "nakagami", "m": 3.27}}
+    truth = built(tables).channel.truth
     assert truth.multipath == Nakagami(3.27) and abs(truth.multipath_std_db - 2.60) < 0.01
-    assert there_and_back(problem) == problem
-
-
-@pytest.mark.parametrize(
-    "motion",
-    [
-        {"start_m": [15.0, 8.0], "velocity_m_s": [1.0, -0.5]},
-        {"start_m": [15.0, 8.0], "velocity_m_s": [0.0, 0.0]},
-        {"times_s": [1.0, 2.5], "positions_m": [[15.0, 8.0], [0.1, 0.2]]},
-        {"times_s": [3.0], "positions_m": [[15.0, 8.0]], "velocity_m_s": [0.5, 0.25]},
-    ],
-)
-def test_what_moves_survives(tables: Tables, built: Build, motion: dict[str, Any]) -> None:
-    """Both ways to give a motion, and all that is not known of it."""
-    cart = {"name": "cart", "radius_m": 1.0, "position_std_m": 0.1, "probability": 0.95, **motion}
-    tables["world"]["moving"] = [cart]
-    tables["constraints"]["separation_m"] = 2.5
-    problem = built(tables)
-    assert problem.workspace.moving[0].probability == 0.95
-    assert there_and_back(problem) == problem

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -35,10 +37,12 @@ def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = N
     )
 
 
-def widest_clearance_m(problem: Problem) -> float | None:
-    """The largest clearance up to the problem's with which a way to the goal is left.
+def widest_clearance_m(
+    problem: Problem, is_over: Callable[[], bool] = lambda: False
+) -> float | None:
+    """Return the largest clearance up to the problem's that leaves a path to the goal.
 
-    None where there is no way at all.
+    Bisection ends early once `is_over`. Return None if there is no path at all.
     """
     if not is_joined(problem, 0.0):
         return None
@@ -46,6 +50,8 @@ def widest_clearance_m(problem: Problem) -> float | None:
     if is_joined(problem, high):
         return high
     for _ in range(BISECTIONS):
+        if is_over():
+            break
         middle = 0.5 * (low + high)
         if is_joined(problem, middle):
             low = middle

@@ -18,6 +18,7 @@ from planopt.planning.explain.faults import Case
 from planopt.planning.explain.keys import Trials, deadline_s
 from planopt.planning.explain.no_way import explain_blocked, explain_no_way, is_open
 from planopt.planning.explain.violated import explain_violated
+from planopt.planning.free_space import is_joined
 from planopt.planning.learn import prepare
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.proof.predictions import connectivity_law
@@ -57,11 +58,12 @@ def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
     if not isinstance(asked, Problem):
         remedy = "give a Problem, or what planopt.solve returned"
         return _explain_solution(part_of("asked", asked, Solution, remedy))
+    ends_s = deadline_s()
     try:
         solution = solve(asked, seed=seed)
     except (NoPlanError, InputError) as error:
         # A blocked path can be explained without measurements as well.
-        found = explain_no_plan(asked, seed)
+        found = explain_no_plan(asked, seed, ends_s)
         if not found and isinstance(error, InputError):
             raise
         return Explanation(found, _summary(Verdict.NONE, found))
@@ -108,13 +110,15 @@ def _planned(
 
 
 @one_blas_thread()
-def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
+def explain_no_plan(
+    problem: Problem, seed: int, ends_s: float | None = None
+) -> tuple[Relaxation, ...]:
     """Return changes that would open a path to the goal of a problem without plan.
 
     With several robots, to the goals of those that have no path if they are alone.
     """
     owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
-    ends_s = deadline_s()
+    ends_s = deadline_s() if ends_s is None else ends_s
     try:
         belief = prepare(problem, seed).belief
     except InputError:
@@ -131,10 +135,13 @@ def explain_no_plan(problem: Problem, seed: int) -> tuple[Relaxation, ...]:
 
 def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Relaxation, ...]:
     """Explain why the only robot of a problem has no path to its goal."""
+    trials = Trials(partial(_planned, belief=belief), ends_s)
+    if not is_joined(problem, problem.constraints.clearance_m):
+        return explain_no_way(problem, trials)
     try:
         scene = build_scene(problem)
     except NoPlanError:
-        return explain_no_way(problem, Trials(partial(_planned, belief=belief), ends_s))
+        return explain_no_way(problem, trials)
     # A chance constraint does not change the ground.
     trials = Trials(partial(_planned, belief=belief, scenes=[scene]), ends_s)
     radio, p_min = problem.stations[0], problem.constraints.p_min

@@ -49,16 +49,17 @@ def is_open(problem: Problem) -> bool:
 
 def explain_no_way(problem: Problem, trials: Trials) -> tuple[Relaxation, ...]:
     """Return changes that would open a path to the goal, each by itself."""
-    if is_joined(problem, problem.constraints.clearance_m):
-        return (*_clearance(problem, trials), *_step(problem, trials))
-    return (*_clearance(problem, trials), *_obstacles(problem, trials))
+    asked_m = problem.constraints.clearance_m
+    if is_joined(problem, asked_m):
+        return (*_clearance(problem, trials, asked_m), *_step(problem, trials))
+    widest_m = widest_clearance_m(problem, lambda: trials.are_over)
+    found = [] if widest_m is None else _clearance(problem, trials, widest_m)
+    return (*found, *_obstacles(problem, trials))
 
 
-def _clearance(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Propose the largest clearance with which a path is found."""
-    widest, key = widest_clearance_m(problem), constraint_key(problem, "clearance_m", "m", 0.0)
-    if widest is None:
-        return []
+def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxation]:
+    """Propose the largest clearance up to the widest with which a path is found."""
+    key = constraint_key(problem, "clearance_m", "m", 0.0)
     low, high = 0.0, rounded(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
     if is_open(key.changed(problem, high)):
         return [_opened(problem, trials, key, high)]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 import pytest
 import shapely
 from scenes import belief_of, small_problem
 
+from planopt import Obstacle, Workspace, explain, load
 from planopt.errors import NoPlanError
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.explain.keys import Trials, deadline_s
@@ -98,3 +100,23 @@ def test_steps_too_long_for_the_lattice():
     assert all(relaxation.verified for relaxation in found.values())
     assert found["constraints.clearance_m"].relaxed_value < 0.5
     assert found["planner.step_s"].relaxed_value < 1.0
+
+
+@pytest.mark.slow
+def test_ten_thousand_obstacles_are_explained_in_time():
+    """Within 10 s of computing time."""
+    problem = load("open_field")
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    ends = np.array([problem.robots[0].start_m, problem.goal_m])
+    x, y = np.meshgrid(np.linspace(x_min, x_max, 101), np.linspace(y_min, y_max, 101))
+    centres = np.column_stack([x.ravel(), y.ravel()])
+    away = np.linalg.norm(centres[:, None] - ends, axis=2).min(axis=1)
+    obstacles = [
+        Obstacle(f"o{number}", shapely.Point(place).buffer(0.2, quad_segs=1))
+        for number, place in enumerate(centres[away > 4.0])
+    ]
+    many = replace(problem, workspace=Workspace(problem.workspace.bounds_m, obstacles))
+    begun = process_time()
+    said = explain(many)
+    assert process_time() - begun < 10.0
+    assert said.summary.startswith("There is no plan")

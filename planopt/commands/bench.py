@@ -15,9 +15,9 @@ from planopt.errors import InputError
 from planopt.files.writing import replaced_results
 
 if TYPE_CHECKING:
+    from planopt.studies.bench.cases import Row
     from planopt.studies.bench.folder import Manifest
     from planopt.studies.bench.references import References
-    from planopt.studies.bench.row import Row
 
 REPORT_FILE, PICTURE_FILE = "report.json", "report.png"
 
@@ -64,9 +64,8 @@ def run(
     json: JsonOption = False,
 ) -> int:
     """Answer every case; run again, it goes on. Exit code 0, or 3 if an answer failed the check."""
-    from planopt.studies.bench.cases import library_cases
+    from planopt.studies.bench.cases import ERROR, library_cases
     from planopt.studies.bench.folder import TABLE, run_into
-    from planopt.studies.bench.row import ERROR
 
     cases = library_cases(
         None if problems is None else listed(problems, "--problems", str),

@@ -94,20 +94,6 @@ def _cells(values: NDArray[Any]) -> list[Any]:
     return ["" if not np.isfinite(value) else value for value in values.tolist()]
 
 
-def table_of_rows(columns: Sequence[Column], rows: Iterable[Sequence[object]]) -> Data:
-    """Return a table of rows; None and empty text where there is no value."""
-    cells = list(zip(*rows, strict=True)) or [() for _ in columns]
-    return {
-        column.name: np.array(
-            [np.nan if cell is None or cell == "" else cell for cell in values]
-            if column.kind == "number"
-            else values,
-            dtype=_DTYPES[column.kind],
-        )
-        for column, values in zip(columns, cells, strict=True)
-    }
-
-
 def read_table(path: Path, columns: Sequence[Column]) -> dict[str, NDArray[Any]]:
     """Read a table of exactly these columns."""
     cells: dict[str, list[Any]] = {column.name: [] for column in columns}

@@ -24,10 +24,9 @@ from planopt.report.style import (
     plain_log_ticks,
 )
 from planopt.report.tables import MISSING, WIDTH, aligned
-from planopt.studies.bench.cases import Question
+from planopt.studies.bench.cases import Question, Row
 from planopt.studies.bench.folder import Manifest
 from planopt.studies.bench.references import OBJECTIVE_SHARE
-from planopt.studies.bench.row import Row
 from planopt.studies.bench.scores import Score, excess, scores, time_profile
 
 if TYPE_CHECKING:

@@ -58,11 +58,6 @@ class TargetPrediction:
         """``(h, 2)`` p_hat_{t+k|t}."""
         return self.mean[:, :2]
 
-    @property
-    def position_covariance_m2(self) -> NDArray[np.float64]:
-        """``(h, 2, 2)``."""
-        return self.covariance[:, :2, :2]
-
 
 def simulate_target(
     model: TargetModel,
@@ -225,11 +220,6 @@ def position_variance_m2(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Trace of P's position block for information matrices ``(..., 4, 4)``; ``(...)``."""
     covariance = covariance_of(matrix)
     return covariance[..., 0, 0] + covariance[..., 1, 1]
-
-
-def time_averaged_variance_m2(matrices: NDArray[np.float64]) -> float:
-    """Mean over time of :func:`position_variance_m2`, J_{t|t} being ``(steps, 4, 4)``."""
-    return float(position_variance_m2(matrices).mean())
 
 
 def _moved(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:

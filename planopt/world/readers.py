@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -56,11 +56,6 @@ def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obst
         return _from_json(path.stem, text)
     except InputError as error:
         raise error.located(path) from error
-
-
-def obstacle_from_ring(name: str, ring: Sequence[Sequence[float]]) -> Obstacle:
-    """Make an obstacle of its corners ``[[x, y], ...]`` in metres, closed or not."""
-    return footprint(name, ring)
 
 
 def obstacle_from_wkt(name: str, text: str) -> Obstacle:

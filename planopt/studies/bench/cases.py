@@ -1,17 +1,41 @@
-"""The cases of the regression suite: problems with seeds, horizons, planners and settings."""
+"""Cases of the regression suite and their rows: each answered, and verified from its files."""
 
 from __future__ import annotations
 
+import hashlib
+import math
+import tempfile
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from time import process_time
+from typing import Any
 
-from planopt.errors import InputError
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.one_thread import one_blas_thread
+from planopt.errors import InputError, NoPlanError
+from planopt.files.typed_json import encoded
+from planopt.planning.check.check import check_motion
+from planopt.planning.drawn_places import with_drawn_starts
+from planopt.planning.files.saved import read_object
+from planopt.planning.initial_data import team_seeds
+from planopt.planning.learn import Prepared, prepare
+from planopt.planning.loop.drive import first_steps, true_world
+from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.scene import Scene, build_scenes
+from planopt.planning.solve import solve_on
+from planopt.planning.team.plan_step import planning
 from planopt.problems.library import list_problems
 from planopt.problems.load import load_motion
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_kind, planner_names
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import MOTION
+from planopt.studies.study import run_key
 
 PLAN, RUN = "plan", "run"
 """Kinds of cases: one plan from the start, or the first steps of a closed loop."""
@@ -27,6 +51,12 @@ RUN_PLANNER = "auto"
 
 COSTS_TO_GO = ("connected", "geodesic")
 """Settings of problems with a goal."""
+
+PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
+"""Outcomes of cases."""
+
+RUN_STEPS = 20
+"""Steps of a closed loop that are planned."""
 
 
 @dataclass(frozen=True, order=True)
@@ -135,3 +165,201 @@ def _allows(problem: Problem, planner: str) -> bool:
         return False
     single = all(robot.dynamics is None for robot in problem.robots)
     return single or kind.has_dynamics
+
+
+@dataclass(frozen=True)
+class Row:
+    """One answered case. Of several robots: sums, or the worst."""
+
+    problem: str  # The case
+    kind: str
+    cost_to_go: str
+    horizon: int
+    seed: int
+    planner: str
+    sense: str  # max or min: whether more or less of the objective is better
+    # Of a plan its objective, of a run the mean over its plans; None without a value
+    objective: float | None = None
+    # As the planner says; of a run the worst, and how often each fallback released a step
+    verdict: str = Verdict.NONE.value
+    termination: str = ""
+    rungs: dict[str, int] = field(default_factory=dict[str, int])
+    outcome: str = ""  # planned, no_plan or error
+    # Whether planopt check agrees, from the files alone; None where there is nothing to judge
+    accepted: bool | None = None
+    reasons: tuple[str, ...] = ()  # Objections of the check, or the error
+    iterations: int = 0  # Of the solver, its time, and the time of planning
+    solve_s: float = 0.0
+    wall_s: float = 0.0
+    # Processor time of the case, without drawing the channel, fitting it and building the scene
+    cpu_s: float = 0.0
+    steps: int = 0  # Plans that were made, one a step and robot
+    path_digest: str = ""  # Of all places, to the millimetre: the same digest is the same path
+    kkt_residual: float | None = None  # Of the certificate; of a run None
+    min_clearance_m: float | None = None
+    min_connectivity: float | None = None
+    states: States = ()  # Of a run: where its robots were after each step
+
+    @property
+    def question(self) -> Question:
+        """Return what was asked."""
+        return Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
+
+    @property
+    def case(self) -> Case:
+        """Return the question, and of which planner it was asked."""
+        return Case(self.question, self.planner, self.states)
+
+
+@dataclass(frozen=True)
+class Start:
+    """The first belief, and scenes with goals, of all cases of one problem and seed."""
+
+    prepared: Prepared
+    scenes: tuple[Scene, ...] | None
+    no_plan: str = ""
+
+
+def start_of(case: Case) -> Start:
+    """Draw the channel, fit it and build the scene for the cases of one problem and seed."""
+    problem = problem_of(case)
+    prepared = prepare(problem, case.question.seed)
+    try:
+        return Start(prepared, build_scenes(problem))
+    except NoPlanError as error:
+        return Start(prepared, None, str(error))
+
+
+def key_of(case: Case) -> dict[str, Any]:
+    """Return all that decides a row."""
+    return {
+        **run_key(problem_of(case), case.question.seed),
+        "planner_version": planner_kind(case.planner).version,
+        "kind": case.question.kind,
+        "name": case.question.problem,
+        "states": encoded(case.states),
+    }
+
+
+@one_blas_thread()
+def answer(case: Case, start: Start) -> Row:
+    """Answer a case and judge the answer from its files.
+
+    A planner that fails with an error of any kind makes a row that says so: a suite of a thousand
+    cases does not end at one of them.
+    """
+    problem = problem_of(case)
+    nothing = _nothing(case, problem)
+    if start.no_plan:
+        return replace(nothing, outcome=NO_PLAN, reasons=(start.no_plan,))
+    begun = process_time()
+    try:
+        if case.question.kind == RUN:
+            return _run_row(problem, nothing, start, case.states)
+        return _plan_row(problem, nothing, start)
+    except NoPlanError as error:
+        outcome, words = NO_PLAN, str(error)
+    except Exception as error:
+        outcome, words = ERROR, f"{type(error).__name__}: {error}"
+    return replace(nothing, outcome=outcome, reasons=(words,), cpu_s=process_time() - begun)
+
+
+def _nothing(case: Case, problem: Problem) -> Row:
+    """Return the row of a case without an answer."""
+    no_path = "" if case.question.kind == RUN else Termination.NO_PATH.value
+    question = asdict(case.question)
+    return Row(**question, planner=case.planner, sense=problem.sense, termination=no_path)
+
+
+def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
+    begun = process_time()
+    solution = solve_on(problem, start.prepared.belief, nothing.seed, start.scenes)
+    cpu_s = process_time() - begun
+    plans = solution.plans
+    with tempfile.TemporaryDirectory() as folder:
+        solution.save(Path(folder))
+        accepted, reasons = _judged(Path(folder))
+    residuals = [c.kkt_residual for c in _certificates(plans) if c.kkt_residual is not None]
+    return replace(
+        nothing,
+        **_totals(plans),
+        objective=_finite(sum(plan.objective for plan in plans)),
+        verdict=solution.verdict.value,
+        termination=_worst(Termination, (plan.termination.value for plan in plans)),
+        outcome=PLANNED,
+        accepted=accepted,
+        reasons=reasons,
+        cpu_s=cpu_s,
+        path_digest=_digest(plan.positions_m for plan in plans),
+        kkt_residual=max(residuals, default=None),
+        min_clearance_m=_finite(min(c.min_clearance_m for c in _certificates(plans))),
+        min_connectivity=_finite(min(c.min_connectivity for c in _certificates(plans))),
+    )
+
+
+def _run_row(problem: Problem, nothing: Row, start: Start, recorded: States) -> Row:
+    begun = process_time()
+    problem = with_drawn_starts(problem, nothing.seed)
+    seeds = team_seeds(problem, nothing.seed)
+    scenes = start.scenes if problem.task == "reach" else None
+    steps, states = first_steps(
+        problem,
+        start.prepared.belief,
+        true_world(problem, start.prepared.truths, list),
+        planning(problem, scenes, seeds),
+        watch_target(problem, seeds.target),
+        seeds.target,
+        RUN_STEPS,
+        recorded,
+    )
+    cpu_s = process_time() - begun
+    plans = [plan for each in steps for plan in each]
+    found = (plan.objective for plan in plans)
+    return replace(
+        nothing,
+        **_totals(plans),
+        objective=_finite(sum(found) / len(plans)) if plans else None,
+        verdict=_worst(Verdict, (plan.verdict.value for plan in plans)),
+        outcome=PLANNED,
+        cpu_s=cpu_s,
+        path_digest=_digest(plan.positions_m for plan in plans),
+        states=recorded or tuple(tuple(tuple(s.tolist()) for s in each) for each in states),
+    )
+
+
+def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
+    """Return the entries of a row that are sums over plans."""
+    return {
+        "rungs": dict(Counter(plan.rung.value for plan in plans)),
+        "iterations": sum(plan.iterations for plan in plans),
+        "solve_s": float(sum(plan.solve_s for plan in plans)),
+        "wall_s": float(sum(plan.wall_s for plan in plans)),
+        "steps": len(plans),
+    }
+
+
+def _judged(folder: Path) -> tuple[bool, tuple[str, ...]]:
+    """Judge a saved plan or run; whether the check agrees, and its objections."""
+    result = check_motion(*read_object(folder))
+    return result.verdict is Verdict.VERIFIED, result.reasons
+
+
+def _certificates(plans: Iterable[Plan]) -> list[Any]:
+    return [plan.certificate for plan in plans]
+
+
+def _worst(labels: type[Verdict] | type[Termination] | type[Rung], named: Iterable[str]) -> str:
+    """Return the worst label: each kind names its members from good to bad."""
+    order = [label.value for label in labels]
+    return max(named, key=order.index, default=order[-1])
+
+
+def _digest(paths_m: Iterable[NDArray[np.float64]]) -> str:
+    """Return a digest of paths to the millimetre."""
+    # Adding zero makes one of the two zeros that rounding has.
+    rounded = b"".join((np.round(path_m, 3) + 0.0).astype("<f8").tobytes() for path_m in paths_m)
+    return hashlib.sha256(rounded).hexdigest()[:16]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

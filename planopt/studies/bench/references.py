@@ -20,8 +20,7 @@ from planopt.files.writing import write_text
 from planopt.planning.plan import Verdict
 from planopt.problems.library import library_folder
 from planopt.problems.load import load_motion
-from planopt.studies.bench.cases import PLAN, RUN, Case, Question, States, library_names
-from planopt.studies.bench.row import Row
+from planopt.studies.bench.cases import PLAN, RUN, Case, Question, Row, States, library_names
 
 OBJECTIVE_SHARE = 0.01
 """An objective is worse than another if it is by more than this share of it."""
@@ -54,7 +53,7 @@ class Reference:
     horizon: int
     seed: int
     planner: str
-    sense: str  # As of :class:`planopt.studies.bench.row.Row`
+    sense: str  # As of :class:`planopt.studies.bench.cases.Row`
     objective: float | None
     verdict: str
     outcome: str

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.studies.bench.cases import Question
+from planopt.studies.bench.cases import ERROR, NO_PLAN, Question, Row
 from planopt.studies.bench.references import OBJECTIVE_SHARE, worse_share
-from planopt.studies.bench.row import ERROR, NO_PLAN, Row
 
 SHIFT_S = 0.01
 """Shift of the geometric mean of times: differences far below a hundredth of a second are none."""

@@ -24,7 +24,7 @@ from planopt.planning.plan import Rung, Termination
 from planopt.problems.library import find_problem
 from planopt.problems.planner_kinds import PlannerKind, register_planner, unregister_planner
 from planopt.studies import study
-from planopt.studies.bench import row
+from planopt.studies.bench import cases
 from planopt.studies.bench.references import read_references, write_references
 
 CHECK = ["bench", "check", "--problems"]
@@ -50,13 +50,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def answered(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Planners of the cases that are answered in this process, not taken from the record."""
     seen: list[str] = []
-    original = row._plan_row
+    original = cases._plan_row
 
     def counted(problem, nothing, start):
         seen.append(nothing.planner)
         return original(problem, nothing, start)
 
-    monkeypatch.setattr(row, "_plan_row", counted)
+    monkeypatch.setattr(cases, "_plan_row", counted)
     return seen
 
 
@@ -207,14 +207,14 @@ def test_slightly_worse_closed_loop_is_seen(name: str, monkeypatch, tmp_path, ca
     known = {c: r for c, r in read_references().items() if r.problem == name and r.kind == "run"}
     file = tmp_path / "references.json"
     write_references(known, file)
-    original = row.problem_of
+    original = cases.problem_of
 
     def slower(case):
         problem = original(case)
         robots = [replace(one, speed_max_m_s=0.97 * one.speed_max_m_s) for one in problem.robots]
         return replace(problem, robots=tuple(robots))
 
-    monkeypatch.setattr(row, "problem_of", slower)
+    monkeypatch.setattr(cases, "problem_of", slower)
     assert main([*CHECK, name, "--workers", "1", "--references", str(file)]) == 1
     assert f"worse: {name}, run" in capsys.readouterr().out
 
@@ -243,14 +243,15 @@ def test_check_fails_in_words(share: Path, change, words: str, capsys) -> None:
 
 def test_a_rejected_plan_and_an_error_fail(share: Path, monkeypatch, capsys) -> None:
     """A check that objects is a regression; so is a planner that raises, and the rest goes on."""
-    monkeypatch.setattr(row, "check", lambda _: SimpleNamespace(verdict=None, reasons=("forged",)))
+    forged = SimpleNamespace(verdict=None, reasons=("forged",))
+    monkeypatch.setattr(cases, "check_motion", lambda *_: forged)
     assert checked(share) == 1
     assert "the check from its files rejects it (forged)" in capsys.readouterr().out
 
     def broken(*_):
         raise ZeroDivisionError("no")
 
-    monkeypatch.setattr(row, "solve_on", broken)
+    monkeypatch.setattr(cases, "solve_on", broken)
     assert checked(share) == 1
     assert "outcome error, was planned (ZeroDivisionError: no)" in capsys.readouterr().out
 

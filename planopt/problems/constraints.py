@@ -228,22 +228,13 @@ class Constraints(Part):
                         f'has {key}, which goes only with connectivity = "{other.kind}": leave it '
                         "out, or write that connectivity"
                     )
-        if not self.asks_connection and (form != "each_step" or rule.connected_times_s):
+        if not self.asks_connection and not rule.every_step:
             return (
                 f'needs p_min above 0 for connectivity = "{form}": write p_min = 0.9, for instance'
             )
-        if form == "outage" and (rule.outage_max_m is None) == (rule.outage_max_s is None):
-            return (
-                'needs one of outage_max_m and outage_max_s for connectivity = "outage": write '
-                "outage_max_s = 10.0, for instance"
-            )
-        if form == "data":
-            for key in rule.kind.keys:
-                if key not in given:
-                    return (
-                        f'needs {key} for connectivity = "{form}": write {key} = 100.0, for '
-                        "instance"
-                    )
+        missing = rule.kind.keys_fault(given)
+        if missing is not None:
+            return f"needs {missing}, for instance"
         return self._fault_of_slack() or self._fault_of_uncertainty()
 
     def _fault_of_slack(self) -> str | None:

@@ -65,9 +65,9 @@ MUTANTS = (
         "law.probability(self.positions_m[1:], 0)",
     ),
     (POWER, "serving_power_dbm(np.stack(drawn)", "serving_power_dbm(np.stack(drawn[:1])"),
-    (JOINT, "threshold - slack_db).sum", "threshold + slack_db).sum"),
-    (JOINT, "least_dbm >=", "least_dbm <"),
-    (JOINT, "SEED).min(axis=1)", "SEED).max(axis=1)"),
+    (DRAWS, "threshold - slack_db).sum", "threshold + slack_db).sum"),
+    (DRAWS, "drawn_dbm >= threshold", "drawn_dbm < threshold"),
+    (JOINT, "connected.all(axis=1)", "connected.any(axis=1)"),
     (POWER, "[seed, number] if number else seed", "seed"),
 )
 

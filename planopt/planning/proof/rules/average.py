@@ -9,7 +9,6 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.rule import Rule, connected_share
 from planopt.problems.problem import Problem
@@ -21,6 +20,7 @@ class Average(Rule):
 
     kind: ClassVar[str] = "average"
     method: ClassVar[str] = "mean"
+    subject: ClassVar[str] = "the share of steps connected on average"
 
     def achieved(
         self, probability: NDArray[np.float64], history: History
@@ -28,10 +28,6 @@ class Average(Rule):
         """Return the expected share."""
         steps = history.steps + probability.shape[-1]
         return (history.connected_steps + probability.sum(axis=-1)) / steps
-
-    def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Name the share."""
-        return "the share of steps connected on average", "constraints.p_min"
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History, data_of_steps_mbit
-from planopt.planning.proof.rules.path_draws import (
-    DRAWN,
-    DRAWS,
-    SEED,
-    require_shown,
-    share_at_least,
-)
+from planopt.planning.proof.rules.path_draws import DRAWN, drawn_by_slack, require_shown
 from planopt.planning.proof.rules.rule import ROUNDING, BySlack, PathCase, Rule
 from planopt.problems.problem import Problem
 
@@ -38,6 +32,14 @@ class Data(Rule):
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Data:
         """Return the rule of a problem."""
         return cls(problem)
+
+    @classmethod
+    def keys_fault(cls, given: Collection[str]) -> str | None:
+        """Require all keys."""
+        for key in cls.keys:
+            if key not in given:
+                return f'{key} for connectivity = "data": write {key} = 100.0'
+        return None
 
     @classmethod
     def check(cls, problem: Problem) -> None:
@@ -82,20 +84,18 @@ class Data(Rule):
 
     def by_slack(self, case: PathCase) -> BySlack:
         """Return the expectation; or a lower bound of the probability, by correlated samples."""
-        station, p_min = case.problem.stations[0], case.problem.constraints.p_min
+        p_min = case.problem.constraints.p_min
         if p_min == 0.0:
             return super().by_slack(case)
-        drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, SEED)
-        needed = self.pace_mbit(case.history, drawn_dbm.shape[1])
-
-        def result(slack_db: float) -> RuleResult:
-            connected = (drawn_dbm >= station.threshold_dbm - slack_db).astype(np.float64)
-            # A sum of whole steps may miss its own value by rounding.
-            enough = self.valued(connected, case.history) >= needed * (1.0 - ROUNDING)
-            achieved = 1.0 if needed == 0.0 else share_at_least(int(enough.sum()), len(enough))
-            return RuleResult(self.kind, achieved, p_min, "probability", DRAWN)
-
-        return result
+        # A sum of whole steps may miss its own value by rounding.
+        needed = self.pace_mbit(case.history, len(case.positions_m) - 1) * (1.0 - ROUNDING)
+        if needed == 0.0:
+            return lambda slack_db: RuleResult(self.kind, 1.0, p_min, "probability", DRAWN)
+        return drawn_by_slack(
+            self,
+            case,
+            lambda connected: self.valued(connected.astype(np.float64), case.history) >= needed,
+        )
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Name the expectation or the probability."""

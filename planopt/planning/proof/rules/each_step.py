@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.rule import BySlack, PathCase, Rule, connected_share
 from planopt.problems.problem import Problem
@@ -75,10 +74,6 @@ class EachStep(Rule):
         return self.counted(history, len(keeps))
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Steps are judged by :mod:`planopt.planning.proof.single_steps`."""
-        raise AssertionError("a rule on single steps")
-
-    def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Steps are judged by :mod:`planopt.planning.proof.single_steps`."""
         raise AssertionError("a rule on single steps")
 

@@ -13,11 +13,9 @@ from planopt.channel.joint import JointPrediction
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.path_draws import (
-    DRAWN,
-    DRAWS,
+    drawn_by_slack,
     path_prediction,
     require_shown,
-    share_at_least,
 )
 from planopt.planning.proof.rules.rule import BySlack, PathCase, Rule
 from planopt.problems.problem import Problem
@@ -37,6 +35,7 @@ class Joint(Rule):
     """The probability that all steps are connected (equation 5.2) is at least p_min."""
 
     kind: ClassVar[str] = "joint"
+    subject: ClassVar[str] = "the probability that all steps of the plan are connected"
 
     @classmethod
     def check(cls, problem: Problem) -> None:
@@ -65,19 +64,7 @@ class Joint(Rule):
         if len(case.context.posteriors) == 1:
             prediction = path_prediction(case.context.posterior, path_m)
             return lambda slack_db: joint_result(prediction, threshold - slack_db, p_min)
-        least_dbm = case.context.law.sample(path_m, DRAWS, SEED).min(axis=1)
-
-        def drawn(slack_db: float) -> RuleResult:
-            kept = int((least_dbm >= threshold - slack_db).sum())
-            return RuleResult(
-                self.kind, share_at_least(kept, len(least_dbm)), p_min, self.unit, DRAWN
-            )
-
-        return drawn
-
-    def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Name the probability."""
-        return "the probability that all steps of the plan are connected", "constraints.p_min"
+        return drawn_by_slack(self, case, lambda connected: connected.all(axis=1))
 
 
 def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -22,6 +22,7 @@ class Outage(Rule):
 
     kind: ClassVar[str] = "outage"
     method: ClassVar[str] = "steps below p_min in a row"
+    subject: ClassVar[str] = "the longest outage"
     keys: ClassVar[tuple[str, ...]] = ("outage_max_m", "outage_max_s")
     holds_steps: ClassVar[bool] = True
     greatest: ClassVar[bool] = True
@@ -39,6 +40,14 @@ class Outage(Rule):
             return cls(constraints.p_min, legs_m, rule.outage_max_m)
         sizes = np.full(legs_m.shape, step_s)
         return cls(constraints.p_min, sizes, rule.outage_max_s or 0.0, step_s)
+
+    @classmethod
+    def keys_fault(cls, given: Collection[str]) -> str | None:
+        """Require one of the two keys."""
+        if len(set(cls.keys).intersection(given)) == 1:
+            return None
+        both = " and ".join(cls.keys)
+        return f'one of {both} for connectivity = "outage": write outage_max_s = 10.0'
 
     def _begun(self, history: History) -> float:
         return history.outage_m if self.step_s is None else history.outage_steps * self.step_s
@@ -68,8 +77,8 @@ class Outage(Rule):
         return held
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Name the longest outage."""
-        return "the longest outage", f"constraints.outage_max_{result.unit}"
+        """Name the limit in its unit."""
+        return self.subject, f"constraints.outage_max_{result.unit}"
 
     def by_slack(self, case: PathCase) -> BySlack:
         """Return the longest outage in its unit."""

@@ -146,5 +146,5 @@ class OwnRule(Rule):
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Name the rule."""
-        key = "constraints.p_min" if self.asks_p_min else "the rule"
+        key = self.bound_key if self.asks_p_min else "the rule"
         return f"what constraints.connectivity {self.kind!r} counts", key

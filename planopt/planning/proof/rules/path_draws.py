@@ -6,6 +6,8 @@ channels are drawn, each by itself, as many each time and from the same seeds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
@@ -13,6 +15,8 @@ from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableTyp
 from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.errors import InputError
+from planopt.planning.certificate import RuleResult
+from planopt.planning.proof.rules.rule import BySlack, PathCase, Rule
 from planopt.problems.problem import Problem
 
 DRAWS, SEED = 10_000, 0
@@ -54,3 +58,20 @@ def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) ->
     of less data.
     """
     return joint_prediction(factored_near(posterior, path_m), path_m)
+
+
+def drawn_by_slack(
+    rule: Rule,
+    case: PathCase,
+    is_kept: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],  # (n, N) connected to (n,)
+) -> BySlack:
+    """Return a lower bound of the probability that the rule is kept, by drawn channels."""
+    drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, SEED)
+    threshold, p_min = case.problem.stations[0].threshold_dbm, case.problem.constraints.p_min
+
+    def result(slack_db: float) -> RuleResult:
+        kept = int(is_kept(drawn_dbm >= threshold - slack_db).sum())
+        achieved = share_at_least(kept, len(drawn_dbm))
+        return RuleResult(rule.kind, achieved, p_min, "probability", DRAWN)
+
+    return result

@@ -8,7 +8,7 @@ slopes.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -81,11 +81,18 @@ class Rule(ABC):
         False  # Whether results have the negative value, which is bounded above
     )
     asks_p_min: ClassVar[bool] = True  # Whether nothing is required where p_min is 0
+    subject: ClassVar[str] = ""  # The value in words, for messages
+    bound_key: ClassVar[str] = "constraints.p_min"  # The key that requires more, for messages
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Rule:
         """Return the problem's rule for steps of these lengths ``(..., N)``."""
         return cls(**dict(problem.constraints.rule.settings))
+
+    @classmethod
+    def keys_fault(cls, given: Collection[str]) -> str | None:
+        """Return why keys given in the table [constraints] do not suffice; None if they do."""
+        return None
 
     @classmethod
     def check(cls, problem: Problem) -> None:
@@ -148,9 +155,9 @@ class Rule(ABC):
 
         return result
 
-    @abstractmethod
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Return the value that is too small in words, and the key that requires more."""
+        return self.subject, self.bound_key
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]

@@ -36,6 +36,9 @@ searches from 40 starts on one map were within a tenth of the best; as tries tha
 the robot is, D / P + L (1 - P) / P with the whole decorrelation distance, they drove a tenth
 farther."""
 
+LEAST_VARIANCE_DB2 = 1e-12
+"""Of a place whose power is known exactly."""
+
 LEAST_SCORE = -5.0
 """A place that misses connection with a smaller chance than Q(5), 3e-7, counts as one with that."""
 
@@ -44,45 +47,35 @@ LEAST_SCORE = -5.0
 class Search:
     """A search for connection."""
 
-    start_m: tuple[float, float]  # Where the robot stands
-    threshold_dbm: float  # Power from which on a place is connected
-    # What :func:`charged_distance_m` adds for a path that ends without connection
-    beyond_m: float = 0.0
-    # Longest step, for what :func:`counted_legs_m` charges of waiting; None where it is free
+    start_m: tuple[float, float]  # Where the robot is
+    thresholds_dbm: tuple[float, ...]  # Power from which on a place is connected to each station
+    beyond_m: float = 0.0  # Metres added for a path that ends without connection
+    # Longest step, for what :func:`counted_legs_m` adds for waiting; None where it is free
     step_m: float | None = None
-    further_thresholds_dbm: tuple[float, ...] = ()  # The same of further stations
-
-    @property
-    def thresholds_dbm(self) -> tuple[float, ...]:
-        """Return the threshold of each station."""
-        return (self.threshold_dbm, *self.further_thresholds_dbm)
 
 
 def charged_distance_m(
-    posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],
+    posteriors: Sequence[ChannelPosterior],
+    path_m: NDArray[np.float64],  # (h, 2)
     settings: Search,
-    further: Sequence[ChannelPosterior] = (),
-    tried: NDArray[np.bool_] | None = None,  # (h,)
+    tried: NDArray[np.bool_] | None = None,  # (h,) which places are probed; None: all
 ) -> float:
-    """E[D] + beyond_m P(not connected at q_1 .. q_h): what a plan that has to stop at h is charged.
+    """Return E[D] + beyond_m P(not connected at q_1 .. q_h), by the exact posteriors.
 
     E[D] alone is least for a robot that stands still, so that legs are those of
-    :func:`counted_legs_m`. By filtering, from all measurements. Stations are independent: the
-    probabilities of no connection to each of them multiply.
+    :func:`counted_legs_m`. Stations are independent: the probabilities of no connection to each of
+    them multiply.
     """
-    whole = _whole(path_m, settings)
-    tries = np.ones(len(path_m), dtype=np.bool_) if tried is None else tried
-    places = whole[1:][tries]
-    failing = np.ones(len(places) + 1)
-    for station, threshold in zip((posterior, *further), settings.thresholds_dbm, strict=True):
-        if len(places):
-            power = joint_prediction(factored_near(station, places), places)
-            above = (power.mean_db - threshold)[None]
-            failing[1:] *= filtered_failing(above, power.covariance_db2[None])[0]
-    after = failing[np.concatenate([[0], np.cumsum(tries)])]
-    legs = counted_legs_m(leg_lengths_m(whole), settings.step_m)
-    return float(legs @ after[:-1] + settings.beyond_m * after[-1])
+    places = require_places(path_m)
+    missing_db = 0.0 if tried is None else np.where(tried, 0.0, NOT_TRIED_DB)
+    powers = [joint_prediction(factored_near(each, places), places) for each in posteriors]
+    stations = [
+        ((power.mean_db - threshold - missing_db)[None], power.covariance_db2[None])
+        for power, threshold in zip(powers, settings.thresholds_dbm, strict=True)
+    ]
+    legs = leg_lengths_m(np.vstack([np.asarray(settings.start_m), places]))
+    counted = counted_legs_m(legs, settings.step_m)
+    return float(charged_distances_m(stations, counted[None], settings.beyond_m)[0])
 
 
 def counted_legs_m(legs_m: NDArray[np.float64], step_m: float | None) -> NDArray[np.float64]:
@@ -114,7 +107,7 @@ def filtered_failing(
     mean, covariance = above_db.copy(), covariance_db2.copy()
     below = np.empty_like(mean)
     for k in range(int(mean.shape[1])):
-        variance = covariance[:, k, k]
+        variance = np.maximum(covariance[:, k, k], LEAST_VARIANCE_DB2)
         deviation = np.sqrt(variance)
         score = np.maximum(-mean[:, k] / deviation, LEAST_SCORE)
         below[:, k] = score_probability(score)
@@ -141,8 +134,3 @@ def search_length_m(
     # Shapes: distance_m, chance (k,).
     odds_against = (1.0 - chance) / np.maximum(chance, LEAST_CHANCE)
     return distance_m + TRY_SHARE * decorrelation_m * odds_against
-
-
-def _whole(path_m: NDArray[np.float64], settings: Search) -> NDArray[np.float64]:
-    """The path with its start in front; ``(h + 1, 2)``."""
-    return np.vstack([np.asarray(settings.start_m, dtype=np.float64), require_places(path_m)])

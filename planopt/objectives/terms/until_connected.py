@@ -56,10 +56,9 @@ class UntilConnectedTerm(Term):
         x, y = at.position_m
         return Search(
             (float(x), float(y)),
-            at.thresholds_dbm[0],
+            at.thresholds_dbm,
             beyond_m=at.once((UntilConnectedTerm, "after", self), lambda: self._after_try_m(at)),
             step_m=at.step_length_m,
-            further_thresholds_dbm=at.thresholds_dbm[1:],
         )
 
     def _after_try_m(self, at: TermContext) -> float:
@@ -102,9 +101,7 @@ class UntilConnectedTerm(Term):
         def charged_m() -> float:
             beyond = float(self.charged_beyond_m(at, path_m[-1:])[0])
             settings = replace(self.search(at), beyond_m=beyond)
-            return charged_distance_m(
-                at.stations[0], path_m, settings, at.stations[1:], at.tries.takes(path_m)
-            )
+            return charged_distance_m(at.stations, path_m, settings, at.tries.takes(path_m))
 
         return -at.once((UntilConnectedTerm, "charged", self, path_m.tobytes()), charged_m)
 

@@ -151,7 +151,7 @@ def test_a_plan_is_charged_the_way_that_is_left():
     search = min(search, whole + np.hypot(40.0, 40.0))
     after = search - legs.sum()
     expected = charged_distance_m(
-        situation.posterior, path, replace(term.search(situation), beyond_m=after)
+        situation.posteriors, path, replace(term.search(situation), beyond_m=after)
     )
     assert ObjectiveValue(situation)(path) == pytest.approx(-expected, rel=1e-6)
     still = np.tile(situation.position_m, (3, 1))

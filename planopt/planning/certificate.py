@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,12 +58,6 @@ class RuleResult:
             f"connectivity ({self.connectivity.replace('_', ' ')}): {self.achieved:.4g}{unit}, "
             f"{self.asked:.4g}{unit} asked ({self.method}); slack {self.slack_db:.2f} dB"
         )
-
-
-def worst_result(results: Iterable[RuleResult | None]) -> RuleResult | None:
-    """The one with the most slack, or the least to spare; None where there is none."""
-    there = [result for result in results if result is not None]
-    return max(there, key=lambda result: (result.slack_db, result.missing), default=None)
 
 
 @dataclass(frozen=True)
@@ -232,26 +225,47 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
     return Excused(step, missed_db, "none" if proof.reasons or priced else "slack")
 
 
-class Costs(TypedDict):
-    """The costs in a certificate, by its attributes."""
+def worst_of(certificates: Sequence[Certificate]) -> Certificate:
+    """Return the worst of certificates in each respect, without the steps that miss the bound.
 
-    path_cost_m: float | None
-    best_cost_m: float | None
-    step_cost_m: float | None
-    step_excess_m: float | None
-
-
-def dearest(proofs: Iterable[Certificate]) -> Costs:
-    """Return what the plans cost that cost most beyond the cheapest: on the whole, in the step."""
-    each = list(proofs)
-    ways = [
-        (one.excess_m, one.path_cost_m, one.best_cost_m) for one in each if one.excess_m is not None
+    The costs are those of the plan, and of the step, that cost most beyond the cheapest.
+    """
+    paths = [
+        (one.excess_m, one.path_cost_m, one.best_cost_m)
+        for one in certificates
+        if one.excess_m is not None
     ]
     steps = [
         (one.step_excess_m, one.step_cost_m)
-        for one in each
+        for one in certificates
         if one.step_excess_m is not None and one.step_cost_m is not None
     ]
-    _, path_m, best_m = max(ways, default=(None, None, None))
+    _, path_m, best_m = max(paths, default=(None, None, None))
     excess_m, step_m = max(steps, default=(None, None))
-    return Costs(path_cost_m=path_m, best_cost_m=best_m, step_cost_m=step_m, step_excess_m=excess_m)
+    return Certificate(
+        min_clearance_m=min(one.min_clearance_m for one in certificates),
+        min_connectivity=min(one.min_connectivity for one in certificates),
+        dynamics_defect=max(one.dynamics_defect for one in certificates),
+        kkt_residual=_extreme(max, (one.kkt_residual for one in certificates)),
+        posterior=max((one.posterior for one in certificates), key=lambda kind: kind != "exact"),
+        path_cost_m=path_m,
+        best_cost_m=best_m,
+        step_cost_m=step_m,
+        step_excess_m=excess_m,
+        reasons=tuple(reason for one in certificates for reason in one.reasons),
+        min_separation_m=_extreme(min, (one.min_separation_m for one in certificates)),
+        min_moving_clearance_m=_extreme(min, (one.min_moving_clearance_m for one in certificates)),
+        rule=max(
+            (one.rule for one in certificates if one.rule is not None),
+            key=lambda rule: (rule.slack_db, rule.missing),
+            default=None,
+        ),
+    )
+
+
+def _extreme(
+    least_or_most: Callable[[list[float]], float], values: Iterable[float | None]
+) -> float | None:
+    """Return the extreme of the numbers that there are; None if there is none."""
+    numbers = [value for value in values if value is not None]
+    return least_or_most(numbers) if numbers else None

@@ -10,9 +10,9 @@ import numpy as np
 from planopt.planning.certificate import (
     MOST_EXCUSED,
     Certificate,
-    dearest,
     excused_in_words,
     excused_steps,
+    worst_of,
 )
 from planopt.planning.team.reservations import worst_of_robots
 
@@ -66,8 +66,8 @@ def test_ways_that_the_verifier_cannot_compare_excuse_nothing():
         assert lost.excess_m is None
         assert said([lost])[0].endswith("nothing excuses it")
         json.dumps([asdict(one) for one in excused_steps([lost])], allow_nan=False)
-        costs = dearest([lost, PRICED])
-        assert (costs["path_cost_m"], costs["best_cost_m"]) == (8.0, 7.5)
+        worst = worst_of([lost, PRICED])
+        assert (worst.path_cost_m, worst.best_cost_m) == (8.0, 7.5)
 
 
 def test_steps_have_their_numbers_and_a_reason():
@@ -84,11 +84,11 @@ def test_steps_have_their_numbers_and_a_reason():
 
 def test_merged_certificates_keep_the_dearest():
     """The plan that is most above the cheapest, and the step that cost most too much."""
-    steps = {"step_cost_m": 6.0, "step_excess_m": 5.0}
-    cheap = replace(PRICED, path_cost_m=90.0, best_cost_m=89.9, **steps)
-    assert dearest([PROOF, PRICED, cheap]) == {
-        "path_cost_m": 8.0, "best_cost_m": 7.5, **steps
-    }  # fmt: skip
-    assert set(dearest([PROOF, FAR]).values()) == {None}
+    cheap = replace(PRICED, path_cost_m=90.0, best_cost_m=89.9, step_cost_m=6.0, step_excess_m=5.0)
+    worst = worst_of([PROOF, PRICED, cheap])
+    assert (worst.path_cost_m, worst.best_cost_m) == (8.0, 7.5)
+    assert (worst.step_cost_m, worst.step_excess_m) == (6.0, 5.0)
+    worst = worst_of([PROOF, FAR])
+    assert (worst.path_cost_m, worst.step_cost_m, worst.step_excess_m) == (None, None, None)
     merged = worst_of_robots({"a": cheap, "b": PRICED})
     assert (merged.path_cost_m, merged.best_cost_m, merged.step_excess_m) == (8.0, 7.5, 5.0)

@@ -781,7 +781,7 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "[STANDING] if _gets_nowhere(",
         "[STANDING] if False and _gets_nowhere(",
     ),
-    "compared with nothing": (VERIFY, "not steps.is_compared else", "False else"),
+    "compared with nothing": (VERIFY, "not is_compared else", "False else"),
     "standing anywhere": (VERIFY, "or is_at_goal(problem, positions_m[0])", ""),
     "standing in a step": (VERIFY, "(track - track[0]).max() <=", "(track - track[0]).min() <="),
     "verdict turned round": (

@@ -11,7 +11,7 @@ library's problem of that name is a remark, no reason to reject.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import DIGEST, differences, digest, in_words
 from planopt.files.tables import REMEDY, comparable
-from planopt.planning.certificate import Certificate, dearest, worst_result
+from planopt.planning.certificate import Certificate, worst_of
 from planopt.planning.check.replay import plan_reasons, replayed, start_of
 from planopt.planning.check.replay_belief import belief_reasons
 from planopt.planning.drawn_places import with_drawn_starts
@@ -39,7 +39,7 @@ from planopt.planning.files.saved import (
 )
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.results import Run, Solution
-from planopt.planning.team.reservations import least_of, worst_of_robots
+from planopt.planning.team.reservations import worst_of_robots
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load_motion
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
@@ -189,26 +189,17 @@ def _no_plan_reasons(saved: Saved) -> list[str]:
 
 def _worst(certificates: Sequence[Certificate]) -> Certificate:
     """The worst of a run's certificates in each respect."""
-    residuals = [c.kkt_residual for c in certificates if c.kkt_residual is not None]
     missed = [
         (step, certificate)
         for step, certificate in enumerate(certificates, start=1)
         if 1 in certificate.relaxed_steps
     ]
-    return Certificate(
-        min_clearance_m=min(c.min_clearance_m for c in certificates),
-        min_connectivity=min(c.min_connectivity for c in certificates),
-        dynamics_defect=max(c.dynamics_defect for c in certificates),
-        kkt_residual=max(residuals, default=None),
+    return replace(
+        worst_of(certificates),
         posterior=certificates[-1].posterior,
         relaxed_steps=tuple(step for step, _ in missed),
         relaxation_db=tuple(c.relaxation_db[0] for _, c in missed),
         best_margin_db=tuple(c.best_margin_db[0] for _, c in missed if c.best_margin_db),
-        **dearest(certificates),
-        reasons=tuple(reason for c in certificates for reason in c.reasons),
-        min_separation_m=least_of(c.min_separation_m for c in certificates),
-        min_moving_clearance_m=least_of(c.min_moving_clearance_m for c in certificates),
-        rule=worst_result(c.rule for c in certificates),
     )
 
 

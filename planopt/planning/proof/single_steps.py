@@ -55,7 +55,7 @@ class StepsFinding:
     step_cost_m: float | None = None  # As in :class:`planopt.planning.certificate.Certificate`
     step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
-    result: RuleResult | None = None  # None for the plain rule: at each step where possible
+    rule: RuleResult | None = None  # None for the plain rule: at each step where possible
     # Whether what it costs to miss the bound could be compared with anything
     is_compared: bool = True
 
@@ -84,9 +84,9 @@ def verify_single_steps(
     result = _result(problem, asked, relaxation)
     if constraints.rule.slack_max_db is not None:
         reasons = _beyond_slack(problem, missed, relaxation)
-        return StepsFinding(steps, relaxation, reasons=tuple(reasons), result=result)
+        return StepsFinding(steps, relaxation, reasons=tuple(reasons), rule=result)
     if missed.size == 0:
-        return StepsFinding(result=result)
+        return StepsFinding(rule=result)
     if is_priced(problem):
         priced, best_margin_db = _priced(context, positions_m)
         return StepsFinding(
@@ -98,7 +98,7 @@ def verify_single_steps(
             step_excess_m=priced.excess_m,
             reasons=tuple(_too_dear(problem, context.history, priced, best_margin_db)),
             is_compared=priced.is_compared,
-            result=result,
+            rule=result,
         )
     best = context.best_margins(
         steps,
@@ -126,7 +126,7 @@ def verify_single_steps(
             f"{'' if count == len(margins) else ' that it is asked of'}, "
             f"the best place found within reach has a margin of {max(best):.2f} dB"
         )
-    return StepsFinding(steps, relaxation, best, reasons=tuple(reasons), result=result)
+    return StepsFinding(steps, relaxation, best, reasons=tuple(reasons), rule=result)
 
 
 def _result(

@@ -10,7 +10,7 @@ not a plan.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,29 +92,23 @@ def verify(
         steps = verify_single_steps(context, positions_m, power)
     else:
         result = whole_plan_result(PathCase(context, positions_m, planned))
-        steps = StepsFinding(reasons=tuple(rule_reasons(problem, result)), result=result)
+        steps = StepsFinding(reasons=tuple(rule_reasons(problem, result)), rule=result)
     reasons += steps.reasons
+    found = {field.name: getattr(steps, field.name) for field in fields(StepsFinding)}
+    is_compared = found.pop("is_compared")
     certificate = Certificate(
         min_clearance_m=motion.clearance_m,
         min_connectivity=float(probability.min()),
         dynamics_defect=motion.defect_m,
         kkt_residual=kkt_residual,
         posterior=kind,
-        relaxed_steps=steps.relaxed_steps,
-        relaxation_db=steps.relaxation_db,
-        best_margin_db=steps.best_margin_db,
-        path_cost_m=steps.path_cost_m,
-        best_cost_m=steps.best_cost_m,
-        step_cost_m=steps.step_cost_m,
-        step_excess_m=steps.step_excess_m,
-        reasons=tuple(reasons),
         min_separation_m=apart.min_separation_m,
         min_moving_clearance_m=apart.min_moving_clearance_m,
-        rule=steps.result,
+        **(found | {"reasons": tuple(reasons)}),
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     missing = [
-        *([UNCOMPARED] if not steps.is_compared else []),
+        *([UNCOMPARED] if not is_compared else []),
         *([STANDING] if _gets_nowhere(context, positions_m, drive) else []),
     ]
     if missing and not reasons:

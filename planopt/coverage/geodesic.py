@@ -21,6 +21,7 @@ from planopt.coverage.density import UNIFORM, Density, UniformDensity
 from planopt.coverage.region import checked_polygon, positive
 from planopt.coverage.voronoi import Boundary
 from planopt.errors import InputError
+from planopt.world.shortest_paths import corners_m
 
 SLACK = 1e-9
 """Places may be outside by this share of the extent, for rounding; sight lines by twice as much."""
@@ -103,7 +104,7 @@ def geodesic_region(
     nodes, mass, spread = _nodes(free, spacing_m, density)
     slack = SLACK * extent
     free_border, allowed_border = (_grown_border(area, 2.0 * slack) for area in (free, allowed))
-    corners = _outstanding(free)
+    corners = np.unique(corners_m(np.array([free]), free=True), axis=0)
     count = len(corners)
     between, seen = np.zeros((count, count)), np.zeros((len(nodes), count), dtype=np.bool_)
     region = GeodesicRegion(
@@ -222,17 +223,6 @@ def _boundaries(pieces: NDArray[np.object_], nodes_m: NDArray[np.float64]) -> Bo
     spokes = corners - nodes_m[cell]
     none = np.zeros(int(same.sum()))
     return Boundary(nodes_m, cell[:-1][same], spokes[:-1][same], spokes[1:][same], none)
-
-
-def _outstanding(free: shapely.Polygon) -> NDArray[np.float64]:
-    """Corners (c, 2) of the free area with more than half a turn of it around them."""
-    found = [np.zeros((0, 2))]
-    # Rings are oriented so that the free area is on their left.
-    for ring in (free.exterior, *free.interiors):
-        places = np.asarray(shapely.get_coordinates(ring), dtype=np.float64)[:-1]
-        before, after = places - np.roll(places, 1, axis=0), np.roll(places, -1, axis=0) - places
-        found.append(places[before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0] < 0.0])
-    return np.unique(np.concatenate(found), axis=0)
 
 
 def _meets(

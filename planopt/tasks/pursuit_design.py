@@ -28,12 +28,12 @@ from planopt.pursuit.design import (
     cheapest_rated_design,
     least_energy_design,
     pareto_front,
+    relaxed_design,
     sensitivities,
     sharp_design,
 )
 from planopt.pursuit.guarantees import Chase, Guarantee
 from planopt.pursuit.network import MoteNetwork
-from planopt.pursuit.programmes import relaxed_design
 from planopt.pursuit.service import MAX_LEVELS, slots_per_frame
 from planopt.pursuit.theorems import Inequality, Theorem
 from planopt.tasks.task import Task, TaskResult

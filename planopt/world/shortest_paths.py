@@ -158,8 +158,11 @@ def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np
     return np.asarray(grown, dtype=np.object_)
 
 
-def corners_m(polygons: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Return the corners (n, 2) that stand out into what is free: ways turn at no others."""
+def corners_m(polygons: NDArray[np.object_], free: bool = False) -> NDArray[np.float64]:
+    """Return the corners (n, 2) at which shortest paths turn: they stand out into free space.
+
+    Polygons are obstacles, or free space itself.
+    """
     found = [np.zeros((0, 2))]
     for part in shapely.get_parts(polygons):
         for number, ring in enumerate(shapely.get_rings(part)):
@@ -172,7 +175,7 @@ def corners_m(polygons: NDArray[np.object_]) -> NDArray[np.float64]:
             ahead = np.roll(here, -1, axis=0)
             area = float((here[:, 0] * ahead[:, 1] - here[:, 1] * ahead[:, 0]).sum())
             outward = (area > 0.0) == (number == 0)
-            found.append(places[turn > 0.0 if outward else turn < 0.0])
+            found.append(places[turn > 0.0 if outward != free else turn < 0.0])
     return np.concatenate(found)
 
 

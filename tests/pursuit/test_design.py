@@ -16,13 +16,12 @@ from planopt.pursuit.design import (
     cheapest_rated_design,
     least_energy_design,
     pareto_front,
+    relaxed_design,
     sensitivities,
     sharp_design,
-    slot_limits_s,
 )
 from planopt.pursuit.guarantees import Chase, guarantees
 from planopt.pursuit.network import Flooding, MoteNetwork, simulate_flooding
-from planopt.pursuit.programmes import least_energy_slot_s, relaxed_design, sharp_slot_s
 from planopt.pursuit.service import SnapshotService, relative_error
 from planopt.pursuit.theorems import Theorem
 
@@ -44,6 +43,11 @@ OTHER = DesignTask(
     deadline_s=200.0,
 )
 TASKS = [TASK, OTHER]
+
+
+def widest_s(task, bits):
+    """The widest slot that the Lemma allows at r = 1."""
+    return task.room(bits) / task.staleness_per_slot
 
 
 def fixed(task, bits):
@@ -71,7 +75,7 @@ def test_example_by_hand():
 def test_the_lemmas_limit_exactly():
     """The slot of the optimum is the Lemma's limit, and with a margin the Lemma holds."""
     service = cheapest_design(TASK)
-    limit_s = slot_limits_s(TASK, service.bits_per_axis)["lemma"]
+    limit_s = widest_s(TASK, service.bits_per_axis)
     assert service.slot_width_s == pytest.approx(limit_s, rel=1e-14)
     found = cheapest_design(replace(TASK, margin=0.01))
     lemma = found.guarantees[Theorem.LEMMA]
@@ -139,14 +143,14 @@ def test_disciplined_quasiconvex_programme(task, bits):
 @pytest.mark.parametrize("bits", [4, 7])
 @pytest.mark.filterwarnings("ignore:Solver failed:RuntimeWarning", "ignore:Solution may be")
 def test_quasiconvex_programmes_of_the_other_designs(bits):
-    """Bisection over levels finds slow rounds, half of the limit and the sharp slot too.
+    """Bisection over levels finds slow rounds and half of the limit too.
 
     Power is sent bits over a length; energy is one over a product of two lengths.
     """
     task = fixed(replace(OTHER, network=replace(OTHER.network, idle_w=0.0)), bits)
     # In slots at which ages use up all that is left.
     unit_s = (task.room(bits) + task.margin) / task.staleness_per_slot
-    room = slot_limits_s(task, bits)["lemma"] / unit_s
+    room = widest_s(task, bits) / unit_s
     least = task.network.least_slot_s(bits) / unit_s
     slot, length, left, one = (cp.Variable(pos=True) for _ in range(4))
 
@@ -166,11 +170,6 @@ def test_quasiconvex_programmes_of_the_other_designs(bits):
     solved(cp.Maximize(slot * left), 0.01, 1.0, left + slot <= 1.0, slot <= room)
     share = least_energy_design(replace(task, deadline_s=None)).slot_width_s / unit_s
     assert slot.value * left.value == pytest.approx(share * (1.0 - share), rel=1e-6)
-
-    limits_s = slot_limits_s(task, bits)
-    widest = min(limits_s["capture_radius"], limits_s["deadline"]) / unit_s
-    solved(cp.Minimize(one / slot), 0.02, 10.0, slot <= widest)
-    assert unit_s * slot.value == pytest.approx(sharp_slot_s(task, bits), rel=1e-6)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -204,7 +203,7 @@ def test_energy_at_half_of_the_limit():
     task = replace(TASK, first_distance_m=30.0)
     for bits in range(3, 10):
         found = least_energy_design(fixed(task, bits))
-        assert found.slot_width_s == 0.5 * slot_limits_s(task, bits)["lemma"]
+        assert found.slot_width_s == 0.5 * widest_s(task, bits)
         assert found.binding == ()
     best = least_energy_design(task)
     energies = [least_energy_design(fixed(task, c)).energy_per_capture_j for c in range(3, 10)]
@@ -214,14 +213,14 @@ def test_energy_at_half_of_the_limit():
 
 @pytest.mark.parametrize("idle_w", [0.0, 1e-4, 1e-2])
 @pytest.mark.parametrize("bits", [4, 6, 9])
-def test_energy_by_grid_and_programme(idle_w, bits):
-    """With idling motes too: no slot of a grid needs less, and the programme agrees."""
+def test_energy_by_grid(idle_w, bits):
+    """With idling motes too: no slot of a grid needs less."""
     task = fixed(
         replace(TASK, network=replace(NETWORK, idle_w=idle_w), margin=0.005, first_distance_m=30.0),
         bits,
     )
     found = least_energy_design(task)
-    least_s, most_s = NETWORK.least_slot_s(bits), slot_limits_s(task, bits)["lemma"]
+    least_s, most_s = NETWORK.least_slot_s(bits), widest_s(task, bits)
     kappa = np.sqrt(2) * 2.0**-bits
     slots = np.linspace(least_s, most_s, 20_001)
     left = 1 - (0.5 + 1.5 * kappa) - 108 * slots
@@ -229,9 +228,6 @@ def test_energy_by_grid_and_programme(idle_w, bits):
     energy = power * (1 + kappa) * 30.0 / 2.0 / left
     assert found.energy_per_capture_j <= energy.min() * (1 + 1e-12)
     assert found.energy_per_capture_j == pytest.approx(energy.min(), rel=1e-6)
-    slot_s = least_energy_slot_s(task, bits)
-    same = replace(found, slot_width_s=slot_s, cost_w=task.network.power_w(slot_s, bits))
-    assert same.energy_per_capture_j == pytest.approx(found.energy_per_capture_j, rel=1e-9)
 
 
 def test_energy_of_a_slow_radio():
@@ -256,9 +252,7 @@ def test_pareto_front():
     assert energies[-1] == pytest.approx(least_energy_design(task).energy_per_capture_j)
     for bits in range(3, MAX_BITS + 1):
         kappa = np.sqrt(2) * 2.0**-bits
-        for slot in np.linspace(
-            NETWORK.least_slot_s(bits), slot_limits_s(task, bits)["lemma"], 300
-        ):
+        for slot in np.linspace(NETWORK.least_slot_s(bits), widest_s(task, bits), 300):
             left = 1 - (0.5 + 1.5 * kappa) - 108 * slot
             time = (1 + kappa) * 15.0 / left
             energy = NETWORK.power_w(slot, bits) * time
@@ -288,21 +282,6 @@ def test_sharper_theorems_cost_less():
     costs = {theorem: sharp_design(OTHER, theorem).cost_w for theorem in Theorem}
     assert costs[Theorem.SAMPLED_DISTANCE] < costs[Theorem.SNAPSHOTS]
     assert costs[Theorem.SNAPSHOTS] < costs[Theorem.ANY_INSTANT] < costs[Theorem.LEMMA]
-
-
-@pytest.mark.parametrize("bits", [4, 6, 8])
-@pytest.mark.parametrize(("radius_m", "deadline_s"), [(20.0, 200.0), (8.0, 1e5), (60.0, 120.0)])
-def test_sharp_limits(bits, radius_m, deadline_s):
-    """Closed forms and programme agree to 1e-6, and floors only make slots narrower."""
-    task = fixed(replace(OTHER, capture_radius_m=radius_m, deadline_s=deadline_s), bits)
-    limits = slot_limits_s(task, bits)
-    limit_s = min(limits["capture_radius"], limits["deadline"])
-    assert sharp_slot_s(task, bits) == pytest.approx(limit_s, rel=1e-6)
-    found = sharp_design(task)
-    assert found.slot_width_s <= limit_s * (1 + 1e-9)
-    if limits["capture_radius"] < limits["deadline"]:
-        # A radius just above the floor is reached late: the deadline binds a little earlier.
-        assert found.slot_width_s > 0.9 * limit_s
 
 
 def test_what_quantities_are_worth():
@@ -390,8 +369,6 @@ def test_tasks_without_what_a_design_needs():
     for key in ("first_distance_m", "capture_radius_m", "deadline_s"):
         with pytest.raises(InputError, match=key):
             sharp_design(replace(OTHER, **{key: None}))
-    with pytest.raises(InputError, match="first distance"):
-        sharp_slot_s(TASK, 4)
     with pytest.raises(InputError, match="first_distance_m"):
         least_energy_design(TASK)
 

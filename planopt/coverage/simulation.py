@@ -164,7 +164,7 @@ Readings = Callable[[int, NDArray[np.intp]], NDArray[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class NetworkStep:
-    """What a network decides in one step; ``n`` agents, ``k`` events."""
+    """The decisions of a network in one step; ``n`` agents, ``k`` events."""
 
     motion: Motion  # Positions, velocities and headings of all agents at the end of the step
     states: NDArray[np.intp]  # These and the following are as in :class:`NetworkRun`

@@ -7,11 +7,13 @@ file first, then those that arrays declare.
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import math
 import stat
 import sys
 import warnings
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 from planopt.errors import InputError
@@ -70,6 +72,18 @@ def read_text(path: Path, largest: int = LARGEST_TEXT_BYTES) -> str:
         fault = f"is not text: NUL at character {text.index(chr(0))}"
         raise InputError(fault, file=path, remedy="give a text file")
     return text
+
+
+def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of every row of a CSV file that is not empty."""
+    rows = csv.reader(io.StringIO(read_text(path), newline=None), strict=True)
+    try:
+        for cells in rows:
+            if cells:
+                yield rows.line_num, cells
+    except csv.Error as error:
+        fault, remedy = f"not a CSV row: {error}", "save it as CSV with commas"
+        raise InputError(fault, file=path, row=rows.line_num, remedy=remedy) from error
 
 
 @contextlib.contextmanager

@@ -145,7 +145,7 @@ Reports = Callable[[int, int, Record | None], Record | None]
 
 @dataclass(frozen=True, eq=False)
 class PursuitStep:
-    """What pursuers decide in one step."""
+    """The decisions of pursuers in one step."""
 
     chased: NDArray[np.int64]  # (p,) number of the evader that each pursues; -1 for none
     aims_m: NDArray[np.float64]  # (p, 2) where each drives to

@@ -15,7 +15,6 @@ then the cells, a row of the map after the other, the one of the largest y first
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 from collections.abc import Callable, Iterable
@@ -26,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.files.reading import foreign_reader, read_bytes, read_text
+from planopt.files.reading import csv_rows, foreign_reader, read_bytes, read_text
 from planopt.world.occupancy_grid import MOST_CELLS, OccupancyGrid
 from planopt.world.workspace import LARGEST_COORDINATE_M
 
@@ -99,45 +98,30 @@ def _read_ros_map(path: Path) -> OccupancyGrid:
 
 def _read_csv_grid(path: Path) -> OccupancyGrid:
     """Read a grid as CSV."""
-    rows = csv.reader(io.StringIO(read_text(path), newline=None), strict=True)
-    nothing: list[str] = []
-    try:
-        header = [cell.strip() for cell in next(rows, nothing)]
-        values = [cell.strip() for cell in next(rows, nothing)]
-        if header != list(CSV_HEADER) or len(values) != len(CSV_HEADER):
-            raise InputError(
-                f"the first two rows are not {','.join(CSV_HEADER)} and their values",
-                file=path,
-                row=1,
-                remedy="put both above the cells, which alone do not say where they are: "
-                f"{','.join(CSV_HEADER)}, then for instance 0.05,0,0,50",
-            )
-        numbers = [_cell(path, text, 2, name) for text, name in zip(values, header, strict=True)]
-        cells: list[list[float]] = []
-        for row in rows:
-            if not row:
-                continue
-            if cells and len(row) != len(cells[0]):
-                raise InputError(
-                    f"{len(row)} cells where the first row has {len(cells[0])}",
-                    file=path,
-                    row=rows.line_num,
-                    remedy="give each row as many cells",
-                )
-            _require_cells(path, (len(cells) + 1) * len(row))
-            cells.append(
-                [
-                    _cell(path, text, rows.line_num, f"column {column}")
-                    for column, text in enumerate(row, start=1)
-                ]
-            )
-    except csv.Error as error:
+    rows = csv_rows(path)
+    nothing: tuple[int, list[str]] = (1, [])
+    header, values = ([cell.strip() for cell in next(rows, nothing)[1]] for _ in range(2))
+    if header != list(CSV_HEADER) or len(values) != len(CSV_HEADER):
         raise InputError(
-            f"not a CSV row: {error}",
+            f"the first two rows are not {','.join(CSV_HEADER)} and their values",
             file=path,
-            row=rows.line_num,
-            remedy="save the grid as CSV with commas",
-        ) from error
+            row=1,
+            remedy="put both above the cells, which alone do not say where they are: "
+            f"{','.join(CSV_HEADER)}, then for instance 0.05,0,0,50",
+        )
+    numbers = [_cell(path, text, 2, name) for text, name in zip(values, header, strict=True)]
+    cells: list[list[float]] = []
+    for line, row in rows:
+        if cells and len(row) != len(cells[0]):
+            raise InputError(
+                f"{len(row)} cells where the first row has {len(cells[0])}",
+                file=path,
+                row=line,
+                remedy="give each row as many cells",
+            )
+        _require_cells(path, (len(cells) + 1) * len(row))
+        found = enumerate(row, start=1)
+        cells.append([_cell(path, text, line, f"column {column}") for column, text in found])
     if not cells:
         raise InputError("there are no cells", file=path, remedy="rows of cells follow the values")
     resolution, origin = _placed(path, numbers[0], numbers[1], numbers[2])
@@ -151,7 +135,7 @@ GRID_READERS: dict[str, Callable[[Path], OccupancyGrid]] = {
     ".yml": _read_ros_map,
     ".csv": _read_csv_grid,
 }
-"""What reads occupancy grids, by the ending of the file."""
+"""Readers of occupancy grids, by the ending of the file."""
 
 
 def _yaml_table(path: Path) -> dict[str, object]:

@@ -12,7 +12,6 @@ linear, and zero means that no path was found.
 
 from __future__ import annotations
 
-import csv
 import io
 import math
 import re
@@ -28,7 +27,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
 from planopt.files.npz import npz_names
-from planopt.files.reading import foreign_reader, read_bytes, read_text, require_array_size
+from planopt.files.reading import csv_rows, foreign_reader, read_bytes, require_array_size
 from planopt.files.writing import write_whole
 from planopt.world.raster import Raster, checked_raster, npz_arrays, read_npz_raster, write_npz
 
@@ -302,24 +301,14 @@ def write_csv(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 def read_csv(path: Path, variable: str) -> Raster:
     """Read one variable; rows may come in any order, an empty cell or ``nan`` is no value."""
-    text = read_text(path)
-    rows = csv.reader(io.StringIO(text))
-    no_cells: list[str] = []
+    rows = csv_rows(path)
+    nothing: tuple[int, list[str]] = (1, [])
+    header = [name.strip() for name in next(rows, nothing)[1]]
+    where = [_column(header, name, path) for name in (*AXES, variable)]
     # A third of the memory of lists of floats.
     numbers = array("d")
-    try:
-        header = [name.strip() for name in next(rows, no_cells)]
-        where = [_column(header, name, path) for name in (*AXES, variable)]
-        for cells in rows:
-            if cells:
-                numbers.extend(_number(cells, at, path, rows.line_num, header[at]) for at in where)
-    except csv.Error as error:
-        raise InputError(
-            f"not a CSV row: {error}",
-            file=path,
-            row=rows.line_num,
-            remedy="save the map as CSV with commas",
-        ) from error
+    for line, cells in rows:
+        numbers.extend(_number(cells, at, path, line, header[at]) for at in where)
     return _on_grid(np.array(numbers).reshape(-1, 3), path, variable)
 
 
@@ -446,7 +435,7 @@ READERS: dict[str, Callable[[Path, str], Raster]] = {
     ".tif": read_geotiff,
     ".tiff": read_geotiff,
 }
-"""What reads a file of each ending."""
+"""Readers by the ending of the file."""
 
 GEOTIFF = (".tif", ".tiff")
 

@@ -146,7 +146,7 @@ def test_numbers_are_there_before_pictures(log: Path, tmp_path: Path, monkeypatc
     def fail(*_: object) -> None:
         raise OSError("no ink")
 
-    monkeypatch.setattr("planopt.commands.pictures.save_figure", fail)
+    monkeypatch.setattr("planopt.report.panel.save_figure", fail)
     out = tmp_path / "fit"
     assert run(log, "--hold-out", "day", "--out", str(out)) == 2
     printed = capsys.readouterr()

@@ -118,3 +118,23 @@ def test_a_run_that_never_connects_is_exit_code_4(tmp_path: Path, capsys) -> Non
         file.write_text(re.sub(r"threshold_dbm = \S+", f"threshold_dbm = {threshold}", text))
         assert main(["simulate", str(file), "--horizon", "2"]) == code
         assert words in capsys.readouterr().out
+
+
+def test_robots_with_dynamics(tmp_path: Path, capsys) -> None:
+    """Plan and run are verified, print their states and inputs, and are checked again."""
+    text = (library_folder() / "harbour_track.toml").read_text()
+    path, out = tmp_path / "harbour.toml", str(tmp_path / "out")
+    path.write_text(
+        re.sub(r"max_steps = \d+", "max_steps = 3", text) + "\n[report]\nfigures = false\n"
+    )
+    for command in ("solve", "simulate"):
+        assert main([command, str(path), "--horizon", "4", "--json", "--out", out]) == 0
+        boat, cart = printed(capsys)["robots"]
+        assert len(boat["drive"]["velocity_x_m_s"]) == len(boat["x_m"])
+        assert cart["drive"]["heading_rad"][0] == 1.57
+        assert cart["drive"]["turn_rate_rad_s"][0] is None
+        assert main(["check", out, "--json"]) == 0
+        assert printed(capsys)["reasons"] == []
+    assert main(["simulate", str(path), "--planner", "random"]) == 2
+    words = capsys.readouterr().err
+    assert "planner.name" in words and "use auto, nlp, scp or lattice" in words

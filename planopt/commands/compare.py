@@ -15,6 +15,8 @@ from planopt.errors import InputError, NoPlanError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from planopt.studies.comparison import Comparison
+
 FINISHED_FOLDER = "finished_runs"
 """Where finished runs are kept, so that a comparison that was stopped goes on."""
 
@@ -147,10 +149,23 @@ def compare(
         show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:
             if new is not None:
-                from planopt.commands.pictures import picture_comparison
-
-                picture_comparison(comparison, new)
+                _draw(comparison, new)
     return exit_code(comparison)
+
+
+def _draw(comparison: Comparison, folder: Path) -> None:
+    """Draw the table as a chart, traces over time, and the reliability of connection."""
+    from planopt.report import draw_comparison, draw_reliability, draw_traces, save_figure
+
+    save_figure(draw_comparison(comparison), folder / "comparison.png")
+    traces = draw_traces(comparison)
+    if traces is not None:
+        save_figure(traces, folder / "traces.png")
+    if comparison.reliability:
+        names = ", ".join(one.name for one in (comparison.problem, *comparison.others))
+        title = f"{names}: connection over {len(comparison.runs)} runs"
+        series = {"all settings": comparison.reliability}
+        save_figure(draw_reliability(series, title), folder / "reliability.png")
 
 
 def _where_all_is(folder: Path | None) -> str:

@@ -164,6 +164,18 @@ def held_out_reliability_words(report: HeldOutReport) -> list[str]:
     ]
 
 
+def _draw_held_out(report: HeldOutReport, folder: Path) -> None:
+    """Draw coverage, PIT and reliability of the predictions."""
+    from planopt.report import draw_calibration, draw_reliability, save_figure
+
+    scores = {name.replace("_", " "): score for name, score in report.scores.items()}
+    calibrations = {name: score.calibration for name, score in scores.items()}
+    save_figure(draw_calibration(calibrations), folder / "held_out.png")
+    series = {name: score.reliability for name, score in scores.items()}
+    title = f"P(power at least {report.threshold_dbm:g} dBm), held out"
+    save_figure(draw_reliability(series, title), folder / "reliability.png")
+
+
 def _score_json(score: HeldOutScore, groups: int) -> dict[str, Any]:
     from planopt.planning.files.result_json import reliability_json
 
@@ -235,11 +247,13 @@ def fit(
         show(json, data, "\n".join(lines))
         with drawing(folder, FIT, wanted=True) as new:
             if new is not None:
-                from planopt.commands.pictures import picture_fit, picture_held_out
+                from planopt.report import draw_fit, save_figure
 
-                picture_fit(fitted.measurements, fitted.found, new)
+                station = fitted.found.parameters.station
+                figure = draw_fit(fitted.measurements, fitted.found, station)
+                save_figure(figure, new / "fit.png")
                 if report is not None:
-                    picture_held_out(report, new)
+                    _draw_held_out(report, new)
     return fitted.exit_code
 
 

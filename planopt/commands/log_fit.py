@@ -173,12 +173,7 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
     names = get_args(StationMethod)
     if name is None:
         return "joint"
-    if name not in names:
-        raise InputError(
-            f"{name!r} is no method to find a station",
-            key="--station-method",
-            remedy=f"use {', '.join(names)}",
-        )
+    _require(name in names, name, "--station-method", f"use {', '.join(names)}")
     if station_is_given:
         raise InputError(
             "the station is given, so there is nothing to find",
@@ -198,22 +193,18 @@ def _log_format(options: LogOptions) -> LogFormat:
         parse_rows,
     )
 
-    for value, key in (
-        (options.resolution, "--resolution"),
-        (options.position_error, "--position-error"),
-    ):
-        if not 0.0 <= value < math.inf:
-            raise InputError(f"{value!r} cannot be used", key=key, remedy="give 0 or more")
-    if options.floor is not None and not math.isfinite(options.floor):
-        raise InputError(f"{options.floor!r} cannot be used", key="--floor", remedy="give dBm")
+    resolution_db, position_std_m = options.resolution, options.position_error
+    _require(0.0 <= resolution_db < math.inf, resolution_db, "--resolution", "give 0 or more")
+    _require(0.0 <= position_std_m < math.inf, position_std_m, "--position-error", "give 0 or more")
+    _require(math.isfinite(options.floor or 0.0), options.floor, "--floor", "give dBm")
     return LogFormat(
         DEFAULT_COLUMNS if options.columns is None else parse_columns(options.columns),
         options.censored,
         options.floor,
         options.time,
         options.receiver,
-        options.resolution,
-        options.position_error,
+        resolution_db,
+        position_std_m,
         parse_rows(options.where or ()),
         None if options.origin is None else parse_origin(options.origin),
     )
@@ -221,18 +212,18 @@ def _log_format(options: LogOptions) -> LogFormat:
 
 def _forgetting_s(options: LogOptions) -> float:
     """Return the forgetting time; infinite if none is given."""
-    if options.forgetting is None:
-        return math.inf
-    if not options.forgetting > 0.0:
+    given = math.inf if options.forgetting is None else options.forgetting
+    _require(given > 0.0, given, "--forgetting", "give more than 0 seconds")
+    if options.forgetting is not None and options.time is None:
         raise InputError(
-            f"{options.forgetting!r} cannot be used",
-            key="--forgetting",
-            remedy="give more than 0 seconds",
-        )
-    if options.time is None:
-        raise InputError(
-            "nothing says when the measurements were taken",
+            "needs the times of the measurements",
             key="--forgetting",
             remedy="name the column of times with --time COLUMN",
         )
-    return options.forgetting
+    return given
+
+
+def _require(is_allowed: bool, value: object, key: str, remedy: str) -> None:
+    """Refuse the value of an option."""
+    if not is_allowed:
+        raise InputError(f"{value!r} cannot be used", key=key, remedy=remedy)

@@ -82,11 +82,13 @@ def map_log(
         with _together(out, picture) as (new_out, new_picture):
             write_rasters(new_out, {name: getattr(maps, name) for name in VARIABLES})
             if new_picture is not None:
-                from planopt.commands.pictures import picture_map
+                from planopt.report import draw_posterior_map, save_figure
 
                 title = f"{options.log.name}: {len(measurements)} measurements, {found.method} fit"
                 with progress("drawing"):
-                    picture_map(maps, measurements, found, title, new_picture)
+                    station = found.parameters.station
+                    figure = draw_posterior_map(maps, measurements, station, title)
+                    save_figure(figure, new_picture)
     data = {**map_json(maps, out, picture), "fit": fit_json(fitted)}
     show(json, data, _in_words(data))
     return fitted.exit_code

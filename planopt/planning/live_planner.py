@@ -85,12 +85,12 @@ class Planner:
     """
 
     @overload
-    def __new__(  # pyright: ignore[reportInconsistentConstructor]
-        cls, problem: TaskProblem, **settings: Any
-    ) -> Any: ...
+    def __new__(cls, problem: TaskProblem, **settings: Any) -> Any: ...
     @overload
     def __new__(cls, problem: Problem, **settings: Any) -> Self: ...
-    def __new__(cls, problem: Any, **settings: Any) -> Any:
+    def __new__(  # pyright: ignore[reportInconsistentConstructor]
+        cls, problem: Any, **settings: Any
+    ) -> Any:
         """Return the controller of the problem's task."""
         if isinstance(problem, TaskProblem):
             return task_of(problem).control(problem, **settings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ import pytest
 import shapely
 
 import planopt
-from planopt.cli import main
 from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.simulation import ABSENT
 from planopt.coverage.verify import verify_moves
@@ -53,31 +53,15 @@ RECEDING = '\n[planner]\nname = "receding"\nhorizon = 2\n'
 
 
 @pytest.fixture
-def written(tmp_path: Path):
+def written(write):
     """Write the small problem with some texts replaced and others added."""
-
-    def write(*changes: tuple[str, str], more: str = "") -> Path:
-        text = SMALL
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        file = tmp_path / "problem.toml"
-        file.write_text(text + more)
-        return file
-
-    return write
+    return partial(write, SMALL)
 
 
-def run(capsys, *arguments: object) -> tuple[int, dict]:
-    """The exit code of a command and its JSON."""
-    code = main([*map(str, arguments), "--json"])
-    return code, json.loads(capsys.readouterr().out)
-
-
-def test_simulate_and_check(written, tmp_path, capsys):
+def test_simulate_and_check(written, tmp_path, run):
     """The event is served and given up, the folder agrees, a seed gives the same bytes again."""
     out, again = tmp_path / "out", tmp_path / "again"
-    code, found = run(capsys, "simulate", written(), "--seed", 3, "--out", out)
+    code, found = run("simulate", written(), "--seed", 3, "--out", out)
     assert code == 0 and found["outcome"] == "settled" and found["faults"] == []
     leak = found["events"][0]
     assert leak["wanted"] == leak["responding"] == leak["switches"] == 3
@@ -87,21 +71,21 @@ def test_simulate_and_check(written, tmp_path, capsys):
     assert found["metrics"]["messages"]["counting"] == 0
     names = {"run.json", "steps.csv", "network.csv", "events.csv"}
     assert {path.name for path in out.iterdir()} == names
-    assert run(capsys, "check", out)[0] == 0
-    run(capsys, "simulate", written(), "--seed", 3, "--out", again)
+    assert run("check", out)[0] == 0
+    run("simulate", written(), "--seed", 3, "--out", again)
     for name in names - {"run.json"}:
         assert (out / name).read_bytes() == (again / name).read_bytes()
     other = planopt.simulate(planopt.load(written()), seed=4).data
     assert other["metrics"]["cost_first"] != found["metrics"]["cost_first"]
 
 
-def test_pictures(written, tmp_path, capsys):
+def test_pictures(written, tmp_path, run):
     """A picture is drawn, and an animation where one is asked for."""
     file = written(("figures = false", "figures = true"), ("duration_s = 200", "duration_s = 5"))
-    assert run(capsys, "simulate", file, "--out", tmp_path / "out", "--animation")[0] == 4
+    assert run("simulate", file, "--out", tmp_path / "out", "--animation")[0] == 4
     assert (tmp_path / "out" / "run.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "out" / "run.gif").read_bytes()[:6] == b"GIF89a"
-    assert run(capsys, "solve", file, "--out", tmp_path / "plan")[0] == 0
+    assert run("solve", file, "--out", tmp_path / "plan")[0] == 0
     assert (tmp_path / "plan" / "plan.png").read_bytes()[:4] == b"\x89PNG"
 
 
@@ -243,7 +227,7 @@ def test_exactly_the_wanted_agents_and_a_centroidal_rest(written):
         assert done.residuals_m[-1] <= content.settled_m
 
 
-def test_receding_horizon_within_limits(written, tmp_path, capsys):
+def test_receding_horizon_within_limits(written, tmp_path, run):
     """Double integrators and unicycles answer the event, and their folders are judged."""
     for number, limit in enumerate(("acceleration_max_m_s2 = 0.7", "turn_rate_max_rad_s = 0.8")):
         file = written(
@@ -253,13 +237,13 @@ def test_receding_horizon_within_limits(written, tmp_path, capsys):
             more='\n[planner]\nname = "receding"\nhorizon = 4\n',
         )
         out = tmp_path / str(number)
-        _, found = run(capsys, "simulate", file, "--out", out)
+        _, found = run("simulate", file, "--out", out)
         assert found["faults"] == [] and found["planner"] == "receding"
         assert found["events"][0]["responding"] == 3
         assert found["metrics"]["cost_last"] < 0.7 * found["metrics"]["cost_first"]
-        assert run(capsys, "check", out)[0] == 0
+        assert run("check", out)[0] == 0
         cell("steps.csv", "vx_m_s" if number == 0 else "heading_rad", 9, "1.9")(out)
-        assert run(capsys, "check", out)[0] == 3
+        assert run("check", out)[0] == 3
     with pytest.raises(InputError, match="keeps no limits"):
         planopt.simulate(planopt.load(file), planner="law")
 
@@ -273,7 +257,7 @@ BODIES = (
 
 
 @pytest.mark.parametrize("inert", [False, True])
-def test_no_two_bodies_touch(inert, written, tmp_path, capsys):
+def test_no_two_bodies_touch(inert, written, tmp_path, run):
     """Bodies are apart at all times of all moves, and crowd around the event as near as they can.
 
     An agent that is to join in the crowd waits until there is room.
@@ -287,10 +271,10 @@ def test_no_two_bodies_touch(inert, written, tmp_path, capsys):
     listed = f'kind = "list", places_m = {starts}'
     changes[0] = ('kind = "random", count = 12', listed)
     file = written(*changes, more="[[changes]]\nagents = [12]\njoins_s = 30\n" + RECEDING)
-    code, found = run(capsys, "simulate", file, "--out", tmp_path / "out")
+    code, found = run("simulate", file, "--out", tmp_path / "out")
     assert code in (0, 4) and found["faults"] == []
     assert 8.0 < found["events"][0]["served_s"] < 30.0
-    assert run(capsys, "check", tmp_path / "out")[0] == 0
+    assert run("check", tmp_path / "out")[0] == 0
     done = planopt.simulate(planopt.load(file)).value
     joined = int((done.states[:, 12] != ABSENT).argmax())
     assert 40 < joined < len(done.states)
@@ -320,12 +304,12 @@ def test_bodies_in_place_hold_shells():
     assert packing_reach_m(9, 0.0) == 0.0 and packing_reach_m(1, 0.5) == 0.5
 
 
-def test_compare_horizons_paired(written, tmp_path, capsys):
+def test_compare_horizons_paired(written, tmp_path, run):
     """Settings are paired by seed; without limits that bind, receding is the law."""
     file = written(("duration_s = 200", "duration_s = 12"), ("speed_max_m_s = 2.0\n", ""))
     out = tmp_path / "out"
     code, found = run(
-        capsys, "compare", file, "--planners", "law,receding", "--horizons", "1,3", "--seeds", "2",
+        "compare", file, "--planners", "law,receding", "--horizons", "1,3", "--seeds", "2",
         "--out", out,
     )  # fmt: skip
     assert code == 4
@@ -406,13 +390,13 @@ def test_radio_is_kept_where_the_law_loses_it():
     assert caught.value.key == "agents.start"
 
 
-def test_solve_and_check(written, tmp_path, capsys):
+def test_solve_and_check(written, tmp_path, run):
     """The deployment is no worse than Lloyd's, above its bound, and judged from its file."""
     out = tmp_path / "out"
-    code, found = run(capsys, "solve", written(), "--seed", 2, "--out", out)
+    code, found = run("solve", written(), "--seed", 2, "--out", out)
     assert code == 0 and found["verdict"] == "verified" and found["sense"] == "min"
     assert 0.0 < found["bound"] < found["objective"] <= min(found["start_costs"]) * (1 + 1e-9)
     late = (("appears_s = 8\n", "appears_s = 500\n"), ("ends_s = 40", "ends_s = 600"))
     alone = planopt.simulate(planopt.load(written(*late)), seed=2)
     assert found["objective"] <= alone.data["metrics"]["cost_last"] * 1.001
-    assert run(capsys, "check", out)[0] == 0
+    assert run("check", out)[0] == 0

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import planopt
-from planopt.cli import main
 from planopt.errors import InputError, NoPlanError
 from planopt.problems.library import library_folder
 
@@ -17,38 +15,27 @@ NAMES = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_seve
 
 
 @pytest.fixture
-def written(tmp_path: Path):
+def written(write):
     """Write a library problem without pictures and with some texts replaced."""
 
-    def write(name: str, *changes: tuple[str, str]) -> Path:
-        text = (library_folder() / f"{name}.toml").read_text() + "\n[report]\nfigures = false\n"
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        file = tmp_path / "problem.toml"
-        file.write_text(text)
-        return file
+    def write_library(name: str, *changes: tuple[str, str]) -> Path:
+        text = (library_folder() / f"{name}.toml").read_text()
+        return write(text, *changes, more="\n[report]\nfigures = false\n")
 
-    return write
-
-
-def run(capsys, *arguments: object) -> tuple[int, dict]:
-    """The exit code of a command and its JSON."""
-    code = main([*map(str, arguments), "--json"])
-    return code, json.loads(capsys.readouterr().out)
+    return write_library
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_library_problems(name, written, tmp_path, capsys):
+def test_library_problems(name, written, tmp_path, run):
     """Everybody is caught, the folder agrees with itself, the same seed gives the same run."""
     out = tmp_path / "out"
-    code, found = run(capsys, "simulate", written(name), "--seed", 3, "--out", out)
+    code, found = run("simulate", written(name), "--seed", 3, "--out", out)
     assert code == 0 and found["outcome"] == "captured" and found["faults"] == []
     assert sum(found["rungs"].values()) == found["metrics"]["steps"]
     assert found["verified_rate"] == (None if name == "pursuit_obstacles" else 1.0)
     assert found["step_s"]["p50"] <= found["step_s"]["p95"] <= found["step_s"]["max"]
     assert found["capture_time_s"] == max(each["capture_time_s"] for each in found["evaders"])
-    assert run(capsys, "check", out)[0] == 0
+    assert run("check", out)[0] == 0
     assert {path.name for path in out.iterdir()} == {"run.json", "steps.csv", "records.csv"}
     again = planopt.simulate(planopt.load(written(name)), seed=3).data
     assert again["capture_time_s"] == found["capture_time_s"]
@@ -65,9 +52,9 @@ def test_guarantee_beside_what_happened(written):
             assert each["largest_share_of_bound"] is None or each["largest_share_of_bound"] <= 1.0
 
 
-def test_pictures(tmp_path, capsys):
+def test_pictures(tmp_path, run):
     """A picture and an animation are drawn beside the tables."""
-    assert run(capsys, "simulate", "pursuit_static", "--animation", "--out", tmp_path)[0] == 0
+    assert run("simulate", "pursuit_static", "--animation", "--out", tmp_path)[0] == 0
     assert (tmp_path / "run.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "run.gif").read_bytes()[:6] == b"GIF89a"
 
@@ -95,17 +82,17 @@ def test_pictures(tmp_path, capsys):
         ("pursuit_fleeing", ("step_s = 0.2", "stepp_s = 0.2"), "did you mean step_s"),
     ],
 )
-def test_bad_input(name, change, words, written, capsys):
+def test_bad_input(name, change, words, written, run):
     """One clear error with its key."""
-    code, found = run(capsys, "simulate", written(name, change))
+    code, found = run("simulate", written(name, change))
     assert code == 2 and words in found["error"]
 
 
-def test_radius_under_the_floor(written, capsys):
+def test_radius_under_the_floor(written, run):
     """Where a guarantee is asked for there is no plan; else it is said, and driven."""
     small = ("capture_radius_m = 30.0", "capture_radius_m = 12.0")
     file = written("pursuit_fleeing", small)
-    code, found = run(capsys, "simulate", file)
+    code, found = run("simulate", file)
     assert code == 4 and found["outcome"] == "no_plan"
     assert (
         "floor below the capture radius: " in found["reason"]
@@ -124,10 +111,10 @@ WALLS = tuple(
 )
 
 
-def test_guarantees_round_obstacles(written, tmp_path, capsys):
+def test_guarantees_round_obstacles(written, tmp_path, run):
     """Long walls allow none, and the inequality says so; a tower and fine motes allow one."""
     asked = ("clearance_m = 2.0", 'clearance_m = 2.0\nguarantee = "snapshots"')
-    code, found = run(capsys, "simulate", written("pursuit_obstacles", asked))
+    code, found = run("simulate", written("pursuit_obstacles", asked))
     assert code == 4 and "a of the error over 1 - y below 1: 1.8" in found["reason"]
     fine = (
         ("levels = 5", "levels = 9"),
@@ -138,19 +125,18 @@ def test_guarantees_round_obstacles(written, tmp_path, capsys):
         ("start_m = [250, 120]", "start_m = [270, 300]"),
     )
     file = written("pursuit_obstacles", asked, *WALLS, *fine)
-    code, found = run(capsys, "simulate", file, "--seed", 2, "--out", tmp_path / "out")
+    code, found = run("simulate", file, "--seed", 2, "--out", tmp_path / "out")
     assert code == 0 and found["outcome"] == "captured" and found["verified_rate"] == 1.0
     assert 1.5 < found["guarantee"]["detour"] < 2.5
     each = found["guarantee"]["theorems"]["snapshots"]
     assert each["distances"] in ("paths", "straight") and each["capture"]["holds"]
     assert found["capture_time_s"] <= each["capture_time_s"]
-    assert run(capsys, "check", tmp_path / "out")[0] == 0
+    assert run("check", tmp_path / "out")[0] == 0
 
 
-def test_who_escapes(written, capsys):
+def test_who_escapes(written, run):
     """Given up: exit code 4, and how near it came."""
     code, found = run(
-        capsys,
         "simulate",
         written("pursuit_fleeing", ("step_s = 0.2", "step_s = 0.2\nmax_steps = 9")),
     )
@@ -158,43 +144,25 @@ def test_who_escapes(written, capsys):
     assert "not caught in 9 steps, nearest" in found["reason"]
 
 
-def test_compare(written, tmp_path, capsys):
+def test_compare(written, tmp_path, run):
     """Settings over the same seeds, paired with the first; the runs are those of simulate."""
     file = written("pursuit_fleeing")
-    code, found = run(
-        capsys,
-        "compare",
-        file,
-        "--horizons",
-        "1,5",
-        "--planners",
-        "drive,receding",
-        "--seeds",
-        3,
-        "--first-seed",
-        7,
-        "--out",
-        tmp_path / "out",
-    )
+    settings = ("--horizons", "1,5", "--planners", "drive,receding", "--seeds", "7:10")
+    code, found = run("compare", file, *settings)
     assert code == 0
     rows = [row for row in found["rows"] if row["metric"] == "capture_time_s"]
-    assert [(row["planner"], row["horizon"]) for row in rows] == [
-        ("drive", 1),
-        ("receding", 1),
-        ("receding", 5),
-    ]
+    settings = [("drive", 1), ("receding", 1), ("receding", 5)]
+    assert [(row["planner"], row["horizon"]) for row in rows] == settings
     assert rows[0]["paired_ratio"] == 1.0 and rows[0]["p50_step_s"] > 0.0
-    assert len((tmp_path / "out" / "runs.jsonl").read_text().splitlines()) == 9
     times = {
         (each["planner"], each["horizon"], each["seed"]): each["metrics"]["capture_time_s"]
         for each in found["runs"]
     }
-    for planner, horizon in (("drive", 1), ("receding", 5)):
-        again = planopt.simulate(planopt.load(file), planner=planner, horizon=horizon, seed=8).data
-        assert times[planner, horizon, 8] == again["capture_time_s"]
+    again = planopt.simulate(planopt.load(file), planner="receding", horizon=5, seed=8)
+    assert times["receding", 5, 8] == again.data["capture_time_s"]
     logs = [np.log(times["receding", 5, seed] / times["drive", 1, seed]) for seed in (7, 8, 9)]
     assert rows[2]["paired_ratio"] == pytest.approx(np.exp(np.mean(logs)))
     for words in (("--planners", "nlp"), ("--costs-to-go", "geodesic")):
-        assert run(capsys, "compare", file, "--horizons", "1", *words)[0] == 2
+        assert run("compare", file, "--horizons", "1", *words)[0] == 2
     with pytest.raises(InputError, match="horizon"):
         planopt.simulate(planopt.load(file), planner="receding", horizon=0)

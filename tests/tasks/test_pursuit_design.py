@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import planopt
-from planopt.cli import main
 from planopt.errors import InputError, NoPlanError
 from planopt.problems.library import library_folder
 
@@ -51,15 +49,9 @@ def written(tmp_path: Path):
     return write
 
 
-def run(capsys, *arguments: object) -> tuple[int, dict]:
-    """The exit code of a command and its JSON."""
-    code = main([*map(str, arguments), "--json"])
-    return code, json.loads(capsys.readouterr().out)
-
-
-def test_example(written, capsys):
+def test_example(written, run):
     """4096 motes, alpha 2: 24.29 W at six bits, the programme 24.2855 W below it."""
-    code, found = run(capsys, "solve", written())
+    code, found = run("solve", written())
     assert code == 0 and found["verdict"] == "verified" and found["sense"] == "min"
     assert found["bits_per_axis"] == 6 and found["rate_divisor"] == 1
     assert found["cost_w"] == pytest.approx(24.2876, abs=1e-4) == found["objective"]
@@ -85,9 +77,9 @@ def test_example(written, capsys):
         ({"levels": "3\nlevel = 4"}, 2, "network.level: is not a known key"),
     ],
 )
-def test_impossible(changes, code, words, written, capsys):
+def test_impossible(changes, code, words, written, run):
     """Each is named with the inequality that fails, by how much, or its key."""
-    found, data = run(capsys, "solve", written(**changes))
+    found, data = run("solve", written(**changes))
     text = data["error"] if code == 2 else data["message"]
     assert found == code
     assert words in text
@@ -103,10 +95,10 @@ def test_impossible(changes, code, words, written, capsys):
         ({"bit_rate_bit_s": "1e3"}, "slot of the payload below the widest slot: 0."),
     ],
 )
-def test_requirements_out_of_reach(changes, words, written, capsys):
+def test_requirements_out_of_reach(changes, words, written, run):
     """A radius under the floor, a deadline too soon, too slow a radio: no design; Python raises."""
     file = written(TEXT, **changes)
-    code, data = run(capsys, "solve", file)
+    code, data = run("solve", file)
     assert code == 4 and words in data["message"] and data["inequality"]["margin"] < 0.0
     with pytest.raises(NoPlanError, match=words):
         planopt.solve(planopt.load(file))
@@ -126,20 +118,20 @@ def test_energy_at_half_of_the_limit(written):
     assert energies[-1] == pytest.approx(energy["objective"], rel=1e-6)
 
 
-def test_library_problem(tmp_path, capsys):
+def test_library_problem(tmp_path, run):
     """Its picture is drawn, its guarantee checked; show, validate and schema know the task."""
-    code, data = run(capsys, "solve", "pursuit_design", "--out", tmp_path)
+    code, data = run("solve", "pursuit_design", "--out", tmp_path)
     assert code == 0 and data["binding"] and data["guarantee"]["holds"]
     assert data["capture_time_s"] <= 300.0
     assert (tmp_path / "design.png").stat().st_size > 10_000
-    assert run(capsys, "show", "pursuit_design")[1]["design"]["margin"] == 0.01
-    assert run(capsys, "validate", "pursuit_design") == (
+    assert run("show", "pursuit_design")[1]["design"]["margin"] == 0.01
+    assert run("validate", "pursuit_design") == (
         0,
         {"problem": "pursuit_design", "valid": True},
     )
-    assert "network" in run(capsys, "schema", "--task", "pursuit_design")[1]["properties"]
-    assert run(capsys, "schema", "--task", "nothing")[0] == 2
-    assert run(capsys, "simulate", "pursuit_design")[0] == 2
+    assert "network" in run("schema", "--task", "pursuit_design")[1]["properties"]
+    assert run("schema", "--task", "nothing")[0] == 2
+    assert run("simulate", "pursuit_design")[0] == 2
     with pytest.raises(InputError, match="there is no simulate for"):
         planopt.simulate(planopt.load("pursuit_design"))
     with pytest.raises(InputError, match="horizon: is not for the task pursuit_design"):

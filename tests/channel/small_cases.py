@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import Station
+from planopt.channel import Measurements, Station
 
 FAR = 3e6
 """Coordinates of map projections."""

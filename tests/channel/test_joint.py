@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.joint import JointPrediction, joint_prediction, sample_power
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    JointPrediction,
+    Measurements,
+    Station,
+    condition,
+    joint_prediction,
+    sample_power,
+)
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import condition, extend
-from planopt.errors import InputError
+from planopt.channel.parameters import regressors
+from planopt.channel.posterior import extend
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 DATA = simulated(CHANNEL, 0, 60, 200.0)

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
+from planopt.channel import ChannelParameters, Station
 from planopt.channel.measurement_covariance import pairwise_distance_m, shadow_covariance_db2
-from planopt.channel.parameters import ChannelParameters, Station
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 5.0, 20.0, 2.0, Station((0.0, 0.0)))
 A = np.random.default_rng(0).uniform(-50.0, 50.0, (7, 2))

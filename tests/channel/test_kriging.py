@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import ChannelParameters, Measurements, Station, condition
 
 CHANNEL = ChannelParameters(-30.0, 2.5, 4.0, 20.0, 2.0, Station((0.0, 0.0)))
 MEASURED = Measurements(

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from planopt.channel.parameters import PRIOR_N_PL, PRIOR_N_PL_STD, Station, mean_model, regressors
+from planopt.channel import Station
+from planopt.channel.parameters import PRIOR_N_PL, PRIOR_N_PL_STD, mean_model, regressors
 
 STATION = Station((0.0, 0.0))
 POSITIONS = np.array([[3.0, 4.0], [6.0, 8.0], [30.0, 40.0]])

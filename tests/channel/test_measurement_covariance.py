@@ -13,9 +13,15 @@ from varied_measurements import (
     varied,
 )
 
-from planopt.channel.derivatives import posterior_derivatives
-from planopt.channel.fields.field import conditional_field, conditional_values_db
-from planopt.channel.joint import joint_prediction
+from planopt import InputError
+from planopt.channel import (
+    at_time,
+    condition,
+    conditional_field,
+    joint_prediction,
+    posterior_derivatives,
+)
+from planopt.channel.fields.field import conditional_values_db
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import (
     covariance_db2,
@@ -25,9 +31,8 @@ from planopt.channel.measurement_covariance import (
     place_origins,
 )
 from planopt.channel.nearest.local_channel import LocalChannel, predict_nearby
-from planopt.channel.posterior import at_time, condition, extend
+from planopt.channel.posterior import extend
 from planopt.channel.tile_map import TileMap
-from planopt.errors import InputError
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))
 LATER_S = 900.0

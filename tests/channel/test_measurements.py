@@ -5,8 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from planopt.channel.measurements import Measurements, join
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import Measurements
+from planopt.channel.measurements import join
 
 OPTIONAL = ("resolution_db", "position_std_m", "time_s", "receiver")
 

@@ -6,14 +6,19 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
-from planopt.channel.estimation.fit import fit_channel
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    MarginalPosterior,
+    Measurements,
+    Station,
+    condition,
+    fit_channel,
+    marginalise,
+)
 from planopt.channel.estimation.least_squares import examine
 from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameter_uncertainty import MarginalPosterior, marginalise
-from planopt.channel.parameters import ChannelParameters, Station, mean_model
-from planopt.channel.posterior import condition
-from planopt.errors import InputError
+from planopt.channel.parameters import mean_model
 
 FIG_3 = ChannelParameters(-10.0, 2.0, 4.0, 10.0, 1.99, Station((25.0, 25.0)))
 """The outdoor channel of Fig. 3 of [GM11], on 50 m by 50 m."""

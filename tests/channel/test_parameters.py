@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import ChannelParameters, Station
 
 CHANNEL = ChannelParameters(-30.0, 2.5, 4.0, 20.0, 2.0, Station((0.0, 0.0)))
 

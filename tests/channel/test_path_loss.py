@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from planopt.channel.parameters import MIN_DISTANCE_M, Station, regressors, station_distance_m
+from planopt.channel import Station
+from planopt.channel.parameters import MIN_DISTANCE_M, regressors, station_distance_m
 
 
 def test_distance_is_three_dimensional():

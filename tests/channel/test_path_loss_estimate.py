@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
+from planopt import InputError
+from planopt.channel import ChannelParameters, Measurements, Station, condition, estimate_theta
 from planopt.channel.kriging import kriging_terms, predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import condition, estimate_theta, extend
-from planopt.errors import InputError
+from planopt.channel.parameters import regressors
+from planopt.channel.posterior import extend
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
 

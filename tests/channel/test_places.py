@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from planopt.channel.fields.field import scattered_field_db, shadow_field_db
+from planopt import InputError
+from planopt.channel import scattered_field_db, shadow_field_db
 from planopt.channel.places import require_count, require_finite, require_places
-from planopt.errors import InputError
 
 
 def test_what_is_not_is_named():

@@ -4,16 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from planopt.channel.estimation.fit import fit_channel
+from planopt.channel import ChannelParameters, Measurements, Station, condition, fit_channel
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import (
     path_loss_variance_db2,
     position_blur_m2,
     shadow_covariance_db2,
 )
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import condition
+from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-20.0, 2.5, 5.0, 12.0, 1.5, Station((-60.0, 50.0), 5.0))
 STD_M = 2.0

@@ -5,11 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from planopt.channel import ChannelParameters, Measurements, Station, condition
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements, join
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import WEAK_THETA_DEVIATION, condition, extend
+from planopt.channel.measurements import join
+from planopt.channel.parameters import regressors
+from planopt.channel.posterior import WEAK_THETA_DEVIATION, extend
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 THETA = np.array([PARAMETERS.k_pl_db, PARAMETERS.n_pl])

@@ -3,15 +3,22 @@
 import numpy as np
 import pytest
 
-from planopt.channel.joint import joint_prediction
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    Measurements,
+    Station,
+    at_time,
+    condition,
+    joint_prediction,
+    receiver_offsets,
+)
 from planopt.channel.kriging import predict
-from planopt.channel.measurements import Measurements, join
+from planopt.channel.measurements import join
 from planopt.channel.nearest.local_channel import LocalChannel
-from planopt.channel.offsets import receiver_offsets
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import EXACT_LIMIT, at_time, condition
+from planopt.channel.parameters import regressors
+from planopt.channel.posterior import EXACT_LIMIT
 from planopt.channel.tile_map import TileMap
-from planopt.errors import InputError
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 15.0, 2.0, Station((5.0, -10.0), 12.0))
 PLACES = np.random.default_rng(9).uniform(-110.0, 110.0, (300, 2))

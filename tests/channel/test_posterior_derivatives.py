@@ -4,11 +4,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from planopt.channel.derivatives import posterior_derivatives
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station
-from planopt.channel.posterior import condition
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    Measurements,
+    Station,
+    condition,
+    posterior_derivatives,
+)
+from planopt.channel.parameters import MIN_DISTANCE_M
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 PLACES = np.random.default_rng(4).uniform(-60.0, 60.0, (30, 2))

@@ -13,10 +13,10 @@ from simulated_channel import simulated
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern, WhiteKernel
 
-from planopt.channel.joint import joint_prediction
+from planopt.channel import ChannelParameters, Station, condition, joint_prediction
 from planopt.channel.measurements import join
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import condition, extend
+from planopt.channel.parameters import regressors
+from planopt.channel.posterior import extend
 
 CHANNELS = {
     "street": ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0)),

@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.joint import predict_readings
+from planopt.channel import (
+    ChannelParameters,
+    Station,
+    at_time,
+    condition,
+    marginalise,
+    predict_readings,
+)
 from planopt.channel.kriging import predict
-from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import at_time, condition
 
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
 KNOWN = simulated(CHANNEL, 3, 60, 200.0)

@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel import measurement_covariance
+from planopt.channel import (
+    ChannelParameters,
+    Measurements,
+    Station,
+    condition,
+    fit_channel,
+    measurement_covariance,
+    receiver_offsets,
+)
 from planopt.channel import offsets as module
-from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.offsets import receiver_offsets
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import condition
+from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-20.0, 2.5, 5.0, 15.0, 2.0, Station((50.0, 130.0), 5.0))
 OFFSETS_DB = np.array([0.0, 7.0, -4.0])

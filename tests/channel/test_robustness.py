@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from small_cases import small_case
 
-from planopt.channel.estimation.fit import fit_channel
+from planopt import InputError
+from planopt.channel import condition, fit_channel
 from planopt.channel.estimation.least_squares import examine
-from planopt.channel.posterior import condition
-from planopt.errors import InputError
 
 CASES = 1000
 BLOCKS = 20

@@ -7,17 +7,21 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
+from planopt.channel import (
+    ChannelParameters,
+    Measurements,
+    Station,
+    condition,
+    fit_channel,
+    marginalise,
+)
 from planopt.channel.estimation.channel_fit import covariance_bounds
-from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
 from planopt.channel.estimation.reml import reml_fit
 from planopt.channel.gaussian_sites import FINE_STEP, needs_site
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
 from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
-from planopt.channel.posterior import condition
+from planopt.channel.parameters import mean_model, regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 20.0, 1.0, Station((50.0, 50.0), 10.0))
 STEP_DB = 3.0

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from planopt import InputError
 from planopt.channel.cholesky import semidefinite_factor
-from planopt.errors import InputError
 
 
 @pytest.mark.parametrize("rank", [1, 2, 5])

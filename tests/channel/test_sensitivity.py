@@ -5,16 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import condition
-from planopt.channel.sensitivity import (
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    Measurements,
+    Station,
+    condition,
     mean_squared_error_db2,
-    perturbed,
     sensitivity_curves,
 )
-from planopt.errors import InputError
+from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.parameters import regressors
+from planopt.channel.sensitivity import perturbed
 
 TRUE = ChannelParameters(-10.0, 2.0, 4.0, 8.0, 1.5, Station((12.0, 9.0), 2.0))
 WRONG = ChannelParameters(-13.0, 2.4, 5.5, 4.0, 2.5, TRUE.station)

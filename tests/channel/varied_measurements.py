@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel import ChannelParameters, Measurements, Station
 
 DRIFTING = ChannelParameters(-10.0, 2.0, 4.0, 12.0, 1.5, Station((25.0, 60.0), 5.0), 300.0)
 STEADY = replace(DRIFTING, forgetting_s=math.inf)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from planopt.errors import InputError
+from planopt import InputError
 from planopt.targets.information_filter import (
     InformationState,
     TargetModel,

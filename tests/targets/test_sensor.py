@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.errors import InputError
+from planopt import InputError
 from planopt.targets.sensor import (
     CUSP_SHARE,
     Sensor,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.errors import InputError
+from planopt import InputError
 from planopt.targets.information_filter import TargetModel, predict_target, simulate_target
 
 MODEL = TargetModel(0.5, np.array([[0.3, 0.1], [0.1, 0.2]]))

@@ -1,9 +1,9 @@
-"""Estimate the station's position: both ways of [GM11], and the likelihood over places.
+"""Fit the channel when the station's position is not known (equation 2.12).
 
 ``line`` takes the errors for independent: least squares of the path loss line over the position and
 theta. ``joint`` takes them for shadowing and multipath: maximum likelihood over the position, theta
 and the covariance, the last by REML at the position in turn. The likelihood has several optima, so
-both look at a grid first and climb from the best of its minima with the exact gradient.
+both search a grid first and climb from its best minima with the exact gradient.
 
 With y = Gamma(q) theta + e, e ~ N(0, V), and theta profiled out, minus the logarithm of the
 likelihood of position q is
@@ -11,32 +11,17 @@ likelihood of position q is
     l(q) = (y - Gamma theta)' V^-1 (y - Gamma theta) / 2
     theta = (Gamma' V^-1 Gamma)^-1 Gamma' V^-1 y
 
-V does not depend on q, so that one factor serves every position, and both the values on a grid and
-the Gauss-Newton terms at a place cost a triangular solve each. A prior of n_PL enters as one
+V does not depend on q, so that one factor serves every position. A prior of n_PL enters as one
 further measurement of n_PL.
 
-
-Fit the channel when the station's position is not known (equation 2.12).
-
-The position is found by :mod:`planopt.channel.estimation.station_fit`, the channel is fitted with
-the station there, and the position's uncertainty is carried into theta's.
-
-How well an estimated station position is known, and what that adds to the doubt in theta.
-
-For the line, whose estimate is linear in the errors to first order, the covariance is the sandwich
-
-    A J' W V W J A,    A = (J' W J)^-1,
-
-with J the derivatives of the mean by (K_PL, n_PL, x, y), W the weights of the line and V the fitted
-covariance of the measurements: A alone takes correlated errors for independent ones, and is several
-times too small.
-
-For the joint estimate the mean shares no information with xi, beta and omega, so to first order its
-covariance is the inverse of the expected (Fisher) information J' V^-1 J. Where the errors are not
-small against the distance to the nearest measurements the likelihood is no paraboloid, and that
-inverse is too small. What is reported is the likelihood's second moment about the estimate, over
-the positions that a likelihood-ratio test does not reject, the total variance integrated out as in
-:mod:`planopt.channel.parameter_uncertainty`. On a paraboloid the two are the same but for 1 %.
+The covariance of the line's position is, to first order, the sandwich A J' W V W J A with
+A = (J' W J)^-1, J the derivatives of the mean by (K_PL, n_PL, x, y), W the weights of the line and
+V the fitted covariance of the measurements: A alone takes correlated errors for independent ones,
+and is several times too small. That of the joint position is the likelihood's second moment about
+the
+estimate, over the positions that a likelihood-ratio test does not reject, the total variance
+integrated out as in :mod:`planopt.channel.parameter_uncertainty`; on a paraboloid it is the inverse
+of the expected (Fisher) information J' V^-1 J but for 1 %.
 """
 
 from __future__ import annotations
@@ -218,12 +203,6 @@ class Box:
     low_m: NDArray[np.float64]  # (2,) corners
     high_m: NDArray[np.float64]
 
-    def grid_m(self, number: int) -> NDArray[np.float64]:
-        """A lattice of `number` x `number` positions, rows along x; ``(number^2, 2)``."""
-        iy, ix = np.divmod(np.arange(number**2), number)
-        share = np.column_stack([ix, iy]) / (number - 1)
-        return self.low_m + share * (self.high_m - self.low_m)
-
 
 def box_about(positions_m: NDArray[np.float64], margin: float) -> Box:
     """The box about measured positions (n, 2), and beyond by `margin` times their extent."""
@@ -239,7 +218,9 @@ def extent_m(positions_m: NDArray[np.float64]) -> float:
 
 def grid_starts(surface: StationSurface) -> list[NDArray[np.float64]]:
     """The best minima of the likelihood on the grid."""
-    grid = box_about(surface.positions_m, GRID_MARGIN).grid_m(GRID)
+    box = box_about(surface.positions_m, GRID_MARGIN)
+    iy, ix = np.divmod(np.arange(GRID**2), GRID)
+    grid = box.low_m + np.column_stack([ix, iy]) / (GRID - 1) * (box.high_m - box.low_m)
     loss = losses(surface, grid).loss.reshape(GRID, GRID)
     if not np.isfinite(loss).any():
         raise InputError(
@@ -401,12 +382,21 @@ SINGULAR = 1e12
 """Condition beyond which an information counts as singular."""
 
 
+def position_covariance_m2(
+    measurements: Measurements, parameters: ChannelParameters, method: StationMethod
+) -> NDArray[np.float64] | None:
+    """Covariance of the station's position; ``(2, 2)``, or None where it is not determined."""
+    if _at_edge(measurements, parameters):
+        return None
+    if method == "line":
+        return line_covariance_m2(measurements, parameters)
+    return joint_covariance_m2(measurements, parameters)
+
+
 def line_covariance_m2(
     measurements: Measurements, parameters: ChannelParameters
 ) -> NDArray[np.float64] | None:
     """The sandwich for the line's position; ``(2, 2)``, or None where it is not determined."""
-    if _at_edge(measurements, parameters):
-        return None
     line = line_surface(measurements, parameters.station)
     fitted = station_surface(measurements, parameters, has_prior=False)
     whitened = solve_lower(line.lower, _jacobian(measurements, parameters))
@@ -422,23 +412,12 @@ def joint_covariance_m2(
     measurements: Measurements, parameters: ChannelParameters
 ) -> NDArray[np.float64] | None:
     """The likelihood's moments about the joint estimate; ``(2, 2)``, or None as for the line."""
-    if _at_edge(measurements, parameters):
-        return None
     surface = station_surface(measurements, parameters, has_prior=True)
     estimate = np.asarray(parameters.station.position_m)
     off, weights, at_edge = _likely(surface, estimate)
     if float(weights[at_edge].sum()) > EDGE_SHARE:
         return None
     return (weights[:, None] * off).T @ off
-
-
-def fisher_information(
-    measurements: Measurements, parameters: ChannelParameters
-) -> NDArray[np.float64]:
-    """Expected information J' V^-1 J of (K_PL, n_PL, x, y) at `parameters`; ``(4, 4)``."""
-    surface = station_surface(measurements, parameters, has_prior=False)
-    whitened = solve_lower(surface.lower, _jacobian(measurements, parameters))
-    return whitened.T @ whitened
 
 
 def theta_by_position(
@@ -449,7 +428,9 @@ def theta_by_position(
     With S the position's covariance, theta's grows by B S B': an estimate of the position that does
     not depend on theta is not correlated with theta at the true position.
     """
-    information = fisher_information(measurements, parameters)
+    surface = station_surface(measurements, parameters, has_prior=False)
+    whitened = solve_lower(surface.lower, _jacobian(measurements, parameters))
+    information = whitened.T @ whitened
     return -np.linalg.pinv(information[:2, :2], hermitian=True) @ information[:2, 2:]
 
 
@@ -571,48 +552,26 @@ def fit_channel_and_station(
     station = locate(measurements, station_method, height_m, forgetting_s)
     found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
     sample = measurements.take(thinned(len(measurements), MOST_DENSE))
-    doubt = line_covariance_m2 if station_method == "line" else joint_covariance_m2
-    covariance = doubt(sample, found.parameters)
-    x, y = station.position_m
+    parameters, errors = found.parameters, found.standard_errors
+    covariance = position_covariance_m2(sample, parameters, station_method)
+    place = "the station's position ({:.2f}, {:.2f}) m is ".format(*station.position_m)
     if covariance is None:
-        return _undetermined(
-            found, f"the station's position ({x:.2f}, {y:.2f}) m is not bounded by the measurements"
+        return replace(
+            found,
+            status="degenerate",
+            standard_errors={**errors, "k_pl_db": math.inf, "n_pl": math.inf},
+            station_covariance_m2=np.diag([math.inf, math.inf]),
+            warnings=(place + "not bounded by the measurements", *found.warnings),
         )
-    slope = theta_by_position(sample, found.parameters)
-    return _with_station(
-        found,
-        covariance,
-        found.theta_covariance + slope @ covariance @ slope.T,
-        f"the station's position ({x:.2f}, {y:.2f}) m is estimated, not given",
-    )
-
-
-def _with_station(
-    found: ChannelFit,
-    covariance_m2: NDArray[np.float64],
-    theta_covariance: NDArray[np.float64],
-    warning: str,
-) -> ChannelFit:
-    """The fit with the doubt in its station."""
+    slope = theta_by_position(sample, parameters)
+    theta_covariance = found.theta_covariance + slope @ covariance @ slope.T
     k_error, n_error = np.sqrt(np.maximum(np.diag(theta_covariance), 0.0))
-    errors = {**found.standard_errors, "k_pl_db": float(k_error), "n_pl": float(n_error)}
     return replace(
         found,
         theta_covariance=theta_covariance,
-        standard_errors=errors,
-        station_covariance_m2=covariance_m2,
-        warnings=(warning, *found.warnings),
-    )
-
-
-def _undetermined(found: ChannelFit, warning: str) -> ChannelFit:
-    """The fit where the station might be anywhere, as far as the search went."""
-    return replace(
-        found,
-        status="degenerate",
-        standard_errors={**found.standard_errors, "k_pl_db": math.inf, "n_pl": math.inf},
-        station_covariance_m2=np.diag([math.inf, math.inf]),
-        warnings=(warning, *found.warnings),
+        standard_errors={**errors, "k_pl_db": float(k_error), "n_pl": float(n_error)},
+        station_covariance_m2=covariance,
+        warnings=(place + "estimated, not given", *found.warnings),
     )
 
 

@@ -7,12 +7,16 @@ import pytest
 from scipy.stats import norm
 from simulated_channel import simulated
 
-from planopt.channel.connection.first_passage import first_passage
-from planopt.channel.joint import sample_power
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import condition
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    Measurements,
+    Station,
+    condition,
+    first_passage,
+    sample_power,
+)
+from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-30.0, 3.0, 5.0, 15.0, 1.5, Station((0.0, 0.0)))
 NOTHING = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))

@@ -8,11 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from planopt.channel.connection.joint_connectivity import joint_connectivity, spanning_tree_weight
-from planopt.channel.joint import JointPrediction, joint_prediction
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
+from planopt.channel import (
+    ChannelParameters,
+    JointPrediction,
+    Measurements,
+    Station,
+    condition,
+    joint_connectivity,
+    joint_prediction,
+)
+from planopt.channel.connection.joint_connectivity import spanning_tree_weight
 
 
 def line(shadow_std_db, multipath_std_db, decorrelation_m, marginal, count=20):

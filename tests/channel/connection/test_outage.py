@@ -9,13 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_channel import simulated
 
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    Measurements,
+    Station,
+    Traffic,
+    condition,
+    delivered_data,
+    joint_prediction,
+    longest_outage,
+)
 from planopt.channel.connection.joint_connectivity import prefix_probabilities
-from planopt.channel.connection.outage import Traffic, delivered_data, longest_outage, longest_runs
-from planopt.channel.joint import joint_prediction
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
-from planopt.errors import InputError
+from planopt.channel.connection.outage import longest_runs
 from planopt.planning.loop.metrics import longest_outage_m
 
 CHANNEL = ChannelParameters(-30.0, 3.0, 5.0, 15.0, 1.5, Station((0.0, 0.0)))

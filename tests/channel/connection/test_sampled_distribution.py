@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from planopt import InputError
 from planopt.channel.connection.outage import SampledDistribution
-from planopt.errors import InputError
 
 
 def test_intervals_cover():

@@ -7,12 +7,13 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
+from planopt.channel import Prediction
 from planopt.channel.connection.law import (
     any_probability,
     serving_power_dbm,
     serving_prediction,
 )
-from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
+from planopt.channel.prediction import bound_margin_db, connection_probability
 
 THRESHOLDS = (-80.0, -76.0, -83.0)
 

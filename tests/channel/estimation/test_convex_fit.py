@@ -7,16 +7,15 @@ import pytest
 from scipy.optimize import linprog, minimize
 from simulated_channel import simulated
 
+from planopt import InputError
+from planopt.channel import ChannelParameters, Station, fit_channel
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.correlation_solvers import (
     HUBER_DEVIATIONS,
     NORMAL_MEDIAN,
     convex_fit,
 )
-from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.lemma1 import LogBins, lemma1_fit
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.errors import InputError
 
 LAGS = np.linspace(1.0, 40.0, 25)
 RNG = np.random.default_rng(3)

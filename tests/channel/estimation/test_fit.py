@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
-from planopt.channel.estimation.fit import fit_channel, fitted_parameters
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import (
-    PRIOR_N_PL,
+from planopt import InputError
+from planopt.channel import (
     ChannelParameters,
+    LogFormat,
+    Measurements,
     Station,
-    regressors,
+    fit_channel,
+    read_log,
 )
-from planopt.channel.power_log import LogFormat, read_log
-from planopt.errors import InputError
+from planopt.channel.estimation.fit import fitted_parameters
+from planopt.channel.parameters import PRIOR_N_PL, regressors
 
 METHODS = ("lemma1", "capped", "convex", "nls", "reml")
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))

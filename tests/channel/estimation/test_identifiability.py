@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from planopt import InputError
+from planopt.channel import Measurements, Station
 from planopt.channel.estimation.least_squares import examine
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import Station
-from planopt.errors import InputError
 
 ORIGIN = Station((0.0, 0.0))
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.estimation.fit import fit_channel, implausible_values, suspected_floor
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel import ChannelParameters, Measurements, Station, fit_channel
+from planopt.channel.estimation.fit import implausible_values, suspected_floor
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
 

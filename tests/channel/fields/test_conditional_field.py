@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from planopt.channel.fields.field import conditional_field, conditional_values_db
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
+from planopt.channel import ChannelParameters, Measurements, Station, condition, conditional_field
+from planopt.channel.fields.field import conditional_values_db
 
 STATION = Station((-20.0, 5.0), 3.0)
 PARAMETERS = ChannelParameters(-30.0, 2.5, 4.0, 8.0, 1.5, STATION)

@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
-from planopt.channel.fields.field import (
-    CLIPPED_SHARE_TOLERANCE,
-    shadow_field_db,
-    shadow_field_pair_db,
-)
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import shadow_field_db
+from planopt.channel.fields.field import CLIPPED_SHARE_TOLERANCE, shadow_field_pair_db
 
 
 @pytest.mark.parametrize(("shape", "decorrelation"), [((12, 16), 5.0), ((6, 20), 16.0)])

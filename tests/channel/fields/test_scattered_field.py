@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from planopt.channel.fields.field import added_to_lattice_db, scattered_field_db, shadow_field_db
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import scattered_field_db, shadow_field_db
+from planopt.channel.fields.field import added_to_lattice_db
 
 DRAWS = 1200
 

@@ -5,9 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt.channel.fields.multipath import Nakagami, Rician
-from planopt.channel.fields.truth import measure, model_truth, raster_truth, true_power_dbm
-from planopt.channel.parameters import ChannelParameters, Station, regressors
+from planopt.channel import (
+    ChannelParameters,
+    Nakagami,
+    Rician,
+    Station,
+    measure,
+    model_truth,
+    raster_truth,
+    true_power_dbm,
+)
+from planopt.channel.parameters import regressors
 from planopt.world.raster import Raster
 
 GAINS = np.array([[-80.0, -100.0, np.nan], [-129.0, -131.0, -95.0]])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.gaussian_sites import (
     MAX_SITE_VARIANCE_DB2,
     gaussian_sites,
     needs_site,
 )
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
+from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((0.0, 0.0), 10.0))
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt.channel.power_log import FARTHEST_M, LogFormat, east_north_m, parse_origin, read_log
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import LogFormat, read_log
+from planopt.channel.power_log import FARTHEST_M, east_north_m, parse_origin
 
 ORIGINS = [(48.1374, 11.5755), (0.0, 0.0), (-33.9, 151.2), (78.2, -179.9)]
 

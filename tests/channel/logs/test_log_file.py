@@ -3,20 +3,18 @@
 import numpy as np
 import pytest
 
+from planopt import InputError
+from planopt.channel import LogFormat, Station, read_log
 from planopt.channel.estimation.least_squares import examine
-from planopt.channel.parameters import Station
 from planopt.channel.power_log import (
-    LogFormat,
     at_file_line,
     parse_columns,
     parse_groups,
     parse_rows,
     parse_station,
     read_groups,
-    read_log,
     read_power_log,
 )
-from planopt.errors import InputError
 
 
 def written(tmp_path, text, encoding="utf-8"):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from planopt import InputError
 from planopt.channel.power_log import GroupColumn, parse_groups, read_groups
-from planopt.errors import InputError
 
 LOG = """x_m,y_m,power_dbm,day,t_s
 0,0,-50,mon,0

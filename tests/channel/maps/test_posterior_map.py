@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from planopt import InputError
+from planopt.channel import ChannelParameters, Measurements, Station, condition, posterior_map
 from planopt.channel import channel_map as module
-from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
-from planopt.errors import InputError
+from planopt.channel.channel_map import default_cell_m, measured_bounds_m
 
 PARAMETERS = ChannelParameters(-30.0, 2.5, 4.0, 15.0, 1.5, Station((50.0, 60.0), 5.0))
 

@@ -5,10 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from planopt.channel import ChannelParameters, Measurements, Station, condition
 from planopt.channel.kriging import predict
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
 from planopt.channel.tile_map import TileMap
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 4.0, 20.0, 1.13, Station((5.0, -10.0), 12.0))

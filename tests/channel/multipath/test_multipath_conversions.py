@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import loggamma
 
+from planopt import InputError
 from planopt.channel.fields.multipath import (
     nakagami_m_of_rician,
     nakagami_m_of_std,
@@ -15,7 +16,6 @@ from planopt.channel.fields.multipath import (
     rician_k_of_std,
     rician_std_db,
 )
-from planopt.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -7,15 +7,9 @@ import pytest
 from scipy.special import exp1, psi
 from scipy.stats import kstest, loggamma, norm, rice
 
-from planopt.channel.fields.multipath import (
-    Lognormal,
-    Nakagami,
-    Rician,
-    multipath_field_db,
-    multipath_of,
-    rician_std_db,
-)
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import Lognormal, Nakagami, Rician, multipath_of
+from planopt.channel.fields.multipath import multipath_field_db, rician_std_db
 
 NEPER_DB = 10.0 / math.log(10.0)
 

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
+from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.gaussian_sites import intervals
 from planopt.channel.measurement_covariance import (
     measured_origins,
     own_covariance_db2,
 )
-from planopt.channel.measurements import Measurements
 from planopt.channel.nearest.window_sites import IntervalRows, window_sites
 from planopt.channel.nearest.windows import place_blocks, surrounding_windows
-from planopt.channel.parameters import ChannelParameters, Station
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

@@ -8,9 +8,9 @@ from scipy.optimize import minimize
 from scipy.special import log_ndtr
 from simulated_channel import simulated
 
+from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.estimation.station_fit import locate, losses, station_surface
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
+from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 3.0, 20.0, 1.0, Station((130.0, 70.0), 10.0))
 METHODS = ["line", "joint"]

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
-from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.estimation.station_fit import fit_channel_and_station
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    Measurements,
+    Station,
+    fit_channel,
+    fit_channel_and_station,
+)
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 3.0, 20.0, 1.0, Station((130.0, 70.0), 10.0))
 

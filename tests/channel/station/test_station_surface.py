@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
+from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.estimation.station_fit import (
     gauss_newton,
     gaussian_covariance_db2,
@@ -14,8 +15,7 @@ from planopt.channel.estimation.station_fit import (
     station_surface,
 )
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
+from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 4.0, 25.0, 1.5, Station((130.0, 70.0), 10.0))
 MEASUREMENTS = simulated(CHANNEL, 1, 50, 200.0)

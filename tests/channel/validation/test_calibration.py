@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm, uniform
 
-from planopt.channel.calibration import calibrate, share_between
-from planopt.channel.measurements import Measurements
-from planopt.channel.prediction import Prediction
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import Measurements, Prediction, calibrate
+from planopt.channel.calibration import share_between
 
 COUNT = 20_000
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from planopt import InputError
 from planopt.channel.calibration import grouped_ratio
-from planopt.errors import InputError
 
 
 def test_groups_of_one_size_are_students_interval():

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
+from planopt import InputError
+from planopt.channel import ChannelParameters, Measurements, Prediction, Station
 from planopt.channel.held_out import (
     deal,
     held_out_predictions,
 )
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.prediction import Prediction
-from planopt.errors import InputError
 
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
 

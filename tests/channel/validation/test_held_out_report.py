@@ -7,14 +7,20 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel.calibration import held_out_report
-from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.held_out import deal, learn_path_loss, predictors_of
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.power_log import LogFormat, parse_groups, read_groups, read_log
-from planopt.channel.prediction import Prediction
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.channel import (
+    ChannelParameters,
+    LogFormat,
+    Measurements,
+    Prediction,
+    Station,
+    fit_channel,
+    held_out_report,
+    predictors_of,
+    read_log,
+)
+from planopt.channel.held_out import deal, learn_path_loss
+from planopt.channel.power_log import parse_groups, read_groups
 
 PREDICTORS = ["channel", "marginal", "path_loss", "plain_line", "plain_process"]
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))

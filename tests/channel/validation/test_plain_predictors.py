@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
+from planopt import InputError
+from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.held_out import learn_plain_line, learn_plain_process
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.errors import InputError
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 40.0, 2.0, Station((50.0, 50.0), 10.0))
 FLAT = dataclasses.replace(CHANNEL, n_pl=0.0)

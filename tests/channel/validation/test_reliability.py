@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from planopt import InputError
 from planopt.channel.calibration import EDGES, FEWEST_GROUPS, reliability, share_interval
-from planopt.errors import InputError
 
 
 def test_bins_partition_the_predictions():

@@ -44,7 +44,7 @@ from planopt.channel.estimation.lemma1 import (
     printed_bins,
 )
 from planopt.channel.estimation.likelihood import Covariance
-from planopt.channel.estimation.reml import MOST_DENSE, RemlFit, reml_fit
+from planopt.channel.estimation.reml import EXACT_ROWS, RemlFit, reml_fit
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.offsets import ReceiverOffset, receiver_offsets
 from planopt.channel.one_thread import one_blas_thread
@@ -353,7 +353,7 @@ def fit_channel(
         a lag cap and weights n r^2. ``convex``: that as a convex programme with xi^2 <= alpha and
         beta bounded. ``nls``: the exponential fitted without logarithm to all bins. ``reml``:
         restricted maximum likelihood (default); of more than
-        :data:`planopt.channel.estimation.reml.MOST_DENSE` measurements by blocks. The first
+        :data:`planopt.channel.estimation.reml.EXACT_ROWS` measurements by blocks. The first
         four complete censored powers by their expected values and ignore what that hides of the
         correlation; only ``reml`` has them as a term of the likelihood.
     forgetting_s
@@ -496,4 +496,4 @@ def _offsets(
     """Offsets of receivers under fitted parameters."""
     if not measurements.receiver.any():
         return ()
-    return receiver_offsets(condition(parameters, measurements, exact_limit=MOST_DENSE))
+    return receiver_offsets(condition(parameters, measurements, exact_limit=EXACT_ROWS))

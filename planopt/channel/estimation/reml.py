@@ -1,7 +1,7 @@
 """Restricted maximum likelihood of xi, omega and beta, with generalised least squares for theta.
 
 The default fit: unlike Lemma 1 of [GM11] it has no selection bias, weighs every pair rightly, and
-takes censored measurements for what they are. Up to `MOST_DENSE` measurements the likelihood is
+takes censored measurements for what they are. Up to `EXACT_ROWS` measurements the likelihood is
 exact, from one factor; beyond, it is that of blocks
 (:mod:`planopt.channel.estimation.likelihood`), whose cost is proportional to their number.
 """
@@ -38,8 +38,13 @@ from planopt.channel.gaussian_sites import needs_site
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, MeanModel
 
+EXACT_ROWS = 2_000
+"""Up to so many measurements the likelihood is exact. A fit of 1,900 takes 2 s of CPU, 8 s if 60 %
+are censored; by blocks it takes 0.8 s."""
+
 MOST_DENSE = 800
-"""From more measurements the likelihood is that of blocks: a factor's cost grows with the cube."""
+"""Measurements of a sample that stands for all where a fit is repeated: in the search for the
+station, and for the weights of covariances."""
 
 BLOCK_FINE = 2e-3
 """What a step to the optimum of blocks may still promise in log L: a sixteenth of a standard error,
@@ -78,7 +83,7 @@ def reml_fit(
 ) -> RemlFit:
     """Maximise the restricted likelihood within `bounds`."""
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
-    whole = len(measurements) <= MOST_DENSE
+    whole = len(measurements) <= EXACT_ROWS
     blocks, fine = (None, FINE) if whole else (bounds.decorrelation_m, BLOCK_FINE)
     data = likelihood_data(model, measurements, known, None, blocks)
     likelihood = RestrictedLikelihood(data)

@@ -18,8 +18,7 @@ The covariance of the line's position is, to first order, the sandwich A J' W V 
 A = (J' W J)^-1, J the derivatives of the mean by (K_PL, n_PL, x, y), W the weights of the line and
 V the fitted covariance of the measurements: A alone takes correlated errors for independent ones,
 and is several times too small. That of the joint position is the likelihood's second moment about
-the
-estimate, over the positions that a likelihood-ratio test does not reject, the total variance
+the estimate, over the positions that a likelihood-ratio test does not reject, the total variance
 integrated out as in :mod:`planopt.channel.parameter_uncertainty`; on a paraboloid it is the inverse
 of the expected (Fisher) information J' V^-1 J but for 1 %.
 """

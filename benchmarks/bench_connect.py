@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from connect_search import searches
 
-from planopt.problems.load import load
+from planopt import load
 
 
 @pytest.mark.parametrize("name", ["connect_rooftop", "connect_street"])

@@ -9,8 +9,7 @@ from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 from scenes import munich, sampled
 
-from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.fit import fit_channel
+from planopt.channel import ChannelFit, fit_channel
 
 ROUNDS = 5
 

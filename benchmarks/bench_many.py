@@ -20,12 +20,16 @@ import pytest
 from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from planopt.channel.channel_map import posterior_map
-from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.fields.field import shadow_field_db
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import condition
+from planopt import Measurements
+from planopt.channel import (
+    ChannelParameters,
+    Station,
+    condition,
+    fit_channel,
+    posterior_map,
+    shadow_field_db,
+)
+from planopt.channel.parameters import regressors
 
 GRID = 320
 SPACING_M = 1.5

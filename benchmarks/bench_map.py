@@ -11,11 +11,11 @@ import pytest
 from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from planopt import Measurements
+from planopt.channel import ChannelParameters, ChannelPosterior, Prediction, Station, condition
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.posterior import ChannelPosterior, condition, extend
-from planopt.channel.prediction import Prediction
+from planopt.channel.parameters import regressors
+from planopt.channel.posterior import extend
 from planopt.channel.tile_map import TileMap
 from planopt.world.raster import cell_centres_m
 

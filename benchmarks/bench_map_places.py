@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
-from planopt import load
+from planopt import Problem, load
+from planopt.channel import ChannelParameters
 from planopt.channel.calibration import FEWEST_GROUPS
-from planopt.channel.parameters import ChannelParameters
 from planopt.planning.learn import prepare
 from planopt.planning.loop.closed_loop import simulate
-from planopt.problems.problem import Problem
 from planopt.studies.comparison_rows import mean_interval
 from planopt.world.clearance import clearance_m, index_obstacles
 

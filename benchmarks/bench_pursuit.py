@@ -10,6 +10,7 @@ from conftest import Table
 from pursuit_study import captures, varied
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from planopt import compare
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.evaders import Fleeing
 from planopt.pursuit.motion import StraightMotion
@@ -17,7 +18,6 @@ from planopt.pursuit.pursuers import DriveToReport, Policy, RecedingHorizon
 from planopt.pursuit.records import SnapshotRecords, Track, snapshot
 from planopt.pursuit.service import SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Pursuit, Scene, simulate_pursuit
-from planopt.studies.compare import compare
 
 STEPS = 1000
 SERVICE = SnapshotService(levels=8, mote_spacing_m=1.0, frame_s=0.05, bits_per_axis=5)

@@ -12,7 +12,7 @@ from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 from scenes import Drive
 
-from planopt.planning.plan import Verdict
+from planopt import Verdict
 
 HORIZON = 10
 STEPS = 30

@@ -23,7 +23,7 @@ from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 from tracking_scene import TrackingDrive, single_step
 
-from planopt.planning.plan import Verdict
+from planopt import Verdict
 
 STEPS = 30
 DRIVES = 3

@@ -18,8 +18,7 @@ from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 from tracking_averages import with_setting
 
-from planopt import Problem, load, simulate
-from planopt.planning.plan import Plan
+from planopt import Plan, Problem, load, simulate
 from planopt.planning.stepping import Stepper
 
 FORMS = ("additive", "recourse")

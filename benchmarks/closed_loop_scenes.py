@@ -15,8 +15,8 @@ import numpy as np
 import shapely
 from closed_loop_wide import with_more
 
-from planopt.errors import InputError
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt import InputError, Problem
+from planopt.problems.problem import problem_from_tables
 
 Tables = dict[str, Any]
 Ring = list[list[float]]

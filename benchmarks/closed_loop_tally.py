@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from closed_loop_scenes import MAX_STEPS, random_problem
 
-from planopt.errors import InputError, NoPlanError
-from planopt.planning.check.check import check
+from planopt import InputError, NoPlanError, Plan, Problem, Verdict, check
+from planopt.extend import Rung
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.plan import Plan, Rung, Verdict
-from planopt.problems.problem import Problem
 
 OBJECTION = re.compile(r"^run\.json, key (plans.*), the plan for step \d+: (.*)$", re.DOTALL)
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")

@@ -23,14 +23,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from planopt.channel.fields.truth import measure
+from planopt import Problem, load
+from planopt.channel import measure
 from planopt.channel.posterior import extend
 from planopt.planning.learn import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.scene import Ground, build_ground
-from planopt.problems.load import load
-from planopt.problems.problem import Problem
 
 LEAST_M = 30.0
 """Starts are at least so far from the nearest connected node, by the shortest path."""

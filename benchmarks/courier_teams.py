@@ -21,9 +21,8 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt import Robot, load, simulate
+from planopt import Problem, Robot, load, simulate
 from planopt.planning.roads import build_roads, node_at
-from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 from planopt.world.road_map import lattice_paths
 

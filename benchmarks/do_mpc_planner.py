@@ -14,16 +14,14 @@ from typing import Any
 
 from do_mpc_step import DoMpcStep
 
+from planopt import InputError, Plan, Problem
 from planopt.cli import main
-from planopt.errors import InputError
+from planopt.extend import PlannerKind, Rung, register_planner
 from planopt.objectives import TrackingTerm
 from planopt.planning.judge import Judge
-from planopt.planning.plan import Plan, Rung
 from planopt.planning.programme.ipopt import termination_of
 from planopt.planning.scene import Ground
 from planopt.planning.values.context import StepContext
-from planopt.problems.planner_kinds import PlannerKind, register_planner
-from planopt.problems.problem import Problem
 
 
 class DoMpcPlanner:

@@ -20,11 +20,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planopt import BaseStation, Problem, Workspace, compare, load
-from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import Station
-from planopt.errors import InputError, PlanoptError
+from planopt import (
+    BaseStation,
+    InputError,
+    Measurements,
+    PlanoptError,
+    Problem,
+    Workspace,
+    compare,
+    load,
+)
+from planopt.channel import Station, fit_channel
 from planopt.problems import ArrayTruth, GivenParameters, SampledMeasurements
 from planopt.problems.comparison_settings import seeds_of
 from planopt.report import comparison_text

@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from tracking_scene import FIELD_C, Scene, scene, situation_in
 
-from planopt.channel.posterior import condition
+from planopt.channel import condition
+from planopt.extend import Term
 from planopt.objectives import LearningTerm, MappingTerm, TermsObjective
-from planopt.objectives.terms.term import Term
 from planopt.planning.judge import Judge
 from planopt.planning.scene import build_ground
 from planopt.planning.values.context import StepContext

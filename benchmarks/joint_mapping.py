@@ -18,16 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from planopt import load
-from planopt.channel.fields.truth import true_power_dbm
-from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition
+from planopt import Measurements, Problem, load
+from planopt.channel import condition, true_power_dbm
 from planopt.objectives.information import Information
 from planopt.objectives.moments import posterior_moments
 from planopt.planning.learn import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.values.exploration import workspace_region
-from planopt.problems.problem import Problem
 from planopt.studies.comparison_rows import mean_interval
 
 STARTS_M = ((8.0, 8.0), (8.0, 10.0), (10.0, 8.0))

@@ -13,8 +13,8 @@ from time import perf_counter, process_time
 import numpy as np
 from tracking_scene import single_step
 
+from planopt import Plan, Verdict
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Plan, Verdict
 
 METHODS: tuple[str, ...] = ("nlp", "scp")
 AGREEMENT = 0.01

@@ -18,8 +18,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt import load
-from planopt.channel.fields.truth import mean_power_dbm, measure
+from planopt import Problem, load
+from planopt.channel import measure
+from planopt.channel.fields.truth import mean_power_dbm
 from planopt.channel.prediction import connection_probability
 from planopt.planning.learn import Prepared, learn_measured, prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
@@ -27,7 +28,6 @@ from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.proof.predictions import connectivity_law
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.problems.problem import Problem
 from planopt.world.road_map import lattice_paths, way_from
 
 REPLANNED_STEPS = 3

@@ -15,6 +15,7 @@ import sys
 import numpy as np
 
 import planopt
+from planopt import compare
 from planopt.problems import TaskProblem
 from planopt.problems.tasks import problem_from
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
@@ -25,7 +26,6 @@ from planopt.pursuit.records import SnapshotRecords
 from planopt.pursuit.service import SnapshotService, relative_error
 from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
 from planopt.pursuit.theorems import Theorem
-from planopt.studies.compare import compare
 
 EVADERS = {
     "static": {"kind": "static"},

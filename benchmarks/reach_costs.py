@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from plain_courier import drive_plain
 
-from planopt import load
-from planopt.errors import NoPlanError
+from planopt import NoPlanError, load
 from planopt.objectives import ReachObjective
 from planopt.planning.learn import prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m

@@ -11,18 +11,14 @@ from time import perf_counter
 
 import numpy as np
 
-from planopt.channel.belief import Belief, update
-from planopt.channel.fields.truth import Truth, measure
-from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition
+from planopt import Measurements, Plan, Problem, load
+from planopt.channel import Belief, Truth, condition, measure
+from planopt.channel.belief import update
 from planopt.planning.drawn_places import free_places
 from planopt.planning.learn import Prepared, prepare
-from planopt.planning.plan import Plan
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene
-from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
-from planopt.problems.problem import Problem
 
 PROBLEM = "munich_courier"
 PLACES_SEED = 7

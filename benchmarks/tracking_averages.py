@@ -24,8 +24,8 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from planopt import Problem, load, simulate
-from planopt.objectives import TermsObjective
-from planopt.objectives.terms.tracking import TrackingForm, TrackingTerm
+from planopt.objectives import TermsObjective, TrackingTerm
+from planopt.objectives.terms.tracking import TrackingForm
 from planopt.objectives.tracking import Criterion
 from planopt.planning.loop.metrics import LOST_RATIO
 from planopt.problems.target import Packets

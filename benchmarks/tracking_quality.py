@@ -15,9 +15,10 @@ from time import perf_counter, process_time
 import numpy as np
 from tracking_scene import STEP_M, single_step
 
+from planopt import Verdict
+from planopt.extend import Rung
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
-from planopt.planning.plan import Rung, Verdict
 from planopt.planning.search.start_search import StartSearch
 from planopt.planning.values.context import StepContext
 

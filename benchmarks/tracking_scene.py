@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief, update
-from planopt.channel.fields.truth import Truth, measure
-from planopt.channel.parameters import ChannelParameters
-from planopt.channel.posterior import condition
+from planopt import Plan, Problem
+from planopt.channel import Belief, ChannelParameters, Truth, condition, measure
+from planopt.channel.belief import update
 from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.moments import Region
 from planopt.planning.drawn_places import free_places
@@ -26,14 +25,13 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.initial_data import draw_truth
 from planopt.planning.judge import Judge
 from planopt.planning.learn import learn
-from planopt.planning.plan import Plan
 from planopt.planning.proof.context import verifier_context
 from planopt.planning.proof.predictions import search_power
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.problem import problem_from_tables
 
 SIDE_M = 100.0
 STEP_M = 2.0

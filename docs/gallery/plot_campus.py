@@ -18,13 +18,18 @@ import os
 from functools import partial
 from pathlib import Path
 
-from planopt.channel.calibration import held_out_report
-from planopt.channel.channel_map import measured_bounds_m, posterior_map
-from planopt.channel.estimation.fit import fit_channel
+from planopt.channel import (
+    LogFormat,
+    Station,
+    condition,
+    fit_channel,
+    held_out_report,
+    posterior_map,
+    read_log,
+)
+from planopt.channel.channel_map import measured_bounds_m
 from planopt.channel.held_out import channel_predictor, learn_path_loss
-from planopt.channel.parameters import Station
-from planopt.channel.posterior import condition
-from planopt.channel.power_log import LogFormat, parse_groups, read_columns, read_groups, read_log
+from planopt.channel.power_log import parse_groups, read_columns, read_groups
 from planopt.report import draw_calibration, draw_fit, draw_posterior_map
 
 CAMPUS = Path(os.environ.get("PLANOPT_DATA", "data")) / "campus"

@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from planopt import load, simulate
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.sensitivity import sensitivity_curves
+from planopt.channel import ChannelParameters, Station, sensitivity_curves
 from planopt.report import draw_sensitivity, save_animation
 from planopt.world.raster import cell_centres_m
 

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from planopt import Measurements
 from planopt.channel.estimation.station_fit import fit_channel_and_station
-from planopt.channel.measurements import Measurements
 from planopt.report import draw_stations
 
 LAB = Path(os.environ.get("PLANOPT_DATA", "data")) / "lab"

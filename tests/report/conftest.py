@@ -8,30 +8,32 @@ import numpy as np
 import pytest
 import shapely
 
-from planopt.channel.belief import Belief
-from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.fields.truth import Truth
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
+from planopt import (
+    BaseStation,
+    ChannelSetup,
+    Comparison,
+    Constraints,
+    Measurements,
+    Obstacle,
+    Plan,
+    PlannerSettings,
+    Problem,
+    Robot,
+    Run,
+    Solution,
+    Verdict,
+    Workspace,
+)
+from planopt.channel import Belief, ChannelFit, ChannelParameters, Station, Truth, condition
 from planopt.channel.prediction import connection_probability
+from planopt.extend import Rung, Termination
 from planopt.objectives import ReachObjective
 from planopt.planning.certificate import Certificate
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
-from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.planning.values.context import Aim
-from planopt.problems.base_station import BaseStation
-from planopt.problems.channel_setup import ChannelSetup
-from planopt.problems.constraints import Constraints
-from planopt.problems.problem import Problem
-from planopt.problems.robot import Robot
-from planopt.problems.settings import PlannerSettings
-from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import Row
 from planopt.world.raster import Raster
-from planopt.world.workspace import Obstacle, Workspace
 
 STATION = Station((50.0, 60.0), 5.0)
 PARAMETERS = ChannelParameters(-30.0, 2.5, 4.0, 15.0, 1.5, STATION)

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from planopt import Robot, Run, Target
 from planopt.objectives import LearningTerm, MappingTerm, TermsObjective, TrackingTerm
 from planopt.planning.loop.log import ChannelLog, TargetLog
-from planopt.planning.results import Run
 from planopt.planning.values.context import Aim
-from planopt.problems.robot import Robot
-from planopt.problems.target import Target
 
 TERMS = {
     "track": TrackingTerm(0.008, 0.08, 1.0),

@@ -24,7 +24,7 @@ from planopt import (
     solve,
 )
 from planopt.cli import main
-from planopt.planning.holes import BlockedError
+from planopt.extend import BlockedError
 from planopt.planning.learn import prepare
 from planopt.problems.library import library_folder
 from planopt.report import draw_no_plan, draw_run, save_figure

@@ -7,9 +7,8 @@ import pytest
 from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
 
 from planopt import InputError
-from planopt.channel import Measurements, Prediction, Station, condition
-from planopt.channel.calibration import calibrate, reliability
-from planopt.channel.channel_map import posterior_map
+from planopt.channel import Measurements, Prediction, Station, calibrate, condition, posterior_map
+from planopt.channel.calibration import reliability
 from planopt.report import (
     draw_belief,
     draw_calibration,

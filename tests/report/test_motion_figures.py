@@ -11,9 +11,8 @@ from apart_scene import apart_problem
 from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
 from teams import team_problem, team_run
 
-from planopt import ConnectivityRule, MovingObstacle, Verdict, load, simulate, solve
+from planopt import ConnectivityRule, MovingObstacle, Solution, Verdict, load, simulate, solve
 from planopt.planning.certificate import RuleResult
-from planopt.planning.results import Solution
 from planopt.planning.values.context import Aim
 from planopt.problems import GivenParameters
 from planopt.report import draw_run, draw_run_series, draw_solution

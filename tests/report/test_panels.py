@@ -11,8 +11,7 @@ import pytest
 from artists import line_of, panel_of
 
 import planopt.report
-from planopt import InputError
-from planopt.errors import OutputError
+from planopt import InputError, OutputError
 from planopt.pursuit.records import Track
 from planopt.pursuit.service import SnapshotService
 from planopt.report import draw_costs, draw_run_series, draw_step_times, draw_view, save_figure

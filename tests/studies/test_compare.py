@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from planopt import load
-from planopt.errors import InputError
+from planopt import Comparison, InputError, compare, load
 from planopt.planning.loop.clairvoyant import COSTS as COST_METRICS
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Metrics, Outcome
 from planopt.planning.run_summary import summary_of
-from planopt.studies.compare import compare
-from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import Row, log_ratios, mean_interval, tabulate
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6

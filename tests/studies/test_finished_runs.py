@@ -10,15 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from planopt import load
+from planopt import Comparison, Problem, compare, load
 from planopt.files.writing import write_whole
 from planopt.planning.run_summary import RunSummary
-from planopt.problems.problem import Problem, problem_from_tables
-from planopt.problems.save import problem_to_dict
+from planopt.problems import problem_to_dict
+from planopt.problems.problem import problem_from_tables
 from planopt.studies import compare as compare_module
 from planopt.studies import study
-from planopt.studies.compare import compare
-from planopt.studies.comparison import Comparison
 from planopt.studies.study import FinishedRuns, run_key
 
 

@@ -11,16 +11,16 @@ import pytest
 from test_finished_runs import short
 
 import planopt
-from planopt import InputError, compare, load, load_result
+from planopt import Comparison, InputError, compare, load, load_result
 from planopt.cli import main
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.comparison_settings import ComparisonSettings, SettingGroup
 from planopt.problems.library import library_folder
 from planopt.problems.overrides import with_changes
 from planopt.problems.planner_kinds import planner_kind
-from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
-from planopt.studies.comparison import Comparison, run_columns
+from planopt.studies.comparison import run_columns
 from planopt.studies.comparison_rows import short_keys
 from planopt.studies.study import run_key
 from planopt.studies.variants import settings_of

@@ -12,7 +12,7 @@ import pytest
 from test_finished_runs import short
 
 import planopt
-from planopt import InputError, compare, load
+from planopt import Comparison, InputError, compare, load
 from planopt.cli import main
 from planopt.commands.compare import asked_seeds, swept
 from planopt.files.typed_json import encoded
@@ -21,7 +21,6 @@ from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.problems.overrides import with_changes
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
-from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import comparison_rows
 
 SWEEP = {"constraints.p_min": [0.5, 0.9], "robots[0].speed_max_m_s": [1.0, 2.0]}

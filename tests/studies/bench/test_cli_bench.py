@@ -19,10 +19,9 @@ import pytest
 
 from planopt import load, solve
 from planopt.cli import main
+from planopt.extend import PlannerKind, Rung, Termination, register_planner, unregister_planner
 from planopt.planning.baselines.baseline import held
-from planopt.planning.plan import Rung, Termination
 from planopt.problems.library import find_problem
-from planopt.problems.planner_kinds import PlannerKind, register_planner, unregister_planner
 from planopt.studies import study
 from planopt.studies.bench import cases
 from planopt.studies.bench.references import read_references, write_references

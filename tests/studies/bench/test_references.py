@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from bench_rows import row
 
-from planopt.errors import InputError
+from planopt import InputError
 from planopt.studies.bench.cases import library_cases, library_names
 from planopt.studies.bench.references import (
     fast_cases,

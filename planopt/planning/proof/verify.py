@@ -11,6 +11,7 @@ not a plan.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,8 +95,9 @@ def verify(
         result = whole_plan_result(PathCase(context, positions_m, planned))
         steps = StepsFinding(reasons=tuple(rule_reasons(problem, result)), rule=result)
     reasons += steps.reasons
-    found = {field.name: getattr(steps, field.name) for field in fields(StepsFinding)}
+    found: dict[str, Any] = {key.name: getattr(steps, key.name) for key in fields(StepsFinding)}
     is_compared = found.pop("is_compared")
+    found["reasons"] = tuple(reasons)
     certificate = Certificate(
         min_clearance_m=motion.clearance_m,
         min_connectivity=float(probability.min()),
@@ -104,7 +106,7 @@ def verify(
         posterior=kind,
         min_separation_m=apart.min_separation_m,
         min_moving_clearance_m=apart.min_moving_clearance_m,
-        **(found | {"reasons": tuple(reasons)}),
+        **found,
     )
     verdict = Verdict.VIOLATED if reasons else Verdict.VERIFIED
     missing = [

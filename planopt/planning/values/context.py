@@ -1,10 +1,9 @@
-"""The data of one planning step for a sum of terms: the channel, the robot's place, the target.
+"""The context of one planning step: belief, state, target, steering, other robots' plans.
 
-Measurements pending from other robots of a team count by their places, whatever power they find.
-Robots of a team plan one after the other. Each is told the plans that count already, and where the
-others have been. Measurements there are taken for made, with the predicted power as their value:
-that leaves every mean as it is, and lessens variances by just what a measurement there would, as
-these do not depend on the value. A path's information given that of the others is then
+Robots of a team plan one after the other. Each knows the plans made before its own, and where the
+others have been. Their measurements count as made, with the predicted power as their value: that
+changes no mean, and reduces variances exactly as a real measurement would, because variances do not
+depend on the value. The information of a path given that of the others is then
 
     F(path | others) = F(path and others) - F(others),
 
@@ -37,13 +36,13 @@ from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 
 MOST_DRIVEN = 256
-"""Of the places that the others have been at, so many count, the nearest to the robot: farther ones
-say nothing of the places that a plan can come to."""
+"""Maximum number of places visited by other robots that count, the nearest ones: farther ones have
+no influence on reachable places."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """Places of the other robots, as one robot is told them."""
+    """Places where the other robots measure."""
 
     # (N, 2) each: the places after each step of the plans that count
     planned_m: tuple[NDArray[np.float64], ...] = ()
@@ -79,19 +78,19 @@ def places_of_others(driven_m: Sequence[NDArray[np.float64]], number: int) -> ND
 
 
 def counts_others(problem: Problem) -> bool:
-    """Return whether robots are told what others of the team measure, and a term counts it."""
+    """Return whether a term counts the measurements of other robots of the team."""
     return problem.planner.coordination == "joint" and any(
         explores(term) or term.tries_places for term in problem.terms
     )
 
 
 def shares_places(problem: Problem) -> bool:
-    """Return whether a measurement or try at one place changes the value of places near it."""
+    """Return whether a measurement or probe at one place changes the value of places near it."""
     return any(term.is_measured or term.steers == "connection" for term in problem.terms)
 
 
 def structure_of(problem: Problem) -> Structure:
-    """Return how the worth of a path couples its places.
+    """Return how the objective value of a path couples its places.
 
     A dynamic programme over places is exact unless it couples all of them.
     """
@@ -166,7 +165,7 @@ class StepContext(VerifierContext):
     _made: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any], init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return what `make` gives, made once for each key: terms keep their settings here."""
+        """Return the result of `make`, called once for each key: terms keep their settings here."""
         if key not in self._made:
             self._made[key] = make()
         return cast("Made", self._made[key])
@@ -197,10 +196,10 @@ class StepContext(VerifierContext):
         return target_model(self.problem)
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Prediction at `places_m` (n, 2) as searches look at it, made once for each place.
+        """Return the prediction of searches at `places_m` (n, 2), made once for each place.
 
-        Beyond some number of measurements it is a little off, by how much depends on which places
-        it was made with: what is released is valued by itself.
+        From many measurements on it is approximate, and depends a little on the places that are
+        predicted together; a released plan is valued by itself.
         """
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
         new = {
@@ -216,7 +215,7 @@ class StepContext(VerifierContext):
         return Prediction(both[:, 0], both[:, 1])
 
     def soon(self, places_m: NDArray[np.float64]) -> None:
-        """Predict `places_m` (n, 2) with the next new places: near ones share measurements."""
+        """Predict `places_m` (n, 2) together with the next new places, which is faster."""
         for place in np.asarray(places_m, dtype=np.float64):
             if place.tobytes() not in self._power:
                 self._soon[place.tobytes()] = place
@@ -243,7 +242,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def measuring(self) -> MeasuringRule:
-        """Return the rule by which places bring a measurement."""
+        """Return the rule that decides which places are measured."""
         return MeasuringRule.of(self.anticipated, self.problem.channel.measure_spacing_m)
 
     @cached_property
@@ -267,7 +266,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def tries(self) -> MeasuringRule:
-        """Return the rule by which places are tried for connection.
+        """Return the rule that decides which places are probed for connection.
 
         None near measurements without connection: multipath is known there. Nor where the robot
         is, unless its last step was connected, or was before without one: near a measurement with
@@ -305,7 +304,7 @@ class StepContext(VerifierContext):
         )
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
-        """Chance of a connection at a place (2,), whatever else is predicted."""
+        """Return the probability of connection at one place (2,), predicted by itself."""
         power = self.combined([search_power(each, place_m[None]) for each in self.stations])
         threshold = self.problem.stations[0].threshold_dbm
         return float(connection_probability(power.mean_db, power.deviation_db, threshold)[0])

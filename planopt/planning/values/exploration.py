@@ -1,7 +1,7 @@
-"""The region that a map is wanted of, and the places where something is left to learn.
+"""The region of the map, and the reachable places where a measurement still has a value.
 
-That anything is left decides how a robot that stands still is called: done, or stalled. It rests on
-the lattice of the search alone, so that a saved run is judged by the same places.
+Whether any is left decides if a stationary robot is done or stalled. It depends on the lattice of
+the search alone, so that a saved run is checked by the same places.
 """
 
 from __future__ import annotations
@@ -55,10 +55,9 @@ def workspace_region(problem: Problem) -> Region:
 
 
 def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]) -> Region:
-    """The workspace as a plan from `position_m` (2,) sees it: fine where it can change anything.
+    """Return the workspace with a fine grid near `position_m` (2,), where a plan changes the map.
 
-    On the coarse grid a plan is worth most where it passes through the grid's own places, and far
-    less between them.
+    On the coarse grid alone, plans through its nodes would be valued far above plans between them.
     """
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     reach = problem.step_length_m * (problem.planner.horizon + ROOM_STEPS)
@@ -78,7 +77,7 @@ def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]
 
 
 def region_along(problem: Problem, region: Region, path_m: NDArray[np.float64]) -> Region:
-    """The part of `region` that paths near `path_m` (N, 2) can change; weights as they are."""
+    """Return the part of `region` that paths near `path_m` (N, 2) can change; weights unchanged."""
     away = np.linalg.norm(region.grid_m[:, None] - path_m, axis=2).min(axis=1)
     near = away <= ROOM_STEPS * problem.step_length_m
     return Region(region.grid_m[near], region.weight[near]) if near.any() else region
@@ -101,7 +100,7 @@ def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> NDAr
 
 
 FINER = 4
-"""If all nodes are measured, places between them are looked at, so many to a spacing."""
+"""If all nodes are measured, places between them are tested, so many per spacing."""
 
 
 def explores(term: Term) -> bool:
@@ -121,7 +120,7 @@ def left_to_learn(
     here_m: NDArray[np.float64],  # (2,) where it is
     posteriors: Sequence[ChannelPosterior],
 ) -> NDArray[np.float64]:
-    """Places that can be come to and bring a measurement that is worth something; (k, 2).
+    """Return reachable places where a measurement has a value; (k, 2).
 
     Nodes of the lattice, and places between them if none of these is left. If all terms have a
     threshold, only places above it count, of those that stand for the workspace.
@@ -151,7 +150,7 @@ def left_to_learn(
 def reachable_nodes(
     problem: Problem, index: ObstacleIndex, lattice: Lattice, here_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Nodes that moves of the lattice lead to from a place (2,); (ny, nx)."""
+    """Return which nodes moves of the lattice reach from a place (2,); (ny, nx)."""
     found = np.zeros(lattice.shape, dtype=np.bool_)
     reach = problem.step_length_m - STEP_PAD_M
     rows, columns, clear = moves_from(
@@ -179,7 +178,7 @@ def _beside(
     nodes_m: NDArray[np.float64],
     places_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the places (n, 2) that a straight way leads to from the nearest node."""
+    """Return the places (n, 2) that are straight reachable from the nearest node."""
     places = places_m[inside_bounds(problem.workspace, places_m)]
     if not len(places) or not len(nodes_m):
         return places[:0]

@@ -1,7 +1,7 @@
-"""The worth of a path near a start path, with exact derivatives, at a cost that does not grow.
+"""The objective value near an initial guess, with exact derivatives, at a bounded cost.
 
-The channel is that of the measurements nearest to the start path; cusps are rounded. What a solver
-returns is valued again by :mod:`planopt.planning.values.objective_value` and verified.
+The channel is that of the measurements nearest to the guess; cusps are rounded. The path that a
+solver returns is valued again by :mod:`planopt.planning.values.objective_value` and verified.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ JOINT_NEIGHBOURS = 128
 def local_value(
     situation: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
 ) -> EvaluatePath:
-    """Worth about a start path (N, 2), and what a solver must bound by `rows`."""
+    """Return the value near a guess (N, 2), and the margins and sum that `rows` bound."""
     problem = situation.problem
     structure = structure_of(problem)
 
@@ -174,7 +174,7 @@ def _weighted(weight: float, part: Part) -> Part:
 
 
 def _sum(parts: list[Part], stages: int, structure: Structure) -> PathValue:
-    """Everything in one value, its Hessian as `structure` has it."""
+    """Return the sum of all parts, its Hessian in the form of `structure`."""
     stagewise = structure == "stagewise"
     if stagewise and len(parts) == 1:
         return PathValue(float(np.sum(parts[0].value)), parts[0].gradient, parts[0].hessian)
@@ -191,7 +191,7 @@ def _sum(parts: list[Part], stages: int, structure: Structure) -> PathValue:
 
 
 def _chain(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The numbers of a chain's Hessian, from a full one that has no others; ``(7 N - 4,)``."""
+    """Return the nonzero entries of the Hessian of a chain; ``(7 N - 4,)``."""
     count = len(hessian) // 2
     blocks = hessian.reshape(count, 2, count, 2)
     k = np.arange(count)

@@ -1,8 +1,8 @@
 """The objective value of a path: the weighted sum of its terms, from all measurements.
 
-This is what plans are compared by and what is reported. Solvers work with
-:mod:`planopt.planning.values.local_value`, which is close to it and has derivatives. What a path's
-connectivity costs is by how much it misses the rule, and the price of its slack.
+Plans are compared by this value, and it is reported. Solvers use
+:mod:`planopt.planning.values.local_value`, which approximates it and has derivatives. A path also
+pays for missing the rule of connectivity, and for its slack.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from planopt.planning.values.context import StepContext
 
 @dataclass(frozen=True)
 class ObjectiveValue:
-    """The worth of paths in one situation."""
+    """The objective value of paths in one context."""
 
     situation: StepContext
 
@@ -89,7 +89,7 @@ def tried_worth(
 
 @contextmanager
 def _named(at: StepContext, number: int) -> Generator[None]:
-    """Say in errors of which term they are."""
+    """Name the term in errors."""
     try:
         yield
     except InputError as error:
@@ -105,7 +105,7 @@ def _named(at: StepContext, number: int) -> Generator[None]:
 
 
 SHARE_IN_DB = 100.0
-"""What all of what a rule over a whole plan asks counts in dB, where it is missed."""
+"""Cost in dB of missing all that a rule over a whole plan requires."""
 
 
 def slack_cost(at: StepContext, path_m: NDArray[np.float64]) -> float:

@@ -1,8 +1,8 @@
-"""The rule of connectivity for planners: rows for solvers, guides for searches, and a shortfall.
+"""The rule of connectivity for planners: rows of the programme, search guides, and the shortfall.
 
-All of it is derived from :meth:`planopt.planning.proof.rules.rule.Rule.achieved`. Rules that hold
-steps bound each of them by p_min. Any other rule becomes one row, the tangent of what is achieved:
-a weighted sum of the probabilities.
+All are derived from :meth:`planopt.planning.proof.rules.rule.Rule.achieved`. Rules that hold steps
+bound each of them by p_min. Any other rule becomes one row, the tangent of the achieved value: a
+weighted sum of the probabilities.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def has_step_rows(problem: Problem) -> bool:
 
 
 def rule_rows(situation: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
-    """The rows for a polish that starts from `path_m` (N, 2)."""
+    """Return the rows for a refinement of `path_m` (N, 2)."""
     problem, history = situation.problem, situation.history
     legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path_m]), axis=0), axis=1)
     rule, p_min, count = rule_of(problem, legs), problem.constraints.p_min, len(path_m)
@@ -163,7 +163,7 @@ def rows_again(
 
 
 def step_rows(situation: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
-    """The rows of a programme that bounds single steps only, about a path (N, 2).
+    """Return the rows of a programme that bounds single steps only, about a path (N, 2).
 
     A bound on a sum becomes one on each of its steps: what the path has to spare, or lacks, is
     spread evenly over them.
@@ -182,7 +182,7 @@ def step_rows(situation: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """The steps, level and credits that a search minds."""
+    """The steps, level and credits that guide a search."""
 
     level: float  # Probability that the steps asked for must keep
     asked: NDArray[np.bool_]  # (N,) which these are
@@ -270,7 +270,7 @@ def _held_patterns(rule: Rule, situation: StepContext, count: int) -> list[NDArr
 
 
 def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
-    """Return by how much each path misses the rule, 0 where it keeps it; (c,).
+    """Return the shortfall of each path, 0 where it keeps the rule; (c,).
 
     In dB of all steps that count; of other rules in steps that would have to be connected.
     """

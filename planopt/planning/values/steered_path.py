@@ -1,8 +1,7 @@
-"""Ways that robots are steered along: how far it still is to their end, round obstacles.
+"""Paths that robots are steered along, and the remaining distance to their ends.
 
-The distance is that of the shortest way: straight to the next turn in sight, and on along the way
-from there. Its slope leads round obstacles, where that of the straight distance leads a robot into
-their corners.
+The distance is straight to the next visible turn, and along the path from there. Its slope leads
+around obstacles; that of the straight-line distance leads a robot into their corners.
 """
 
 from __future__ import annotations
@@ -27,17 +26,16 @@ else:
 
 @dataclass(frozen=True, eq=False)
 class SteeringWay:
-    """A way from where a robot stands to the place that it is steered to."""
+    """A path from a robot's position to the place that it is steered to."""
 
-    # (m, 2), m at least 2: where the robot stands, where the way turns, and its end
+    # (m, 2), m at least 2: the robot's position, the turns, and the end
     turns_m: NDArray[np.float64]
     index: ObstacleIndex  # The obstacles
-    clearance_m: float  # How near to them the robot may come
-    # (ny, nx) length of the shortest way to the end from each node of the lattice; None where no
-    # lattice is at hand
+    clearance_m: float  # Least distance from them
+    # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
     lattice_m: NDArray[np.float64] | None = None
-    # Whether places go at most to the end of the leg that they are nearest to: the way turns round
-    # coverage holes as well, across which its later turns may be in sight
+    # Whether a place proceeds at most to the end of its nearest leg: the path also avoids coverage
+    # holes, across which its later turns may be visible
     in_order: bool = False
 
     @property
@@ -47,16 +45,16 @@ class SteeringWay:
 
     @cached_property
     def rest_m(self) -> NDArray[np.float64]:
-        """``(m,)`` how long the way is from each turn on."""
+        """``(m,)`` length of the path from each turn on."""
         legs = np.linalg.norm(np.diff(self.turns_m, axis=0), axis=1)
         return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
     def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Number of the turn that each place (n, 2) goes straight to.
+        """Return the number of the turn that each place (n, 2) goes straight to.
 
-        The last one in sight of the first that follow each other. Turns beyond one that is out of
-        sight are not looked for: they are far, and long lines of sight are dear. From places that
-        see none of them the way leads back to its start.
+        The last of the first consecutive visible turns: turns behind an invisible one are not
+        tested, because long lines of sight are expensive. Places that see no turn return to the
+        start of the path.
         """
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
@@ -87,12 +85,12 @@ class SteeringWay:
         return len(legs) - away[:, ::-1].argmin(axis=1)
 
     def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far it is from each place (n, 2) to the end of the way; (n,)."""
+        """Return the distance from each place (n, 2) to the end; (n,)."""
         turns = self.next_turns(places_m)
         return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
 
     def path_m(self, steps: int, longest_m: float) -> NDArray[np.float64]:
-        """Return the path along the way, ending a step at every turn; ``(steps, 2)``."""
+        """Return steps along the path, with a step ending at every turn; ``(steps, 2)``."""
         found: list[NDArray[np.float64]] = []
         here = self.turns_m[0]
         for turn in self.turns_m[1:]:
@@ -105,7 +103,7 @@ class SteeringWay:
         return np.array(found[:steps])
 
     def gained_m(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how much nearer the places of ways (..., N, 2) are than the start, summed."""
+        """Return the metres by which places (..., N, 2) are nearer to the end, summed."""
         distance = self.distance_m(ways_m.reshape(-1, 2)).reshape(ways_m.shape[:-1])
         return (self.rest_m[0] - distance).sum(axis=-1)
 
@@ -116,6 +114,6 @@ def steering_way(
     turns_m: NDArray[np.float64],
     lattice_m: NDArray[np.float64] | None = None,
 ) -> SteeringWay:
-    """Return the way through `turns_m` (m, 2) that the terms of a problem steer along."""
+    """Return the path through `turns_m` (m, 2) that the terms of a problem steer along."""
     in_order = any(term.steers == "goal" for term in problem.terms)
     return SteeringWay(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)

@@ -40,15 +40,13 @@ def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = N
 def widest_clearance_m(
     problem: Problem, is_over: Callable[[], bool] = lambda: False
 ) -> float | None:
-    """Return the largest clearance up to the problem's that leaves a path to the goal.
+    """Return the largest clearance below the problem's that leaves a path to the goal.
 
     Bisection ends early once `is_over`. Return None if there is no path at all.
     """
     if not is_joined(problem, 0.0):
         return None
     low, high = 0.0, problem.constraints.clearance_m
-    if is_joined(problem, high):
-        return high
     for _ in range(BISECTIONS):
         if is_over():
             break

@@ -123,9 +123,13 @@ def explain_no_plan(
         belief = prepare(problem, seed).belief
     except InputError:
         # Nothing can be solved again without measurements; obstacles can still be named.
-        shut = [own for own in owns if not is_open(own)]
         nothing = Trials(lambda _: None, ends_s)
-        return tuple(one for own in shut for one in explain_no_way(own, nothing))
+        return tuple(
+            one
+            for own in owns
+            if not is_open(own)
+            for one in explain_no_way(own, nothing, is_joined(own, own.constraints.clearance_m))
+        )
     found: list[Relaxation] = []
     for own in owns:
         if len(owns) == 1 or _planned(own, belief=belief) is None:
@@ -137,11 +141,11 @@ def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Rel
     """Explain why the only robot of a problem has no path to its goal."""
     trials = Trials(partial(_planned, belief=belief), ends_s)
     if not is_joined(problem, problem.constraints.clearance_m):
-        return explain_no_way(problem, trials)
+        return explain_no_way(problem, trials, joined=False)
     try:
         scene = build_scene(problem)
     except NoPlanError:
-        return explain_no_way(problem, trials)
+        return explain_no_way(problem, trials, joined=True)
     # A chance constraint does not change the ground.
     trials = Trials(partial(_planned, belief=belief, scenes=[scene]), ends_s)
     radio, p_min = problem.stations[0], problem.constraints.p_min

@@ -47,10 +47,13 @@ def is_open(problem: Problem) -> bool:
     return True
 
 
-def explain_no_way(problem: Problem, trials: Trials) -> tuple[Relaxation, ...]:
-    """Return changes that would open a path to the goal, each by itself."""
-    asked_m = problem.constraints.clearance_m
-    if is_joined(problem, asked_m):
+def explain_no_way(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
+    """Return changes that would open a path to the goal, each by itself.
+
+    If the free space joins start and goal, only the lattice is too coarse.
+    """
+    if joined:
+        asked_m = problem.constraints.clearance_m
         return (*_clearance(problem, trials, asked_m), *_step(problem, trials))
     widest_m = widest_clearance_m(problem, lambda: trials.are_over)
     found = [] if widest_m is None else _clearance(problem, trials, widest_m)

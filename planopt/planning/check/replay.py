@@ -178,8 +178,7 @@ def _planning(saved: Saved) -> Planning:
                 if counts_others(own):
                     driven_m = places_of_others(at.driven_m, number)
                     aim = replace(aim, pending=replace(aim.pending, driven_m=driven_m))
-                case = _Case(under, region, aim)
-                plans.append(_verified_again(case, by_robot[number][step]))
+                plans.append(_verified_again(under, region, aim, by_robot[number][step]))
                 aims.append(aim)
                 grids[number] = under.laid_grid
             return plans, aims
@@ -192,9 +191,9 @@ def _planning(saved: Saved) -> Planning:
 def _no_plan(
     saved: Saved, owns: Sequence[Problem], states: Sequence[NDArray[np.float64]]
 ) -> BlockedError:
-    """Return why there is no further plan: as saved where it is shown, else that nothing says so.
+    """Return the saved reason for the end of a run if it is proven, else that nothing proves it.
 
-    It is shown by obstacles that cut off a goal, and by a forbidden way that begins at a robot.
+    Obstacles that cut off a goal prove it, and a forbidden path that begins at a robot.
     """
     steps = len(saved.plans[0])
     message = (
@@ -221,40 +220,31 @@ def _is_cut_off(problem: Problem, place_m: NDArray[np.float64]) -> bool:
     return here.task == "reach" and not is_joined(here, here.constraints.clearance_m)
 
 
-@dataclass(frozen=True, eq=False)
-class _Case:
-    """Context of one plan of one robot."""
-
-    context: VerifierContext
-    region: Region | None  # Where the map is wanted; None on the way to a goal
-    aim: Aim
-
-
-def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
+def _verified_again(
+    context: VerifierContext,
+    region: Region | None,  # None on the way to a goal
+    aim: Aim,
+    saved: SavedPlan,
+) -> Plan:
     """Return a saved plan with everything that follows from its trajectory."""
-    problem, said, path_m, drive = (
-        case.context.problem,
-        saved.record,
-        saved.path_m.copy(),
-        saved.drive,
-    )
-    path_m[0] = case.context.state[:2]
+    problem, said, drive, path_m = context.problem, saved.record, saved.drive, saved.path_m.copy()
+    path_m[0] = context.state[:2]
     if drive is not None:
-        drive = replace(drive, states=np.vstack([case.context.state, drive.states[1:]]))
-    judgement = verify(case.context, path_m, said.residual, drive)
+        drive = replace(drive, states=np.vstack([context.state, drive.states[1:]]))
+    judgement = verify(context, path_m, said.residual, drive)
     power = judgement.power
     if power is None:
         raise AssertionError("saved places are finite")
-    if problem.task == "reach":
-        objective = _reach_cost(case, replace(saved, path_m=path_m, drive=drive), power)
+    if region is None:
+        objective = _reach_cost(context, replace(saved, path_m=path_m, drive=drive), power)
     else:
-        objective = _worth(case, path_m)
+        objective = _terms_value(context, region, aim, path_m)
     holes = ()
     route_m = np.zeros((0, 2))
     if problem.task == "reach" and isinstance(said, RobotPlan) and said.route is not None:
         route_m = said.route.positions_m
         places = np.vstack([path_m, route_m])
-        ahead = search_prediction(case.context.law, places)
+        ahead = search_prediction(context.law, places)
         holes = holes_on(problem, ahead, places)
     return Plan(
         robot=problem.robots[0].name,
@@ -283,19 +273,18 @@ def _verified_again(case: _Case, saved: SavedPlan) -> Plan:
     )
 
 
-def _reach_cost(case: _Case, saved: SavedPlan, power: Prediction) -> float:
+def _reach_cost(context: VerifierContext, saved: SavedPlan, power: Prediction) -> float:
     """Return the cost of a path to a goal, at the power that the verifier predicted along it."""
 
     def certified(places_m: NDArray[np.float64]) -> Prediction:
         if np.array_equal(places_m, saved.path_m):
             return power
-        return search_prediction(case.context.law, places_m)
+        return search_prediction(context.law, places_m)
 
     pivot = saved.pivot
-
     ahead = None if pivot is None else partial(_same_pivot, pivot)
     priced = saved.record.rung is not Rung.DIRECT
-    cost = ReachCost(case.context.problem, saved.path_m[0], certified, ahead, priced)
+    cost = ReachCost(context.problem, saved.path_m[0], certified, ahead, priced)
     return cost(saved.path_m[1:], saved.drive)
 
 
@@ -303,17 +292,16 @@ def _same_pivot(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
     return pivot
 
 
-def _worth(case: _Case, path_m: NDArray[np.float64]) -> float:
+def _terms_value(
+    context: VerifierContext, region: Region, aim: Aim, path_m: NDArray[np.float64]
+) -> float:
     """Return the weighted sum of the terms of a path."""
-    aim = case.aim
-    if case.region is None:
-        raise AssertionError("terms have a region")
-    base = replace(case.context, state=path_m[0])
-    situation = step_context(base, case.region, aim)
+    base = replace(context, state=path_m[0])
+    step = step_context(base, region, aim)
     if aim.steering_turns_m is not None:
         steering = steering_way(base.problem, base.index, aim.steering_turns_m)
-        situation = replace(situation, steering=steering)
-    return ObjectiveValue(situation)(path_m[1:])
+        step = replace(step, steering=steering)
+    return ObjectiveValue(step)(path_m[1:])
 
 
 def plan_reasons(problem: Problem, plan: Plan) -> list[str]:

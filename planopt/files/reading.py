@@ -93,7 +93,7 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
     Errors in destructors and callbacks, which Python would print, are silenced as well.
     """
     hooks = sys.excepthook, sys.unraisablehook
-    sys.excepthook = sys.unraisablehook = lambda *_: None
+    sys.excepthook = sys.unraisablehook = _ignore
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -107,6 +107,10 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
         raise InputError(fault, file=path, key=key, remedy=remedy) from error
     finally:
         sys.excepthook, sys.unraisablehook = hooks
+
+
+def _ignore(*_: object) -> None:
+    """Print nothing."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:

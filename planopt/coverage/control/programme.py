@@ -117,12 +117,13 @@ def _solve_block(given: Programmes, planes: Mask, discs: Mask, ways: Mask) -> Fl
         at = row, owner[row] * 2 * size + column
         return csc_array(coo_array((dense[row, column], at), (len(dense), count * 2 * size)))
 
-    settings = clarabel.DefaultSettings()  # pyright: ignore[reportAttributeAccessIssue]
+    solver: Any = clarabel
+    settings = solver.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
-    cones = [clarabel.NonnegativeConeT(len(rooms))]  # pyright: ignore[reportAttributeAccessIssue]
-    cones += [clarabel.SecondOrderConeT(3)] * len(matrix)  # pyright: ignore[reportAttributeAccessIssue]
-    solution: Any = clarabel.DefaultSolver(  # pyright: ignore[reportAttributeAccessIssue]
+    cones: list[Any] = [solver.NonnegativeConeT(len(rooms))]
+    cones += [solver.SecondOrderConeT(3)] * len(matrix)
+    solution: Any = solver.DefaultSolver(
         sparse(upper, np.repeat(np.arange(count), 2 * size)), given.linear.ravel(),
         sparse(rows, of_row), sides, cones, settings,
     ).solve()  # fmt: skip

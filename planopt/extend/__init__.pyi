@@ -18,4 +18,5 @@ from planopt.problems.tables import Table as Table
 from planopt.robots.casadi_map import CasadiMap as CasadiMap
 from planopt.robots.dynamics import Dynamics as Dynamics
 from planopt.tasks.task import Task as Task
+from planopt.tasks.task import TaskFile as TaskFile
 from planopt.tasks.task import TaskResult as TaskResult

@@ -88,16 +88,14 @@ class Planner:
     def __new__(cls, problem: TaskProblem, **settings: Any) -> Any: ...
     @overload
     def __new__(cls, problem: Problem, **settings: Any) -> Self: ...
-    def __new__(  # pyright: ignore[reportInconsistentConstructor]
-        cls, problem: Any, **settings: Any
-    ) -> Any:
+    def __new__(cls, problem: Any, **settings: Any) -> Any:
         """Return the controller of the problem's task."""
         if isinstance(problem, TaskProblem):
             return task_of(problem).control(problem, **settings)
         return super().__new__(cls)
 
     @one_blas_thread()
-    def __init__(
+    def __init__(  # pyright: ignore[reportInconsistentConstructor]
         self,
         problem: Problem,
         *,

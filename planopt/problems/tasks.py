@@ -69,9 +69,8 @@ class TaskProblem:
 
     @property
     def has_figures(self) -> bool:
-        """Whether results are drawn: the key ``report.figures``, where the task has one."""
-        report = getattr(self.given, "report", None)
-        return report is not None and report.figures
+        """Whether results are drawn: the key ``report.figures``."""
+        return self.given.report.figures
 
     def tables(self) -> dict[str, Any]:
         """Return the problem in full: tables that can be read without other files."""

@@ -15,8 +15,7 @@ from pydantic import Field
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.files.record import finite
 from planopt.planning.plan import Termination, Verdict
-from planopt.problems.settings import ReportSettings
-from planopt.problems.tables import SMALLEST, Metres, Name, Table
+from planopt.problems.tables import SMALLEST, Metres, Table
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.certificate import DesignData, Requirement, certify
 from planopt.pursuit.design import (
@@ -36,7 +35,7 @@ from planopt.pursuit.guarantees import Chase, Guarantee
 from planopt.pursuit.network import MoteNetwork
 from planopt.pursuit.service import MAX_LEVELS, slots_per_frame
 from planopt.pursuit.theorems import Inequality, Theorem
-from planopt.tasks.task import Task, TaskResult
+from planopt.tasks.task import Task, TaskFile, TaskResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -87,17 +86,6 @@ METHODS: dict[MethodName, Method] = {
         needs=REQUIREMENTS,
     ),
 }
-
-
-class HeadTable(Table):
-    """``[problem]``: what the problem is called and what it asks."""
-
-    schema_version: Literal[1] = Field(
-        alias="schema", description="Version of this schema; it is 1."
-    )
-    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
-    task: Literal["pursuit_design"] = Field(description="pursuit_design.")
-    description: str = Field(default="", description="One sentence for people.")
 
 
 class ChaseTable(Table):
@@ -183,22 +171,12 @@ class DesignTable(Table):
     )
 
 
-class ReportTable(Table):
-    """``[report]``: what is drawn."""
-
-    figures: bool = Field(
-        default=ReportSettings().figures, description="Draw the pictures (true or false)."
-    )
-
-
-class DesignFile(Table):
+class DesignFile(TaskFile):
     """A planopt problem file (TOML) of the task pursuit_design."""
 
-    problem: HeadTable
     pursuit: ChaseTable
     network: NetworkTable
     design: DesignTable = Field(default_factory=DesignTable)
-    report: ReportTable = Field(default_factory=ReportTable)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
+from pydantic import Field
 
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
 from planopt.files.compare import differences, in_words
@@ -19,7 +20,8 @@ from planopt.files.typed_json import whole_number
 from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
 from planopt.problems.messages import located
-from planopt.problems.tables import Table
+from planopt.problems.settings import ReportSettings
+from planopt.problems.tables import Name, Table
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 
 if TYPE_CHECKING:
@@ -31,6 +33,32 @@ NO_PLAN, NOT_VERIFIED = 4, 3
 """Exit codes."""
 
 Action = Literal["solve", "simulate"]
+
+
+class HeadTable(Table):
+    """``[problem]``: what the problem is called, and its task."""
+
+    schema_version: Literal[1] = Field(
+        alias="schema", description="Version of this schema; it is 1."
+    )
+    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
+    task: Name = Field(description="Name of the task.")
+    description: str = Field(default="", description="One sentence for people.")
+
+
+class ReportTable(Table):
+    """``[report]``: what is drawn."""
+
+    figures: bool = Field(
+        default=ReportSettings().figures, description="Draw figures (true or false)."
+    )
+
+
+class TaskFile(Table):
+    """The tables that problem files of all tasks have; a task derives its own file from it."""
+
+    problem: HeadTable
+    report: ReportTable = Field(default_factory=ReportTable)
 
 
 class Report(Protocol):
@@ -72,8 +100,7 @@ class Task:
     Attributes
     ----------
     model
-        Model of the problem file, a :class:`planopt.extend.Table` with a table ``problem`` that has
-        ``name``, ``task`` and ``description``.
+        Model of the problem file, derived from :class:`planopt.extend.TaskFile`.
     build
         Makes the problem, a :class:`planopt.problems.TaskProblem`, of validated tables, the folder
         that relative file names start at, and the file (None if there is none). Raises an

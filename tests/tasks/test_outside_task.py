@@ -16,6 +16,7 @@ from planopt.problems import tasks
 PAGE = Path(__file__).parents[2] / "docs" / "extend.md"
 PROBLEM = """
 [problem]
+schema = 1
 name = "short_walk"
 task = "walk"
 [walk]

@@ -16,11 +16,12 @@ from planopt.coverage.density import Density, GaussianMixture, RasterDensity, Un
 from planopt.coverage.events import Sensing
 from planopt.coverage.ground import Ground
 from planopt.errors import InputError
-from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
+from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tables import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
 from planopt.problems.world_tables import ObstacleTable
 from planopt.tasks.coverage.demands import DemandTable
 from planopt.tasks.coverage.radio import RadioTable
+from planopt.tasks.task import TaskFile
 from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
 
@@ -31,17 +32,6 @@ START_SPARE = 0.1
 """Bodies that start at random places are apart by this share of their radius at least."""
 
 PlannerName = Literal["law", "receding"]
-
-
-class HeadTable(Table):
-    """``[problem]``: what the problem is called and what it asks."""
-
-    schema_version: Literal[1] = Field(
-        alias="schema", description="Version of this schema; it is 1."
-    )
-    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
-    task: Literal["coverage"] = Field(description="coverage.")
-    description: str = Field(default="", description="One sentence for people.")
 
 
 class UniformTable(Table):
@@ -384,18 +374,9 @@ class PlannerTable(Table):
     )
 
 
-class ReportTable(Table):
-    """``[report]``: what is drawn."""
-
-    figures: bool = Field(
-        default=ReportSettings().figures, description="Draw the picture (true or false)."
-    )
-
-
-class CoverageFile(Table):
+class CoverageFile(TaskFile):
     """A planopt problem file (TOML) of the task coverage."""
 
-    problem: HeadTable
     world: WorldTable
     density: DensityTable = Field(default=UniformTable(kind="uniform"), description="Weights.")
     agents: AgentsTable
@@ -408,4 +389,3 @@ class CoverageFile(Table):
     radio: RadioTable | None = None
     control: ControlTable
     planner: PlannerTable = Field(default_factory=PlannerTable)
-    report: ReportTable = Field(default_factory=ReportTable)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.errors import InputError
-from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON, ReportSettings
+from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tables import SMALLEST, Metres, Name, Pair, Quad, Table
 from planopt.problems.tasks import TaskProblem
 from planopt.problems.world_tables import ObstacleTable, obstacle_table, obstacles_of
@@ -28,6 +28,7 @@ from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene
 from planopt.pursuit.theorems import Distances, Theorem
 from planopt.robots.unicycle import Unicycle
+from planopt.tasks.task import TaskFile
 from planopt.world.workspace import Obstacle, Workspace
 
 LOST_ROUNDS = 4096
@@ -37,17 +38,6 @@ START_TRIES = 1000
 """Places tried for a start in free space."""
 
 PlannerName = Literal["drive", "retarget", "receding"]
-
-
-class HeadTable(Table):
-    """``[problem]``: what the problem is called and what it asks."""
-
-    schema_version: Literal[1] = Field(
-        alias="schema", description="Version of this schema; it is 1."
-    )
-    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
-    task: Literal["pursuit"] = Field(description="pursuit.")
-    description: str = Field(default="", description="One sentence for people.")
 
 
 class WorldTable(Table):
@@ -237,25 +227,15 @@ class PlannerTable(Table):
         return DriveToReport(retarget=self.name == "retarget")
 
 
-class ReportTable(Table):
-    """``[report]``: what is drawn."""
-
-    figures: bool = Field(
-        default=ReportSettings().figures, description="Draw picture and animation (true or false)."
-    )
-
-
-class PursuitFile(Table):
+class PursuitFile(TaskFile):
     """A planopt problem file (TOML) of the task pursuit."""
 
-    problem: HeadTable
     world: WorldTable | None = None
     network: ServiceTable
     pursuit: RulesTable
     pursuers: list[PursuerTable] = Field(min_length=1, max_length=50, description="Who pursues.")
     evaders: list[EvaderTable] = Field(min_length=1, max_length=50, description="Who flees.")
     planner: PlannerTable = Field(default_factory=PlannerTable)
-    report: ReportTable = Field(default_factory=ReportTable)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -203,79 +203,48 @@ class ChannelLog:
         return len(self.rms_db)
 
 
-def channel_errors_db(
-    posteriors: Sequence[ChannelPosterior], truths: Sequence[Truth], places_m: NDArray[np.float64]
-) -> tuple[float, float, float]:
-    """RMS error, ANMSE and RMS error without multipath of predicted powers at `places_m` (n, 2).
-
-    All in dB. ANMSE is 10 log10 of the mean of (error / true power)^2, both in dB ([GM11], section
-    III-A2). The last is the error against path loss and shadowing: multipath, which nobody can
-    predict, makes all maps look alike. Means over the powers of all stations.
-    """
-    power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
-    predicted = [search_power(posterior, places_m).mean_db for posterior in posteriors]
-    error = np.stack(predicted) - power
-    rms = float(np.sqrt((error**2).mean()))
-    shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
-    without = float(np.sqrt(((np.stack(predicted) - shadowed) ** 2).mean()))
-    # A true power of 0 dBm, where the ratio is infinite, is a chance of nothing.
-    ratio = error / np.where(power == 0.0, np.finfo(float).tiny, power)
-    return rms, float(10.0 * np.log10((ratio**2).mean())), without
-
-
-def theta_variance_db(posteriors: Sequence[ChannelPosterior]) -> float:
-    """Return 10 log10 tr M / |theta|^2 (Fig. 2 of [GM11]), each summed over the stations.
-
-    NaN where path loss is known: no number of dB says so.
-    """
-    spread = sum(float(np.trace(posterior.theta_covariance)) for posterior in posteriors)
-    size = sum(float(posterior.theta @ posterior.theta) for posterior in posteriors)
-    return float(10.0 * np.log10(spread / size)) if spread > 0.0 else float("nan")
-
-
-def log_det_m(posteriors: Sequence[ChannelPosterior]) -> float:
-    """Log det M in nats, summed over the stations; NaN where a path loss parameter is known."""
-    found = sum(float(np.linalg.slogdet(each.theta_covariance)[1]) for each in posteriors)
-    return found if np.isfinite(found) else float("nan")
-
-
-def path_loss_variance_db2(
-    posteriors: Sequence[ChannelPosterior], places_m: NDArray[np.float64]
-) -> float:
-    """Mean over places (n, 2) and stations of gamma^T M gamma: the variance of path loss, dB^2."""
-    rows = [regressors(places_m, each.parameters.station) for each in posteriors]
-    variances = [
-        np.einsum("ni,ij,nj->n", row, each.theta_covariance, row)
-        for row, each in zip(rows, posteriors, strict=True)
-    ]
-    return float(np.mean(variances))
-
-
 def channel_row(
-    posteriors: Sequence[ChannelPosterior], truths: Sequence[Truth], places_m: NDArray[np.float64]
+    posteriors: Sequence[ChannelPosterior],
+    truths: Sequence[Truth],
+    places_m: NDArray[np.float64],  # (n, 2) where powers are predicted
 ) -> tuple[float, ...]:
-    """Return a row of the log, in the order of :class:`ChannelLog`."""
-    rms, anmse, without = channel_errors_db(posteriors, truths, places_m)
+    """Return a row of the log, in the order of :class:`ChannelLog`, over all stations."""
+    power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
+    shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
+    predicted = np.stack([search_power(each, places_m).mean_db for each in posteriors])
+    error = predicted - power
+    # [GM11], section III-A2. The ratio is infinite at a true power of 0 dBm, which never occurs.
+    ratio = error / np.where(power == 0.0, np.finfo(float).tiny, power)
+    covariances = [each.theta_covariance for each in posteriors]
+    spread = sum(float(np.trace(covariance)) for covariance in covariances)
+    size = sum(float(each.theta @ each.theta) for each in posteriors)
+    log_det = sum(float(np.linalg.slogdet(covariance)[1]) for covariance in covariances)
+    rows = [regressors(places_m, each.parameters.station) for each in posteriors]
+    path_loss = [
+        np.einsum("ni,ij,nj->n", row, covariance, row)
+        for row, covariance in zip(rows, covariances, strict=True)
+    ]
+    # Known path loss has no spread and no determinant in dB.
     return (
-        rms,
-        anmse,
-        theta_variance_db(posteriors),
-        log_det_m(posteriors),
-        without,
-        path_loss_variance_db2(posteriors, places_m),
+        float(np.sqrt((error**2).mean())),
+        float(10.0 * np.log10((ratio**2).mean())),
+        float(10.0 * np.log10(spread / size)) if spread > 0.0 else float("nan"),
+        log_det if np.isfinite(log_det) else float("nan"),
+        float(np.sqrt(((predicted - shadowed) ** 2).mean())),
+        float(np.mean(path_loss)),
     )
 
 
 def channel_log(rows: Sequence[tuple[float, ...]]) -> ChannelLog:
-    """The log of rows of :func:`channel_row`."""
+    """Return the log of rows of :func:`channel_row`."""
     return ChannelLog(*np.asarray(rows, dtype=np.float64).T)
 
 
 def target_log(
-    watches: Iterable[TargetWatch | None], delivered: NDArray[np.bool_]
+    watches: Iterable[TargetWatch | None],
+    delivered: NDArray[np.bool_],  # (steps, robots)
 ) -> TargetLog | None:
-    """The log of what was known after each step, the start first; None without target."""
-    # Shapes: delivered (steps, robots).
+    """Return the log of a target after each step, the start first; None without target."""
     known = [watch for watch in watches if watch is not None]
     if not known:
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,13 +108,9 @@ def run_metrics(
             low, high = nis_interval(measured.size)
             found |= {"nis": float(measured.mean()), "nis_low": low, "nis_high": high}
     if channel is not None:
-        found["rms_db"] = float(channel.rms_db[-1])
-        found["mean_squared_error_db2"] = float(channel.rms_db[-1]) ** 2
-        found["anmse_db"] = float(channel.anmse_db[-1])
-        found["trace_m_db"] = float(channel.theta_variance_db[-1])
-        found["log_det_m"] = float(channel.log_det_m[-1])
-        found["rms_without_multipath_db"] = float(channel.rms_without_multipath_db[-1])
-        found["path_loss_variance_db2"] = float(channel.path_loss_variance_db2[-1])
+        last = {part.name: float(getattr(channel, part.name)[-1]) for part in fields(channel)}
+        found |= {**last, "mean_squared_error_db2": last["rms_db"] ** 2}
+        found["trace_m_db"] = found.pop("theta_variance_db")
     found["path_m"] = float(sum(m.path_m for m in each))
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))

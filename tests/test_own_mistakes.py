@@ -562,9 +562,9 @@ MISTAKES = [
     *(
         (lambda base, part=part: made(base, robots=replace(base.robots[0], **part)), words)
         for part, words in (
-            ({"start_rest": "ab", "dynamics": CasadiMap(**MAP)}, r"\[0\]: has the start_rest 'ab'"),
-            ({"start_rest": 3.0, "dynamics": CasadiMap(**MAP)}, r"\[0\]: has the start_rest 3.0"),
-            ({"weights": 2.0}, r"robots\[0\]\.weights: is 2.0, should be an array"),
+            ({"start_rest": "ab", "dynamics": CasadiMap(**MAP)}, r"\[\]: has the start_rest 'ab'"),
+            ({"start_rest": 3.0, "dynamics": CasadiMap(**MAP)}, r"\[\]: has the start_rest 3.0"),
+            ({"weights": 2.0}, r"robots\[\]\.weights: is 2.0, should be an array"),
         )
     ),
     # Arguments that are none
@@ -614,7 +614,7 @@ MISTAKES = [
     # Several stations
     (
         lambda base: replace(base.channel, truth=[FUNCTION_TRUTH] * 2),
-        r"is a tuple .*\(stations, \.\.\.\)",
+        r"is a list .*\(stations, \.\.\.\)",
     ),
     (
         lambda base: solve(

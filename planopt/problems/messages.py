@@ -103,7 +103,9 @@ def located(model: type[BaseModel], file: Path | None, table: str | None = None)
     except ValidationError as error:
         raise input_error(error, model, file=file, table=table) from None
     except InputError as error:
-        raise error if file is None else error.located(file) from None
+        if file is None:
+            raise
+        raise error.located(file) from error.__cause__
 
 
 def key_text(path: KeyPath) -> str | None:

@@ -44,7 +44,7 @@ def best_of_starts(
     best = -np.inf
     for path in driven_ways(situation, index, rough, turn, np.ones(turn.shape)):
         start = Start(path, judge.objective(path), 0.0)
-        for candidate in planner.cascade.polish.candidates(situation, judge, start, Rung.PLAN):
+        for candidate in planner.cascade.refinement.candidates(situation, judge, start, Rung.PLAN):
             if candidate.verdict is Verdict.VERIFIED:
                 best = max(best, candidate.objective)
     return best

@@ -43,7 +43,9 @@ def best_of_starts(
         lured = replace(situation, target_m=np.tile(place, (horizon, 1)))
         for start in search.find_starts(lured, None)[:1]:
             start = replace(start, worth=max(judge.objective(start.path_m), 1e-3))
-            for candidate in planner.cascade.polish.candidates(situation, judge, start, Rung.PLAN):
+            for candidate in planner.cascade.refinement.candidates(
+                situation, judge, start, Rung.PLAN
+            ):
                 if candidate.verdict is Verdict.VERIFIED and not candidate.relaxes:
                     best = max(best, candidate.objective)
     return best

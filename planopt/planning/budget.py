@@ -1,4 +1,4 @@
-"""The time budget of a plan: until when searches go on and polishes begin, and their limits."""
+"""The time budget of a plan: until when searches go on and refinements begin, and their limits."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ PROOF_SHARE = 0.1
 class Budget:
     """Times by :func:`time.perf_counter`; infinite where there is no limit."""
 
-    ends_s: float = math.inf  # No new polish begins any more
+    ends_s: float = math.inf  # No new refinement begins any more
     search_ends_s: float = math.inf  # What searches have found by then has to do
     # No further candidate is judged any more where there is one that may be released
     proof_ends_s: float = math.inf
 
     @property
     def spent(self) -> bool:
-        """Return whether no new polish may begin."""
+        """Return whether no new refinement may begin."""
         return perf_counter() >= self.ends_s
 
     @property

@@ -1,7 +1,7 @@
 """Starts, tasks and last resorts of a robot that cannot turn or stop at will.
 
 The search finds ways of a robot that can. Its inputs are found by following such a way; what that
-cuts or swings out at corners is for the polish to mend. The last plan, one step later and then
+cuts or swings out at corners is for the refinement to mend. The last plan, one step later and then
 stopping, is always a way that the robot can drive.
 """
 
@@ -88,7 +88,7 @@ def motion_task(
     drive: Drive,
     still: SeparatingLines | None,
 ) -> MotionTask:
-    """Return what a polish from a drive needs; `still` are lines of standstill from what moves."""
+    """Return what a refinement needs; `still` are separating lines at standstill."""
     last = drive.states[-1]
     end = standstill_m(problem, last)[None]
     reach = LINE_REACH_STEPS * problem.step_length_m
@@ -104,7 +104,7 @@ def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.flo
     return np.array(points[-1] if points else state[:2], dtype=np.float64)
 
 
-def polished_drive(
+def refined_drive(
     problem: Problem, state: NDArray[np.float64], inputs: NDArray[np.float64] | None
 ) -> Drive | None:
     """Return where the inputs that a solver returned lead; None of a single integrator."""

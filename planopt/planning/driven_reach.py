@@ -21,7 +21,7 @@ from planopt.planning.horizon_planner import FallbackCascade
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.goal_value import ROUNDING_STEPS, GoalCharge
-from planopt.planning.programme.methods import METHODS
+from planopt.planning.programme.path_nlp import METHODS
 from planopt.planning.programme.pivot import Ahead, find_pivot
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.scene import Scene, first_moves
@@ -39,7 +39,7 @@ FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
 ends, and less where it would swing out too far at a turn."""
 
 GAIN_SHARE = 0.15
-"""What a polish may gain on the way that is followed, as a share of the longest."""
+"""What a refinement may gain on the way that is followed, as a share of the longest."""
 
 STAGNANT_STEPS = 0.1
 """A plan that would come to stand within this many longest steps of where it would now gets
@@ -201,7 +201,7 @@ class DrivenReach:
         return self._cascade.first_verified(situation, judge, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
-        """Return the charge of a polish from a drive, by each step that may come to the pivot."""
+        """Return the charge of a refinement, by each step that may reach the pivot."""
         problem, horizon = self._problem, len(drive.inputs)
         away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
         arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)

@@ -1,6 +1,6 @@
 """One receding-horizon step for a sum of terms: initial guesses, and the fallbacks over them.
 
-The cascade polishes starts in turn, the best first, until a candidate is verified, and goes on only
+The cascade refines starts in turn, the best first, until a candidate is verified, and goes on only
 to starts that may lead to something better. Without a verified candidate it falls back on the rest
 of the last plan or on stopping.
 """
@@ -17,46 +17,45 @@ from numpy.typing import NDArray
 from planopt.planning.budget import Budget, budget_from
 from planopt.planning.driven import driven_starts
 from planopt.planning.fallbacks import best_of, verified_of
+from planopt.planning.guess_refinement import GuessRefinement
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
-from planopt.planning.programme.methods import METHODS
+from planopt.planning.programme.path_nlp import METHODS
 from planopt.planning.scene import Ground
-from planopt.planning.search.good_place import ways_to_good_place
 from planopt.planning.search.local_ranking import can_climb
+from planopt.planning.search.place_paths import way_to_unmeasured, ways_to_good_place
 from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
-from planopt.planning.search.to_unmeasured import way_to_unmeasured
-from planopt.planning.start_polish import StartPolish
 from planopt.planning.values.context import StepContext, bends_starts
 from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.problems.problem import Problem
 
 CLOSE_SHARE = 0.01
-"""Ways that have climbed gain a few percent more when polished, all about as much: one that is
+"""Ways that have climbed gain a few percent more when refined, all about as much: one that is
 behind by more than this share of the best seldom ends ahead of it."""
 
 MERGED_STEPS = 2.0
-"""A start that is nowhere farther than so many longest steps from a polished path leads to it."""
+"""A start that is nowhere farther than so many longest steps from a refined path leads to it."""
 
 
 def is_worth_following(
-    start: Start, best: Start, polished_m: Sequence[NDArray[np.float64]], longest_m: float
+    start: Start, best: Start, refined_m: Sequence[NDArray[np.float64]], longest_m: float
 ) -> bool:
     """Return whether `start`, that has climbed, may lead to something better."""
     if start.worth < best.worth - CLOSE_SHARE * abs(best.worth):
         return False
-    return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in polished_m)
+    return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in refined_m)
 
 
 DRIVEN_ROUNDS = 12
-"""At most so often the best drive is polished again, about its own sides of obstacles: lines about
+"""At most so often the best drive is refined again, about its own sides of obstacles: lines about
 a start that follows a way hold it back at corners."""
 
 SETTLED_SHARE = 3e-3
-"""It is not polished again where that gained less."""
+"""It is not refined again where that gained less."""
 
 
 class FallbackCascade:
-    """Makes a plan of starts; keeps the solvers that polish them."""
+    """Makes a plan of starts; keeps the solvers that refine them."""
 
     def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
         self._problem = problem
@@ -67,8 +66,8 @@ class FallbackCascade:
         # To a goal, what one more round gains is lost again where the next pivot is seen.
         again = self._driven and problem.task != "reach"
         self._rounds = DRIVEN_ROUNDS if again else int(thorough)
-        polishes = problem.planner.name in METHODS and problem.can_be_polished
-        self.polish = StartPolish(problem, ground) if polishes else None
+        refines = problem.planner.name in METHODS and problem.can_be_polished
+        self.refinement = GuessRefinement(problem, ground) if refines else None
 
     def first_verified(
         self,
@@ -82,31 +81,31 @@ class FallbackCascade:
         tried: list[Candidate] = []
         verified: list[Candidate] = []
         for number, start in enumerate(starts):
-            unpolished = replace(
+            unrefined = replace(
                 judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY, start.drive),
                 lattice_objective=judge.sense * starts[0].worth,
             )
-            if self.polish is None:
-                unpolished = replace(unpolished, rung=Rung.PLAN)
+            if self.refinement is None:
+                unrefined = replace(unrefined, rung=Rung.PLAN)
             else:
                 rung = Rung.PLAN if number < self._followed or self._driven else Rung.COLD_RETRY
-                for candidate in self.polish.candidates(situation, judge, start, rung, budget):
+                for candidate in self.refinement.candidates(situation, judge, start, rung, budget):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
                     tried.append(candidate)
                 if budget.spent and not verified:
-                    unpolished = replace(unpolished, termination=Termination.TIME_LIMIT)
+                    unrefined = replace(unrefined, termination=Termination.TIME_LIMIT)
             if any(c.sound and c.hopeless for c in tried):
                 break
             if budget.proven and any(c.sound for c in tried):
                 break
-            if not any(judge.worth(c) >= judge.worth(unpolished) for c in verified):
-                unpolished = judge.judged(unpolished)
-                if unpolished.relaxes and self._problem.task == "reach":
-                    unpolished = replace(unpolished, rung=Rung.RELAXED)
-                tried.append(unpolished)
-                if unpolished.verdict is Verdict.VERIFIED:
-                    verified.append(unpolished)
+            if not any(judge.worth(c) >= judge.worth(unrefined) for c in verified):
+                unrefined = judge.judged(unrefined)
+                if unrefined.relaxes and self._problem.task == "reach":
+                    unrefined = replace(unrefined, rung=Rung.RELAXED)
+                tried.append(unrefined)
+                if unrefined.verdict is Verdict.VERIFIED:
+                    verified.append(unrefined)
             if verified and self._is_settled(starts, number + 1, verified):
                 break
         if not verified and not self._driven and not budget.spent:
@@ -132,10 +131,10 @@ class FallbackCascade:
         if number >= min(self._followed, len(starts)):
             return True
         # Only of ways that have climbed does the worth tell where they lead.
-        polished = [candidate.path_m for candidate in verified]
+        refined = [candidate.path_m for candidate in verified]
         longest = self._problem.step_length_m
         return can_climb(self._problem) and not is_worth_following(
-            starts[number], starts[0], polished, longest
+            starts[number], starts[0], refined, longest
         )
 
     def _by_way_to_good_place(
@@ -145,10 +144,12 @@ class FallbackCascade:
         found: list[Candidate] = []
         for path in ways_to_good_place(judge, tried):
             way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
-            if self.polish is not None:
+            if self.refinement is not None:
                 start = Start(path, judge.worth(way), rule_missing(situation, path))
-                polished = self.polish.candidates(situation, judge, start, Rung.COLD_RETRY, budget)
-                found += [replace(candidate, rung=Rung.COLD_RETRY) for candidate in polished]
+                refined = self.refinement.candidates(
+                    situation, judge, start, Rung.COLD_RETRY, budget
+                )
+                found += [replace(candidate, rung=Rung.COLD_RETRY) for candidate in refined]
             found.append(judge.judged(way))
             if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
                 break
@@ -162,13 +163,13 @@ class FallbackCascade:
         verified: list[Candidate],
         budget: Budget,
     ) -> list[Candidate]:
-        """Polish the best again, from the measurements and sides of obstacles nearest to it."""
-        if self.polish is None:
+        """Refine the best again, from the measurements and sides of obstacles nearest to it."""
+        if self.refinement is None:
             return []
         best = max(verified, key=judge.worth)
         again = Start(best.path_m, starts[0].worth, 0.0, best.drive, charge=starts[0].charge)
         rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
-        return self.polish.candidates(situation, judge, again, rung, budget)
+        return self.refinement.candidates(situation, judge, again, rung, budget)
 
 
 class HorizonPlanner:
@@ -222,7 +223,7 @@ class HorizonPlanner:
         """The plan of a start as it is; None if it is not verified."""
         if self.problem.robots[0].dynamics is not None:
             start = driven_starts(judge, situation, [start], warm)[0]
-        rung = Rung.PLAN if self.cascade.polish is None else Rung.LATTICE
+        rung = Rung.PLAN if self.cascade.refinement is None else Rung.LATTICE
         found = judge.judged(
             judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY, start.drive)
         )

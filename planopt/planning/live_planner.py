@@ -28,7 +28,7 @@ from planopt.planning.loop.target_watch import expected_target, watch_target
 from planopt.planning.plan import Plan
 from planopt.planning.scene import build_scenes
 from planopt.planning.stepping import Stepper
-from planopt.planning.team.plan_step import planning
+from planopt.planning.team.couriers import planning
 from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem

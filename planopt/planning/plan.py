@@ -115,7 +115,7 @@ class Plan:
         What the plan is worth: a cost in seconds, cost to go included, where a goal is to be
         reached (sense: min), else the weighted sum of the terms (sense: max).
     lattice_objective
-        The same of the lattice path that the polish started from.
+        The same of the lattice path that the refinement started from.
     termination, verdict, rung, certificate
         See their types.
     wall_s, solve_s, iterations
@@ -192,15 +192,15 @@ class Plan:
         return share_gained(self.gain, self.lattice_objective, self.objective)
 
 
-def share_gained(gain: float, lattice: float, polished: float) -> float:
+def share_gained(gain: float, lattice: float, refined: float) -> float:
     """Return a gain as a share of the objective that it is a gain on.
 
     NaN where the lattice path is worth next to nothing, less than `LEAST_BASE` of what the
-    polished path is: a share of that tells of the base and not of the gain.
+    refined path is: a share of that tells of the base and not of the gain.
     """
     if gain == 0.0:
         return 0.0
-    return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(polished) > 0.0 else math.nan
+    return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(refined) > 0.0 else math.nan
 
 
 def is_sound(

@@ -8,14 +8,17 @@ import numpy as np
 
 from planopt.errors import InputError
 from planopt.parts import calling, class_name, part_of
-from planopt.planning.baselines.lawnmower import LawnmowerPlanner
-from planopt.planning.baselines.one_step import OneStepPlanner, end_deviation
-from planopt.planning.baselines.random_walk import RandomPlanner
 from planopt.planning.baselines.strategies import (
     StrategyPlanner,
     informed_disk,
     path_loss_only,
     unaware,
+)
+from planopt.planning.baselines.walks import (
+    LawnmowerPlanner,
+    OneStepPlanner,
+    RandomPlanner,
+    end_deviation,
 )
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge

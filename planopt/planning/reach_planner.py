@@ -1,4 +1,4 @@
-"""One receding-horizon step: initial guess, polish, acceptance test, proof, and fallbacks."""
+"""One receding-horizon step to a goal: initial guess, refinement, verification, fallbacks."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ from planopt.planning.holes import (
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.clearance_lines import MOVING_LINES
-from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.path_nlp import GOAL, PathNlp, build_path_nlp
+from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.proof.context import VerifierContext, verifier_context
@@ -275,6 +274,6 @@ def eased(problem: Problem) -> Problem:
 
 
 def _moving(judge: Judge, path_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which steps of a path move at all; a path that stands still needs no polish."""
+    """Return which steps of a path move at all; a path that stands still needs no refinement."""
     steps = np.diff(np.vstack([judge.position_m, path_m]), axis=0)
     return np.linalg.norm(steps, axis=1) > STANDSTILL_M

@@ -1,4 +1,4 @@
-"""Solver attempts from a global start: polish, tighten where the proof objects, retry."""
+"""Refinements of the guesses of one step to a goal, tightened where the verifier objects."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from planopt.planning.programme.clearance_lines import REPAIRS, lines_about, lin
 from planopt.planning.programme.goal_value import GoalValue, OutagePrice
 from planopt.planning.programme.margin_source import StageMargins, margins_of
 from planopt.planning.programme.path_nlp import PathNlp
-from planopt.planning.programme.path_polish import PathTask, Polished, polish_path
+from planopt.planning.programme.path_polish import PathTask, RefinedPath, polish_path
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
@@ -109,7 +109,7 @@ class Refiner:
         return retime(self._judge.position_m, self._start.path_m, self._start.beyond_m, step)
 
     def _sooner(self, candidate: Candidate) -> Candidate | None:
-        """Arrive in fewer steps if the polished path is short enough for it; None if it is not."""
+        """Arrive in fewer steps if the refined path is short enough for it; None if it is not."""
         problem = self._judge.problem
         path = np.vstack([self._judge.position_m, candidate.path_m])
         away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
@@ -125,15 +125,15 @@ class Refiner:
         self._look_at(faster)
         task = self._task(faster)
         bound = self._asked(np.minimum(_margins_at(task, faster), MARGIN_PAD_DB))
-        polished = polish_path(self._nlp, replace(task, bound_db=bound))
-        iterations = candidate.iterations + polished.iterations
+        refined = polish_path(self._nlp, replace(task, bound_db=bound))
+        iterations = candidate.iterations + refined.iterations
         solve_s = candidate.solve_s + perf_counter() - begun
-        better = self._judged(polished, candidate.rung, solve_s, iterations)
+        better = self._judged(refined, candidate.rung, solve_s, iterations)
         is_better = better.objective < candidate.objective
         return better if better.verdict is Verdict.VERIFIED and is_better else None
 
     def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
-        """Polish from a path, repeating with what the verifier objects to built in.
+        """Refine from a path, repeating with what the verifier objects to built in.
 
         A step that keeps the bound at the start keeps it. With `rung` RELAXED a step below it stays
         free.
@@ -155,9 +155,9 @@ class Refiner:
         for _ in range(REPAIRS):
             if self._budget.spent:
                 return
-            polished = polish_path(self._nlp, replace(task, bound_db=self._asked(bound)))
-            iterations += polished.iterations
-            candidate = self._judged(polished, rung, perf_counter() - begun, iterations)
+            refined = polish_path(self._nlp, replace(task, bound_db=self._asked(bound)))
+            iterations += refined.iterations
+            candidate = self._judged(refined, rung, perf_counter() - begun, iterations)
             yield candidate
             begun, iterations = perf_counter(), 0
             if not candidate.sound:
@@ -165,7 +165,7 @@ class Refiner:
                     self._scene.pieces,
                     task.lines,
                     np.vstack([task.start_m, path_m]),
-                    np.vstack([task.start_m, polished.path_m]),
+                    np.vstack([task.start_m, refined.path_m]),
                     task.clearance_m,
                     task.step_length_m,
                     self._judge.context.moving,
@@ -277,16 +277,18 @@ class Refiner:
         """Bounds at the steps that are asked for, none at others."""
         return bound_db if self._rows is None else np.where(self._rows.asked, bound_db, -np.inf)
 
-    def _judged(self, polished: Polished, rung: Rung, solve_s: float, iterations: int) -> Candidate:
-        candidate = self._judge.candidate(polished.path_m, rung, polished.termination)
+    def _judged(
+        self, refined: RefinedPath, rung: Rung, solve_s: float, iterations: int
+    ) -> Candidate:
+        candidate = self._judge.candidate(refined.path_m, rung, refined.termination)
         judged = self._judge.judged(
             replace(
                 candidate,
                 lattice_objective=self._lattice_objective,
                 solve_s=solve_s,
                 iterations=iterations,
-                kkt_residual=polished.kkt_residual,
-                multipliers=polished.multipliers,
+                kkt_residual=refined.kkt_residual,
+                multipliers=refined.multipliers,
             )
         )
         # Moved a little, the path may keep the bound after all.

@@ -1,4 +1,4 @@
-"""The rule of connectivity in a polish: what the local model must reach, and when it lied.
+"""The rule of connectivity in a refinement: what the local model must reach, and when it lied.
 
 The margins and sums asked of the local model are corrected by how much it is off at the start, and
 again from a returned path that misses the bound.
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction
-from planopt.planning.programme.path_polish import PathTask, Polished
+from planopt.planning.programme.path_polish import PathTask, RefinedPath
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB, is_search_exact
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.values.context import StepContext
@@ -54,7 +54,9 @@ def with_bounds(task: PathTask, situation: StepContext, rows: RuleRows) -> PathT
     )
 
 
-def lacks(situation: StepContext, rows: RuleRows, point: Polished, *, firmly: bool = False) -> bool:
+def lacks(
+    situation: StepContext, rows: RuleRows, point: RefinedPath, *, firmly: bool = False
+) -> bool:
     """Return whether a returned path misses a bound where the solver thought that it keeps it.
 
     With `firmly` also where it keeps a step's bound by less than the search's predictions are off:
@@ -72,7 +74,9 @@ def lacks(situation: StepContext, rows: RuleRows, point: Polished, *, firmly: bo
     return bool((margins[point.slack_db <= GIVEN_UP_DB] < least).any())
 
 
-def recentred(task: PathTask, situation: StepContext, rows: RuleRows, point: Polished) -> PathTask:
+def recentred(
+    task: PathTask, situation: StepContext, rows: RuleRows, point: RefinedPath
+) -> PathTask:
     """The task from a returned path on: its neighbours, and the error measured there."""
     task = moved(task, situation, rows, point.path_m)
     if rows.weight is not None:

@@ -13,7 +13,7 @@ from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper
-from planopt.planning.team.plan_step import planning
+from planopt.planning.team.couriers import planning
 from planopt.problems.overrides import with_overrides
 from planopt.problems.problem import Problem
 

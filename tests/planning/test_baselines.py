@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.planning.baselines.lawnmower import LawnmowerPlanner, lane_rows, lawn_tour
-from planopt.planning.baselines.one_step import RINGS, OneStepPlanner
-from planopt.planning.baselines.random_walk import RandomPlanner
+from planopt.planning.baselines.walks import (
+    RINGS,
+    LawnmowerPlanner,
+    OneStepPlanner,
+    RandomPlanner,
+    lane_rows,
+    lawn_tour,
+)
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.planners import planner_for
 from planopt.planning.search.taut_way import stops_along

@@ -33,7 +33,7 @@ def test_plan_is_worth_as_much_as_from_random_starts(dynamics, target_m) -> None
         way = judge.position_m + np.cumsum(drift + turns, axis=0)
         start = begun(dynamics, judge, dynamics.following(judge.state, way, 1.0))
         for _ in range(3):
-            found = planner.cascade.polish.candidates(situation, judge, start, Rung.PLAN)
+            found = planner.cascade.refinement.candidates(situation, judge, start, Rung.PLAN)
             verified = [c for c in found if c.verdict is Verdict.VERIFIED]
             if not verified:
                 break
@@ -54,7 +54,7 @@ def test_plan_is_settled(dynamics) -> None:
     """Polished again from itself, about its own sides of obstacles, it gains little."""
     plan, situation, judge, planner = planned(driven_problem(dynamics, TRACKING, horizon=HORIZON))
     again = begun(dynamics, judge, plan.drive.inputs)
-    for candidate in planner.cascade.polish.candidates(situation, judge, again, Rung.PLAN):
+    for candidate in planner.cascade.refinement.candidates(situation, judge, again, Rung.PLAN):
         if candidate.verdict is Verdict.VERIFIED:
             assert candidate.objective <= 1.01 * plan.objective
 

@@ -33,7 +33,9 @@ def test_plans_are_hardly_worse_than_the_best_of_starts(term):
         best = plan.objective
         for path in straight_starts(situation, ground.index, rough, 5)[::10]:
             start = Start(path, judge.objective(path), 0.0)
-            for candidate in planner.cascade.polish.candidates(situation, judge, start, Rung.PLAN):
+            for candidate in planner.cascade.refinement.candidates(
+                situation, judge, start, Rung.PLAN
+            ):
                 if candidate.verdict is Verdict.VERIFIED:
                     best = max(best, candidate.objective)
         shares.append(plan.objective / best)

@@ -9,7 +9,7 @@ import pytest
 from terms_scene import TRACKING, situation_of, terms_problem
 
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.programme.path_polish import Polished
+from planopt.planning.programme.path_polish import RefinedPath
 from planopt.planning.proof import predictions
 from planopt.planning.proof.predictions import SEARCH_ERROR_DB
 from planopt.planning.rule_bounds import lacks
@@ -43,6 +43,6 @@ def test_a_margin_within_the_error_of_searches_is_not_relied_on(exact, monkeypat
     rows = replace(rows, threshold_dbm=rows.threshold_dbm + least - 0.5 * SEARCH_ERROR_DB)
     if not exact:
         monkeypatch.setattr(predictions, "SEARCH_EXACT_LIMIT", 0)
-    point = Polished(path, np.zeros(4), Termination.CONVERGED, 5, 0.0, {})
+    point = RefinedPath(path, np.zeros(4), Termination.CONVERGED, 5, 0.0, {})
     assert lacks(situation, rows, point, firmly=True) is not exact
     assert not lacks(situation, rows, point)

@@ -12,7 +12,7 @@ import pytest
 from planopt import check, load, solve
 from planopt.errors import InputError
 from planopt.planning.baselines.baseline import held, released
-from planopt.planning.baselines.lawnmower import LawnmowerPlanner
+from planopt.planning.baselines.walks import LawnmowerPlanner
 from planopt.problems import planner_kinds
 from planopt.problems.planner_kinds import (
     OWN,

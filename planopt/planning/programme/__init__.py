@@ -1,1 +1,1 @@
-"""Polishing a path: nonlinear programmes, their solver and their residuals."""
+"""Refining a path: nonlinear programmes, their solver and their residuals."""

@@ -1,4 +1,4 @@
-"""The separating lines of a start path, and those that a polished path turned out to lack."""
+"""The separating lines of a start path, and those that a refined path turned out to lack."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LINE_REACH_STEPS = 2.0
 """Pieces farther than this many longest steps from a segment get no line."""
 
 REPAIRS = 3
-"""How often a polish whose proof objects is repeated with the objection built in."""
+"""How often a refinement whose proof objects is repeated with the objection built in."""
 
 
 MOVING_LINES = 3

@@ -3,7 +3,7 @@
 
 Beside the positions q there are variables w: of each step the rest of the state after it and the
 input of it. With the state x_k = (q_k, r_k), c a convex hull's points of a step's way, and lines
-(n, b) as in :mod:`planopt.planning.programme.path_rows`::
+(n, b) as in :mod:`planopt.planning.programme.path_nlp`::
 
     step(x_{k-1}, u_k) - x_k   = 0     k = 1..N            "defect"
     limits(u_k, x_k)          <= 0     k = 1..N            "limit"

@@ -67,7 +67,7 @@ def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
 def named_multipliers(
     rows: NDArray[np.float64], horizon: int, lines: int, bounds: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return multipliers of :mod:`~planopt.planning.programme.path_rows` and connectivity."""
+    """Return multipliers of :mod:`~planopt.planning.programme.path_nlp` and connectivity."""
     speed, line_end, line_start = np.split(
         rows[: horizon * (1 + 2 * lines) - lines], [horizon, horizon * (1 + lines)]
     )

@@ -4,12 +4,17 @@
 Variables are the positions q_1..q_N, with a slack s_k of each stage's connectivity bound::
 
     max   scale * value(q_1, ..., q_N) - slack_weight sum s_k
-    s.t.  the rows of planopt.planning.programme.path_rows
+    s.t.  |q_k - q_{k-1}|^2 <= L^2                   k = 1..N             "speed"
+          n_kj . q_k     >= b_kj                     k = 1..N, all j      "line_end"
+          n_kj . q_{k-1} >= a_kj                     k = 2..N, all j      "line_start"
           margin_k(q_k) + s_k >= bound_k             k = 1..N             "connectivity"
           total(q_1, ..., q_N) + c t >= bound                             "connectivity"
 
-There are rows of margins, one of a total (a sum over stages), or none. The total's slack t is in dB
-like the others, c is the change of the total per dB. A programme without slacks keeps its bounds.
+L is the longest step. The separating lines (n, b, a) are fixed from the initial guess and applied
+to both ends of a segment, so that the whole segment is clear; b and a are equal for an obstacle,
+and differ for one that moves. There are rows of margins, one of a total (a sum over stages), or
+none. The total's slack t is in dB like the others, c is the change of the total per dB. A programme
+without slacks keeps its bounds.
 The cost of a goal is a value like any other (:mod:`planopt.planning.programme.goal_value`); that of
 a robot with dynamics is symbolic and subtracted here.
 
@@ -30,27 +35,202 @@ on. CasADi ships no usable type stubs, hence the looser checking of the files th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
+from planopt.objectives.terms.term import Structure
 from planopt.planning.programme.goal_value import PARAMETERS, goal_cost_s
-from planopt.planning.programme.ipopt import OPTIONS, ExactNlp, exact_solver, time_limit
+from planopt.planning.programme.ipopt import (
+    OPTIONS,
+    ExactNlp,
+    exact_solver,
+    ipopt_solve,
+    time_limit,
+)
 from planopt.planning.programme.margin_source import ValueSource
-from planopt.planning.programme.methods import Method, solve_by
 from planopt.planning.programme.motion_rows import motion_rows
 from planopt.planning.programme.nlp_functions import SolveNlp
-from planopt.planning.programme.path_callback import PathCallbacks, path_callbacks
-from planopt.planning.programme.path_rows import (
-    curvature,
-    curvature_size,
-    path_rows,
-    stage_blocks,
-    stage_rows,
-    weighted_blocks,
-)
 from planopt.planning.programme.path_shape import PathShape
+
+Method = Literal["ipopt", "scp"]
+"""Interior points, or sequential convex programming."""
+
+METHODS: dict[str, Method] = {"auto": "ipopt", "nlp": "ipopt", "scp": "scp"}
+"""Of the planners that refine; the others do not."""
+
+
+def solve_by(
+    method: Method, solver: Any, shape: PathShape, budget_s: float | None = None
+) -> SolveNlp:
+    """Solve a programme over a path of a shape, built as a CasADi `solver`, by a method.
+
+    A solve ends after `budget_s` seconds, if that is given; IPOPT has that among its options.
+    """
+    if method == "ipopt":
+        return ipopt_solve(solver, shape.horizon)
+    # Not needed by those who never ask for it.
+    from planopt.planning.programme.nlp_functions import nlp_functions
+    from planopt.planning.programme.scp import motion_cones, scp_solve, step_cones
+
+    motion, n = shape.motion, shape.horizon
+    cones = step_cones(n) if motion is None else motion_cones(shape)
+    longest = None if motion is None else motion.dynamics.speed_max_m_s * motion.step_s
+    return scp_solve(nlp_functions(solver), n, cones, shape.per_m, longest, budget_s)
+
+
+def curvature_size(n: int, structure: Structure) -> int:
+    """Return how many numbers the Hessian of a value over N = `n` stages has."""
+    return {"stagewise": 3 * n, "chain": 7 * n - 4, "full": 4 * n * n}[structure]
+
+
+def curvature(entries: Any, n: int, structure: Structure) -> Any:
+    """Hessian of a value from the numbers of a `PathValue`."""
+    if structure == "full":
+        return ca.reshape(entries, 2 * n, 2 * n)
+    found = stage_blocks(entries, n)
+    if structure == "chain":
+        for k in range(n - 1):
+            at = 3 * n + 4 * k
+            across = ca.vertcat(entries[at : at + 2].T, entries[at + 2 : at + 4].T)
+            found[2 * k : 2 * k + 2, 2 * k + 2 : 2 * k + 4] = across
+            found[2 * k + 2 : 2 * k + 4, 2 * k : 2 * k + 2] = across.T
+    return found
+
+
+def stage_blocks(entries: Any, n: int) -> Any:
+    """Block diagonal of n symmetric 2 x 2 blocks given as xx, xy, yy."""
+    return ca.diagcat(
+        *[
+            ca.vertcat(
+                ca.horzcat(entries[3 * k], entries[3 * k + 1]),
+                ca.horzcat(entries[3 * k + 1], entries[3 * k + 2]),
+            )
+            for k in range(n)
+        ]
+    )
+
+
+def weighted_blocks(multipliers: Any, entries: Any, n: int) -> Any:
+    """Hessian of the stages' margins, each by its row's multiplier."""
+    weighted = [multipliers[k] * entries[3 * k + j] for k in range(n) for j in range(3)]
+    return stage_blocks(ca.vertcat(*weighted), n)
+
+
+def stage_rows(gradients: Any, n: int) -> Any:
+    """Jacobian (N, 2 N) of the stages' margins, each of its own place alone."""
+    return ca.diagcat(*[gradients[2 * k : 2 * k + 2].T for k in range(n)])
+
+
+def path_rows(n: int, lines: int, q: Any, start: Any, line: Any) -> Any:
+    """Stack the rows, in the order of the module's docstring."""
+    speed, line_end, line_start = [], [], []
+    for k in range(n):
+        here = q[2 * k : 2 * k + 2]
+        before = start if k == 0 else q[2 * k - 2 : 2 * k]
+        speed.append(ca.sumsqr(here - before))
+        for j in range(lines):
+            at = 4 * (k * lines + j)
+            line_end.append(line[at] * here[0] + line[at + 1] * here[1] - line[at + 2])
+            if k > 0:
+                line_start.append(line[at] * before[0] + line[at + 1] * before[1] - line[at + 3])
+    return ca.vertcat(*speed, *line_end, *line_start)
+
+
+class PathCallback(ca.Callback):
+    """A NumPy function of the flattened positions (2 N,) as a CasADi function."""
+
+    def __init__(
+        self,
+        name: str,
+        stages: int,
+        size: int,
+        evaluate: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._stages = stages
+        self._size = size
+        self._evaluate = evaluate
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        """One input."""
+        return 1
+
+    def get_n_out(self) -> int:
+        """One output."""
+        return 1
+
+    def get_sparsity_in(self, _index: int) -> Any:
+        """The positions, dense."""
+        return ca.Sparsity.dense(2 * self._stages, 1)
+
+    def get_sparsity_out(self, _index: int) -> Any:
+        """The numbers, dense."""
+        return ca.Sparsity.dense(self._size, 1)
+
+    def has_eval_buffer(self) -> bool:
+        """Numbers are read and written in place: ten times faster than as CasADi matrices."""
+        return True
+
+    def eval_buffer(self, arguments: Any, results: Any) -> int:
+        """Ask the NumPy function."""
+        numbers = np.frombuffer(results[0])
+        numbers[:] = self._evaluate(np.frombuffer(arguments[0])).ravel()
+        return 0
+
+
+class Differentiated(Protocol):
+    """A value, or one of each stage, with derivatives by the positions."""
+
+    @property
+    def value(self) -> float | NDArray[np.float64]:
+        """The value, or ``(N,)``."""
+        ...
+
+    @property
+    def gradient(self) -> NDArray[np.float64]:
+        """``(N, 2)``."""
+        ...
+
+    @property
+    def hessian(self) -> NDArray[np.float64]:
+        """Return the numbers of the Hessian that are not zero."""
+        ...
+
+
+@dataclass(frozen=True)
+class PathCallbacks:
+    """The callbacks of one quantity."""
+
+    value: PathCallback
+    gradient: PathCallback
+    hessian: PathCallback
+
+    def __call__(self, at: Any) -> tuple[Any, Any, Any]:
+        """Value, gradient and Hessian at positions (2 N,), a CasADi expression."""
+        return self.value(at), self.gradient(at), self.hessian(at)
+
+
+def path_callbacks(
+    name: str,
+    stages: int,
+    values: int,
+    curved: int,
+    evaluate: Callable[[NDArray[np.float64]], Differentiated],
+) -> PathCallbacks:
+    """Callbacks of one quantity."""
+    return PathCallbacks(
+        PathCallback(name, stages, values, lambda at: np.asarray(evaluate(at).value)),
+        PathCallback(
+            f"{name}_gradient", stages, 2 * max(values, stages), lambda at: evaluate(at).gradient
+        ),
+        PathCallback(f"{name}_hessian", stages, curved, lambda at: evaluate(at).hessian),
+    )
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Polish a start path for any smooth value: same homotopy class, continuous places.
+"""Refine a start path for any smooth value: same homotopy class, continuous places.
 
 The data of a robot with dynamics are arrays of the same solver; for the single integrator they are
 empty.
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme.cone_rows import path_row_values
 from planopt.planning.programme.goal_value import GoalCharge, goal_cost_gradient
 from planopt.planning.programme.margin_source import EvaluatePath
 from planopt.planning.programme.motion_rows import MotionShape, motion_row_values, motion_rows
@@ -34,7 +33,7 @@ def _none() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class MotionTask:
-    """The start of a polish."""
+    """The start of a refinement."""
 
     shape: MotionShape  # Structure of the rows
     drive: Drive  # Along the start path, from the robot's state on
@@ -99,8 +98,8 @@ def motion_numbers(
 
 
 @dataclass(frozen=True)
-class Polished:
-    """The result of a polish."""
+class RefinedPath:
+    """The result of a refinement."""
 
     path_m: NDArray[np.float64]  # (N, 2); only worth something if a verifier says so
     slack_db: NDArray[np.float64]  # (N,) missing dB
@@ -115,7 +114,7 @@ class Polished:
 
 @dataclass(frozen=True)
 class PathTask:
-    """The task of one polish."""
+    """The task of one refinement."""
 
     start_m: NDArray[np.float64]  # (2,) where the robot is
     path_m: NDArray[np.float64]  # (N, 2) the start path
@@ -140,7 +139,7 @@ class PathTask:
     arrival: int | None = None
 
 
-def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
+def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
     """Solve the programme from the task's start path."""
     shape = nlp.shape
     n = shape.horizon
@@ -186,7 +185,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> Polished:
     )
     driven = point.slack_db[shape.slacks :]
     point = replace(point, slack_db=point.slack_db[: shape.slacks])
-    return Polished(
+    return RefinedPath(
         path_m=point.positions_m,
         slack_db=point.slack_db,
         termination=point.termination,
@@ -271,3 +270,29 @@ def _residual(
         variable_bounds,
         point.variable_multipliers,
     )
+
+
+def path_row_values(
+    path_m: NDArray[np.float64], line: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Values (m,) and gradients (m, 2 N) of all rows, m = N + N lines + (N - 1) lines."""
+    # Shapes: path_m (N + 1, 2); line (N, lines, 4).
+    n, lines = int(line.shape[0]), int(line.shape[1])
+    steps = np.diff(path_m, axis=0)
+    stage = np.arange(n)
+    speed = np.zeros((n, n, 2))
+    speed[stage, stage] = 2.0 * steps
+    speed[stage[1:], stage[:-1]] = -2.0 * steps[1:]
+    line_end = np.zeros((n, lines, n, 2))
+    line_end[stage, :, stage] = line[:, :, :2]
+    line_start = np.zeros((n - 1, lines, n, 2))
+    line_start[stage[:-1], :, stage[:-1]] = line[1:, :, :2]
+    jacobian = np.concatenate([b.reshape(-1, 2 * n) for b in (speed, line_end, line_start)])
+    values = np.concatenate(
+        [
+            (steps**2).sum(1),
+            (np.einsum("kji,ki->kj", line[:, :, :2], path_m[1:]) - line[:, :, 2]).ravel(),
+            (np.einsum("kji,ki->kj", line[1:, :, :2], path_m[1:-1]) - line[1:, :, 3]).ravel(),
+        ]
+    )
+    return values, jacobian

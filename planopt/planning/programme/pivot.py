@@ -25,7 +25,7 @@ LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""
 LATTICE_DETOUR = 0.03
 """A lattice path is at most this share longer than the straight one (16 headings: 2.7 %). The pivot
-lies at least that far ahead, or a polished path would come to it and have nowhere to go."""
+lies at least that far ahead, or a refined path would come to it and have nowhere to go."""
 
 
 class Ahead:
@@ -44,7 +44,7 @@ class Ahead:
         self._has_all_ways = False
         self._node_margin_db = node_margin_db
         self.pivot = self._seen_from(int(start.nodes[-1]), None)
-        # Lattice path, polished path and the one released are asked about more than once.
+        # Lattice path, refined path and the one released are asked about more than once.
         self._joins: dict[bytes, tuple[int, float, float] | None] = {}
         self._pivots: dict[bytes, Pivot] = {}
 

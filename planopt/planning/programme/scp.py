@@ -5,18 +5,18 @@ linearised and may be missed at a price (exact penalty), so that a step always e
 of the Lagrangian is made positive semidefinite. A step is taken for what it brings of what the
 model promised (trust region and penalty as in section 18.5 of [NW06]).
 
-One convex step of sequential convex programming, solved by Clarabel.
-
-About a point x with rows g, their Jacobian J, the objective's gradient c and a positive
-semidefinite B, over the step d and what is missing, t >= 0, of each row that is missed at x::
+Each convex step is solved by Clarabel. About a point x with rows g, their Jacobian J, the
+objective's gradient c and a positive semidefinite B, over the step d and what is missing, t >= 0,
+of each row that is missed at x::
 
     min   c.d + d'B d / 2 + penalty sum t
     s.t.  lower - t <= g + J d <= upper + t        rows but the cones
           |z_k + dz_k| <= R_k                      cones: pairs z_k of variables or of differences
           lowest <= d <= highest
 
-Cones are convex as they are and not linearised (:mod:`planopt.planning.programme.cone_rows`). Where
-lowest and highest are equal they are zero: what is set stays.
+Cones are convex as they are and not linearised: a row weight |z|^2 + constant <= upper, with z a
+pair of variables less another pair or a parameter, is the cone |z| <= radius. Where lowest and
+highest are equal they are zero: these variables stay.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme.cone_rows import NO_VARIABLE, ConeRows
 from planopt.planning.programme.nlp_functions import (
     Bounds,
     NlpFunctions,
@@ -40,6 +39,85 @@ from planopt.planning.programme.nlp_functions import (
     lost_point,
     nlp_point,
 )
+from planopt.planning.programme.path_shape import PathShape
+
+NO_VARIABLE = -1
+"""In place of a column."""
+
+
+@dataclass(frozen=True, eq=False)
+class ConeRows:
+    """The rows of a programme that are cones."""
+
+    row: NDArray[np.intp]  # (k,) their numbers
+    # (k, 2) columns of the pairs of z, and of those that are taken from it; `NO_VARIABLE` where
+    # that is none
+    own: NDArray[np.intp]
+    less: NDArray[np.intp]
+    weight: NDArray[np.float64]  # (k,) of the row
+    constant: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def pairs(self, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``(k, 2)`` z where the rows' Jacobian (m, n) is taken: their gradients are 2 weight z."""
+        return jacobian[self.row[:, None], self.own] / (2.0 * self.weight[:, None])
+
+    def radii(self, upper: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``(k,)`` largest |z| under upper bounds (m,) of all rows."""
+        return np.sqrt((upper[self.row] - self.constant) / self.weight)
+
+
+def no_cones() -> ConeRows:
+    """Return rows of which none is a cone."""
+    return _rows([], [], [], [], [])
+
+
+def step_cones(horizon: int) -> ConeRows:
+    """The steps of a path, whose squared lengths are the first rows."""
+    own = [(2 * k, 2 * k + 1) for k in range(horizon)]
+    less = [(NO_VARIABLE, NO_VARIABLE), *own[:-1]]
+    return _rows(list(range(horizon)), own, less, [1.0] * horizon, [0.0] * horizon)
+
+
+def motion_cones(shape: PathShape) -> ConeRows:
+    """Discs that inputs, or components of the state, must lie in."""
+    motion = shape.motion
+    if motion is None:
+        return no_cones()
+    dynamics, n = motion.dynamics, shape.horizon
+    states, inputs = dynamics.state_names, dynamics.input_names
+    columns = {name: column for column, name in enumerate((*states[2:], *inputs))}
+    limits = len(dynamics.limits((1.0,) * len(inputs), (1.0,) * len(states)))
+    first_row = n + 2 * n * shape.lines - shape.lines + n * len(states)
+    first_column = 2 * n + shape.slacks
+    row, own, weight = list[int](), list[tuple[int, int]](), list[float]()
+    for k in range(n):
+        for disc in dynamics.discs:
+            row.append(first_row + k * limits + disc.limit)
+            x, y = (first_column + k * motion.per_step + columns[name] for name in disc.names)
+            own.append((x, y))
+            weight.append(1.0 / disc.radius**2)
+    none = [(NO_VARIABLE, NO_VARIABLE)] * len(row)
+    return _rows(row, own, none, weight, [-1.0] * len(row))
+
+
+def _rows(
+    row: list[int],
+    own: list[tuple[int, int]],
+    less: list[tuple[int, int]],
+    weight: list[float],
+    constant: list[float],
+) -> ConeRows:
+    return ConeRows(
+        np.array(row, dtype=np.intp),
+        np.array(own, dtype=np.intp).reshape(-1, 2),
+        np.array(less, dtype=np.intp).reshape(-1, 2),
+        np.array(weight, dtype=np.float64),
+        np.array(constant, dtype=np.float64),
+    )
+
 
 CLARABEL: Any = clarabel
 """It has no type stubs."""

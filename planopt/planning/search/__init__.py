@@ -1,1 +1,1 @@
-"""Global search: where a polish starts from."""
+"""Global search: where a refinement starts from."""

@@ -13,7 +13,7 @@ Ways by the station: there path loss changes most, within a step, where no fan h
 
 A measurement beside the station tells far more of path loss than any other, and path loss is least
 known there, so that what is learnt or mapped has a narrow maximum at it. A way that comes within a
-step of it need not end there when it is polished.
+step of it need not end there when it is refined.
 
 About how far places are from obstacles and borders: a raster that is looked up, not searched.
 

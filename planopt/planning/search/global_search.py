@@ -58,7 +58,7 @@ CORRECTION_ROUNDS = 8
 
 @dataclass(frozen=True)
 class GlobalStart:
-    """The initial guess of the polish."""
+    """The initial guess of the refinement."""
 
     nodes: NDArray[np.intp]  # (N,) lattice nodes
     path_m: NDArray[np.float64]  # (N, 2) their places

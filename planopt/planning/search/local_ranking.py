@@ -31,7 +31,7 @@ ANCHORS, REGION_ANCHORS = 24, 64
 
 LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
 """Measurements shared by all ways: so many, so many more for each step, and never more. They cover
-all that can be reached, so that they are more than a polish needs about one way."""
+all that can be reached, so that they are more than a refinement needs about one way."""
 
 MAPPED_NEIGHBOURS = 384
 """Never more than these where a map is averaged, which is wanted beyond the ways: with 256 the best

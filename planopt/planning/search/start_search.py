@@ -1,4 +1,4 @@
-"""Starts for the polish of a sum of terms: the best ways found by search, all told apart.
+"""Starts for the refinement of a sum of terms: the best ways found by search, all told apart.
 
 A lattice is searched stage by stage, and paths to its best ends, apart from each other, are traced
 back. What ending a step at a node is worth is exact for terms that add up. Terms that couple the
@@ -27,7 +27,7 @@ from planopt.planning.search.moving_moves import (
     move_table,
 )
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.tried_places import TriedPlaces
+from planopt.planning.search.place_paths import TriedPlaces
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
     MARGIN_PAD_DB,
@@ -159,7 +159,7 @@ CORRECTIONS = 6
 """How often the lattice is searched again after the nodes of its path got better values."""
 
 SETTLED_SHARE = 1e-3
-"""It is not searched again for losing a smaller share of the path's worth: the polish decides."""
+"""It is not searched again for losing a smaller share of the path's value."""
 
 EQUAL_M = 1e-6
 """Paths that are nowhere farther apart than this are one."""
@@ -167,7 +167,7 @@ EQUAL_M = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A way that a polish may start from."""
+    """A way that a refinement may start from."""
 
     path_m: NDArray[np.float64]  # (N, 2)
     worth: float  # What it is worth by all terms
@@ -177,7 +177,7 @@ class Start:
     # How a robot drives it that cannot turn or stop at will; None for any other
     drive: Drive | None = None
     clear: bool = True  # Whether the robot can drive it as it is, clear of obstacles
-    # What the way to a goal is charged by in a polish; None where none is
+    # What the way to a goal is charged by in a refinement; None where none is
     charge: GoalCharge | None = None
 
 
@@ -186,7 +186,7 @@ def without_waiting(
 ) -> NDArray[np.float64]:
     """Return a path (N, 2) that waits at its end for as long as this one does at its beginning.
 
-    Polishing cannot make one of the other: a plan that waits would be put off step by step.
+    Refining cannot make one of the other: a plan that waits would be put off step by step.
     """
     away = np.linalg.norm(path_m - position_m, axis=1) > STANDSTILL_M
     waits = int(away.argmax())

@@ -5,7 +5,7 @@ best ways, told apart by where they lead, are bent at random in a few rounds (:f
 valued by the objective itself, batched. Directions are drawn anew in each round, narrower each
 time, from one generator, so that the same seed finds the same ways.
 
-The value of a way before a polish tells little of its value after. So the best ways climb together
+The value of a path before a refinement says little of its value after. So the best climb together
 (:func:`climb_ways`), batched, each with its own inverse Hessian (BFGS), and only those that lead
 are followed on. In headings and speeds the limits of motion are bounds of single variables; at a
 blocked step the way turns aside as when it was first driven, and the step counts if it gains.

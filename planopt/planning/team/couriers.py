@@ -20,13 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.reach_planner import Outlook, ReachPlanner
-from planopt.planning.scene import Scene
+from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_places
-from planopt.planning.stepping import TeamMoment
+from planopt.planning.stepping import Planning, PlanStep, TeamMoment
 from planopt.planning.team.reservations import (
     beside,
     beside_each_other,
@@ -34,8 +35,9 @@ from planopt.planning.team.reservations import (
     planned_motion,
     reserved_motion,
 )
-from planopt.planning.team.team_step import keep_apart
+from planopt.planning.team.team_step import build_team, keep_apart, plan_together
 from planopt.planning.tolerances import STEP_PAD_M
+from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.moving_obstacle import MovingDiscs, joined_discs
 from planopt.world.timed_motion import TimedMotion
@@ -281,3 +283,37 @@ def _lasting(discs: MovingDiscs, steps: int) -> MovingDiscs:
 
 def _are_verified(plans: Sequence[Plan]) -> bool:
     return all(plan.verdict is Verdict.VERIFIED for plan in plans)
+
+
+def planning(
+    problem: Problem,
+    scenes: Sequence[Scene] | None,
+    seeds: TeamSeeds,
+    foreseen_m: Sequence[NDArray[np.float64]] | None = None,
+) -> Planning:
+    """Return what makes of a problem with obstacles what plans a step; as :func:`plan_step`.
+
+    The scenes are those of the obstacles at the start; where others stand they are built.
+    """
+
+    def made(now: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
+        at_start = now.workspace.obstacles == problem.workspace.obstacles
+        places = [state[:2] for state in states]
+        known = scenes if at_start else build_scenes(now, places)
+        return plan_step(now, known, seeds, foreseen_m)
+
+    return made
+
+
+def plan_step(
+    problem: Problem,
+    scenes: Sequence[Scene] | None,
+    seeds: TeamSeeds,
+    foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2)
+) -> PlanStep:
+    """Return what plans a step: to goals in a scene of each robot, or a team for its terms."""
+    if scenes is not None:
+        couriers = Couriers(problem, scenes)
+        return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])
+    team = build_team(problem, seeds, foreseen_m)
+    return lambda at: plan_together(problem, team, at)

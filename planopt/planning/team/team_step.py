@@ -120,8 +120,8 @@ def _valued_alone(plan: Plan, situation: StepContext) -> Plan:
     if len(situation.posterior.measurements) <= SEARCH_EXACT_LIMIT:
         return plan
     worth = ObjectiveValue(replace(situation))(plan.positions_m[1:])
-    unpolished = plan.lattice_objective == plan.objective
-    start = worth if unpolished else plan.lattice_objective
+    unrefined = plan.lattice_objective == plan.objective
+    start = worth if unrefined else plan.lattice_objective
     return replace(plan, objective=worth, lattice_objective=start)
 
 

@@ -28,7 +28,7 @@ from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solve import solve_on
-from planopt.planning.team.plan_step import planning
+from planopt.planning.team.couriers import planning
 from planopt.problems.library import list_problems
 from planopt.problems.load import load_motion
 from planopt.problems.overrides import with_overrides

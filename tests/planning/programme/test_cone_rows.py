@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from motion_scene import DOUBLE, WHEELS
 
-from planopt.planning.programme.cone_rows import motion_cones, no_cones, step_cones
 from planopt.planning.programme.motion_rows import MotionShape, motion_row_values
 from planopt.planning.programme.path_shape import PathShape
+from planopt.planning.programme.scp import motion_cones, no_cones, step_cones
 
 N, LINES = 3, 2
 

@@ -17,7 +17,7 @@ from planopt.planning.programme.goal_value import (
 )
 from planopt.planning.programme.margin_source import StageMargins, ValueSource
 from planopt.planning.programme.nlp_functions import Bounds
-from planopt.planning.programme.path_rows import curvature
+from planopt.planning.programme.path_nlp import curvature
 
 N = 4
 START = np.array([0.3, -0.2])

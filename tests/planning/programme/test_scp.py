@@ -18,10 +18,9 @@ from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, term
 
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Termination, Verdict
-from planopt.planning.programme.cone_rows import no_cones
 from planopt.planning.programme.nlp_functions import Bounds, NlpFunctions
 from planopt.planning.programme.path_polish import polish_path
-from planopt.planning.programme.scp import scp_solve
+from planopt.planning.programme.scp import no_cones, scp_solve
 
 N, LINES = 6, 2
 

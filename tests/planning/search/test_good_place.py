@@ -18,7 +18,7 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.proof.context import VerifierContext
-from planopt.planning.search.good_place import ways_to_good_place
+from planopt.planning.search.place_paths import ways_to_good_place
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 
 LEFT_BAD = bad_where(lambda x, _: x < 20.0)

@@ -11,9 +11,9 @@ from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 from planopt.objectives.tracking_recourse import RECOURSE_STEPS
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
-from planopt.planning.search import tried_places
+from planopt.planning.search import place_paths
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.tried_places import COMPARED, TRIED, TriedPlaces
+from planopt.planning.search.place_paths import COMPARED, TRIED, TriedPlaces
 from planopt.planning.values import context as situation_module
 from planopt.planning.values.objective_value import ObjectiveValue
 
@@ -75,7 +75,7 @@ def test_the_best_of_all_places_is_among_the_compared(seed, monkeypatch):
     _, ground = judge_of(situation, belief)
     worth = ObjectiveValue(situation)
     best = max(worth(way) for way in found_ways(problem, situation, ground))
-    monkeypatch.setattr(tried_places, "COMPARED", 10**6)
+    monkeypatch.setattr(place_paths, "COMPARED", 10**6)
     assert best >= 0.99 * max(worth(way) for way in found_ways(problem, situation, ground))
 
 

@@ -1,6 +1,6 @@
-"""Turn a start into candidates: polish it, and build in what the proof objects to.
+"""Refine an initial guess into candidates, with the verifier's objections built in.
 
-All lines of a start path: from obstacles, from what moves, and from what moves after it.
+Separating lines of a guess: from obstacles, from moving obstacles, and from these after it ends.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.budget import Budget, solve_limit_s
 from planopt.planning.certificate import RuleResult
-from planopt.planning.driven import motion_shape, motion_task, polished_drive, standstill_m
+from planopt.planning.driven import motion_shape, motion_task, refined_drive, standstill_m
 from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Rung, Termination
 from planopt.planning.programme.clearance_lines import (
@@ -24,8 +24,7 @@ from planopt.planning.programme.clearance_lines import (
     moving_count,
     tail_count,
 )
-from planopt.planning.programme.methods import METHODS
-from planopt.planning.programme.path_nlp import PathNlp, build_path_nlp, near_start
+from planopt.planning.programme.path_nlp import METHODS, PathNlp, build_path_nlp, near_start
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.proof.context import obstacles_ahead
@@ -95,7 +94,7 @@ def lines_repaired(
     start_path_m: NDArray[np.float64],
     path_m: NDArray[np.float64],
 ) -> SeparatingLines | None:
-    """The lines with what a polished path came too near to put in; None if nothing has none."""
+    """The lines with what a refined path came too near to put in; None if nothing has none."""
     # Shapes: start_path_m, path_m (N + 1, 2).
     tail = tail_count(discs, len(path_m) - 1)
     first, last = split_lines(lines, int(lines.piece.shape[1]) - tail)
@@ -127,7 +126,7 @@ LINES_PER_SEGMENT = 2
 """Nearest convex pieces that each segment is kept from; the verifier looks at all."""
 
 ALLOCATIONS = 6
-"""How often the risk of all steps together is shared out again, each with a polish."""
+"""How often the risk of all steps together is shared out again, each with a refinement."""
 
 VALUE_IN_SOLVER = 10.0
 """What the start's worth counts in the solver, whatever its unit: its tolerances are absolute. A
@@ -137,7 +136,7 @@ RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
 """Where another solve may go on from the point; what a failed one leaves may be anywhere."""
 
 
-class StartPolish:
+class GuessRefinement:
     """Polishes starts of one problem; keeps the solvers that it has built."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
@@ -209,7 +208,7 @@ class StartPolish:
         for attempt in range(REPAIRS + allocations):
             begun = perf_counter()
             point = polish_path(nlp, task)
-            drive = polished_drive(problem, judge.state, point.inputs)
+            drive = refined_drive(problem, judge.state, point.inputs)
             path = point.path_m if drive is None else drive.positions_m[1:]
             candidate = replace(
                 judge.candidate(path, rung, point.termination, drive),

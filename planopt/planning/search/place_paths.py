@@ -1,0 +1,371 @@
+"""Initial guesses that lead to single places: probed, unmeasured, or known to keep the bound.
+
+Terms that probe the end of a path compare many places, near ones on circles about the robot and
+those known to be connected. Paths to them are straight where that is clear; to the best of the
+others they follow the shortest path on the lattice. Power is that of the nearest node at first;
+only the ends of the best paths are predicted themselves.
+
+If no plan of N steps brings a measurement, the robot takes a short path to where a step brings most
+information (:func:`way_to_unmeasured`).
+
+A lattice is slower than the robot in most directions and has no nodes between its nodes, so that it
+may miss a place that the robot reaches just in time. If the verifier objects that the bound could
+have been kept, :func:`ways_to_good_place` searches such a place and the shortest path to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.nearest.place_index import PlaceTree
+from planopt.channel.prediction import Prediction, connection_probability
+from planopt.planning.baselines.baseline import free_ends, held
+from planopt.planning.judge import Candidate, Judge
+from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.scene import Ground
+from planopt.planning.search.local_ranking import LocalRanking
+from planopt.planning.search.node_margins import NodeField
+from planopt.planning.search.taut_way import WaysFrom, retime, stops_along
+from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.exploration import left_to_learn
+from planopt.planning.values.objective_value import tried_worth
+from planopt.problems.problem import Problem
+from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segments_clear
+from planopt.world.lattice import REACH_TOLERANCE_M
+from planopt.world.shortest_paths import ShortestPaths, path_lengths_m, shortest_paths, turns_m
+
+CIRCLES = (0.35, 0.7, 1.0, 1.5, 2.0, 2.5, 3.25, 4.0, 5.0, 6.0, 7.5, 9.0)
+"""Radii of circles of places, in longest steps."""
+
+FEWEST_ON_CIRCLE, APART_SHARE, LEAST_APART = 8, 1.0 / 6.0, 0.5
+"""Places on a circle: as many as are this share of its radius apart, and so many longest steps at
+least, but no fewer."""
+
+MOST_KNOWN = 60
+"""Of the places known to be connected within reach so many are compared, the nearest to where the
+target is expected."""
+
+MOST_HIDDEN = 12
+"""Of the places that are not in sight so many are compared, those nearest to the target."""
+
+COMPARED = 12
+"""The ends of so many ways are predicted themselves, those that are best by the lattice."""
+
+TRIED = 4
+"""Paths that are handed on, the best first."""
+
+
+class TriedPlaces:
+    """Finds places to try for one robot."""
+
+    def __init__(self, problem: Problem, ground: Ground) -> None:
+        self._problem, self._ground = problem, ground
+        self._longest_m = problem.step_length_m - STEP_PAD_M
+        self._alone = len(problem.terms) == 1 and not problem.constraints.asks_connection
+        places = [np.zeros((1, 2))]
+        for number, radius in enumerate(CIRCLES):
+            apart = max(LEAST_APART, radius * APART_SHARE)
+            count = max(FEWEST_ON_CIRCLE, math.ceil(2.0 * math.pi * radius / apart))
+            angle = 2.0 * math.pi * (np.arange(count) + 0.5 * (number % 2)) / count
+            places.append(radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+        offsets = self._longest_m * np.vstack(places)
+        reach_m = problem.planner.horizon * self._longest_m
+        self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
+
+    def find_ways(self, situation: StepContext, field: NodeField) -> list[NDArray[np.float64]]:
+        """Return the best paths (N, 2), best first."""
+        places = self._places(situation)
+        seen = free_ends(self._problem, self._ground, situation.position_m, places)
+        seen[0] = True
+        ways = [*self._straight(situation.position_m, places[seen])]
+        ways += self._round(situation, places[~seen])
+        paths = np.array(ways)
+        guessed = self._chance(situation, self._beside(field, paths.reshape(-1, 2)))
+        guessed = np.nan_to_num(guessed).reshape(paths.shape[:2])
+        kept = self._best(situation, paths, guessed, COMPARED)
+        paths, guessed = paths[kept], guessed[kept]
+        stops = paths[:, -1]
+        at_stop = (paths == stops[:, None]).all(axis=2)
+        ends = self._chance(situation, situation.power(stops))
+        guessed = np.where(at_stop, ends[:, None], guessed)
+        tried = TRIED if self._alone else COMPARED
+        return [paths[i] for i in self._best(situation, paths, guessed, tried)]
+
+    def _best(
+        self,
+        situation: StepContext,
+        paths: NDArray[np.float64],
+        chance: NDArray[np.float64],
+        count: int,
+    ) -> NDArray[np.intp]:
+        """Return which of the paths (c, N, 2) are best if packets arrive by `chance` (c, N)."""
+        value = np.zeros(len(paths))
+        for number, term in enumerate(situation.problem.terms):
+            if term.tries_places:
+                value += tried_worth(situation, number, paths, chance)
+        missing = np.zeros(len(paths))
+        if self._problem.constraints.asks_connection:
+            constraints = self._problem.constraints
+            each = chance if constraints.rule.by_step else chance.mean(axis=1, keepdims=True)
+            missing = np.maximum(constraints.p_min - each, 0.0).sum(axis=1)
+        return np.lexsort((-value, np.round(missing, 3)))[:count]
+
+    def _beside(self, field: NodeField, places_m: NDArray[np.float64]) -> Prediction:
+        """Return the power at the free node nearest to each place (n, 2)."""
+        power = field.nearest(places_m)
+        blocked = np.flatnonzero(np.isnan(power.mean_db))
+        if len(blocked):
+            nodes = self._nodes.nearest(places_m[blocked], 1)[0][:, 0]
+            free = field.nearest(self._ground.road_map.nodes_m[nodes])
+            power.mean_db[blocked], power.deviation_db[blocked] = free.mean_db, free.deviation_db
+        return power
+
+    @cached_property
+    def _nodes(self) -> PlaceTree:
+        """The free nodes of the lattice."""
+        return PlaceTree(self._ground.road_map.nodes_m)
+
+    def _chance(self, situation: StepContext, power: Prediction) -> NDArray[np.float64]:
+        return connection_probability(
+            power.mean_db, power.deviation_db, situation.thresholds_dbm[0]
+        )
+
+    def _places(self, situation: StepContext) -> NDArray[np.float64]:
+        """Return the place of the robot, the others on circles, and known ones within reach."""
+        here, known = situation.position_m, situation.links.connected_m
+        circles = here + self._offsets_m
+        reach_m = self._problem.planner.horizon * self._longest_m
+        known = known[np.linalg.norm(known - here, axis=1) <= reach_m]
+        target = situation.target_m
+        if target is not None and len(known) > MOST_KNOWN:
+            away = np.linalg.norm(known[:, None] - target, axis=2).sum(axis=1)
+            known = known[np.argsort(away, kind="stable")[:MOST_KNOWN]]
+        inside = inside_bounds(self._problem.workspace, circles)
+        inside[0] = True
+        return np.vstack([circles[inside], known])
+
+    def _straight(
+        self, here_m: NDArray[np.float64], places_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Straight ways at full speed to places (n, 2), and then standing; (n, N, 2)."""
+        horizon = self._problem.planner.horizon
+        away = places_m - here_m
+        length = np.linalg.norm(away, axis=1)
+        driven = self._longest_m * np.arange(1, horizon + 1)
+        share = np.minimum(1.0, driven / np.maximum(length, 1e-12)[:, None])
+        ways = here_m + share[..., None] * away[:, None]
+        return np.where((share >= 1.0)[..., None], places_m[:, None], ways)
+
+    def _round(
+        self, situation: StepContext, hidden_m: NDArray[np.float64]
+    ) -> list[NDArray[np.float64]]:
+        """Ways round obstacles to the places (n, 2) that are nearest to the target."""
+        target, horizon = situation.target_m, self._problem.planner.horizon
+        if not len(hidden_m) or target is None:
+            return []
+        away = np.linalg.norm(hidden_m - target[-1], axis=1)
+        hidden_m = hidden_m[np.argsort(away, kind="stable")[:MOST_HIDDEN]]
+        reach_m = horizon * self._longest_m
+        ways = WaysFrom(self._problem, self._ground, situation.position_m, reach_m)
+        nodes = self._ground.road_map.nodes_m
+        beside = self._nodes.nearest(hidden_m, 1)[0][:, 0]
+        found: list[NDArray[np.float64]] = []
+        for node in np.unique(beside[np.isfinite(ways.length_m[beside])]):
+            turns = ways.turns_m(int(node), nodes[node])
+            stops = stops_along(turns, self._longest_m)[1:]
+            if 0 < len(stops) <= horizon:
+                found.append(held(situation, list(stops)))
+        return found
+
+
+STEPS_MORE = 2
+"""Places that so many more steps lead to than to the nearest are compared with it."""
+
+
+def way_to_unmeasured(situation: StepContext, ground: Ground) -> NDArray[np.float64] | None:
+    """The first N steps of the way there, (N, 2), standing where it ends; None if none is left."""
+    problem, here = situation.problem, situation.position_m
+    lattice, nodes = ground.road_map.lattice, ground.road_map.nodes_m
+    left = left_to_learn(problem, ground.index, lattice, here, situation.anticipated)
+    if not len(left):
+        return None
+    ways = WaysFrom(problem, ground, here)
+    beside = PlaceTree(nodes).nearest(left, 1)[0][:, 0]
+    longest = problem.step_length_m - STEP_PAD_M
+    steps = _steps(ways, left, here, beside, nodes, longest)
+    near = np.flatnonzero(steps <= steps.min() + STEPS_MORE)
+    if not np.isfinite(steps[near]).all():
+        return None
+    single = left[near][:, None]
+    best = int(near[(LocalRanking(situation, single)(single) / steps[near]).argmax()])
+    stops = stops_along(ways.turns_m(int(beside[best]), left[best]), longest)[1:]
+    horizon = problem.planner.horizon
+    return np.concatenate([stops, np.repeat(stops[-1:], horizon, axis=0)])[:horizon]
+
+
+def _steps(
+    ways: WaysFrom,
+    places_m: NDArray[np.float64],
+    here_m: NDArray[np.float64],
+    beside: NDArray[np.intp],
+    nodes_m: NDArray[np.float64],
+    longest_m: float,
+) -> NDArray[np.float64]:
+    """Return how many steps it is to each place (n, 2), straight or by the node beside it; (n,)."""
+    aside: NDArray[np.float64] = np.linalg.norm(nodes_m[beside] - places_m, axis=1)
+    straight: NDArray[np.float64] = np.linalg.norm(places_m - here_m, axis=1)
+    length = np.where(ways.straight(places_m), straight, ways.length_m[beside] + aside)
+    return np.maximum(np.ceil(length / longest_m), 1.0)
+
+
+FINE_NODES, COARSE_NODES = 12, 4
+"""Places a step that are looked at: up to `FINE_STEPS` steps, and beyond."""
+FINE_STEPS = 4
+MEASURED = 400
+"""Ways are measured to so many of the best places."""
+KEPT = 24
+"""Places about which is looked more finely, the best within reach."""
+STEP_PLACES = 12
+"""Places a step along a way at which steps may end."""
+REFINEMENTS = 3
+"""How often, each time at a quarter of the spacing."""
+
+
+def ways_to_good_place(judge: Judge, tried: Sequence[Candidate]) -> list[NDArray[np.float64]]:
+    """Paths (N, 2) to a place within reach by the first step that could meet the bound."""
+    problem, index = judge.problem, judge.index
+    sound = [candidate for candidate in tried if candidate.sound]
+    step = min((step for candidate in sound for step in candidate.avoidable), default=None)
+    if step is None:
+        return []
+    length = problem.step_length_m - STEP_PAD_M
+    clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    bounds = problem.workspace.bounds_m
+    ways = shortest_paths(index, bounds, judge.position_m, clear, step * length, inner=False)
+    place = _good_place(judge, ways, step, clear)
+    turns = None if place is None else turns_m(ways, place)
+    if turns is None:
+        return []
+    horizon = problem.planner.horizon
+    driven = _padded(_in_fewest_steps(judge, turns, length), horizon)
+    if len(turns) == 1:
+        return [driven]
+    cutting = retime(judge.position_m, _padded(turns, max(horizon, len(turns))), turns[:0], length)
+    return [driven, cutting[:horizon]]
+
+
+def _good_place(
+    judge: Judge, ways: ShortestPaths, step: int, clear_m: float
+) -> NDArray[np.float64] | None:
+    """The nearest place (2,) that meets the bound, by way; None if there is none in reach.
+
+    Where none meets it with what is planned for, the best of those that meet it at all.
+    """
+    nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
+    spacing = judge.problem.step_length_m / nodes
+    offsets = spacing * np.arange(-nodes * step, nodes * step + 1)
+    places = judge.position_m + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+    fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
+    around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
+    found: list[NDArray[np.float64]] = []
+    for _ in range(REFINEMENTS + 1):
+        places, margins, length = _reached(judge, ways, places, clear_m)
+        if not len(places):
+            break
+        found.append(np.column_stack([places, margins, length]))
+        places = (places[:KEPT, None] + spacing * around).reshape(-1, 2)
+        spacing /= 4.0
+    if not found:
+        return None
+    x_y, margins, length = np.split(np.concatenate(found), [2, 3], axis=1)
+    best = int(_promise(margins[:, 0], length[:, 0])[0])
+    return x_y[best] if margins[best, 0] >= 0.0 else None
+
+
+def _reached(
+    judge: Judge, ways: ShortestPaths, places_m: NDArray[np.float64], clear_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return which places (n, 2) a way leads to, their margins and lengths, best first."""
+    away = np.linalg.norm(places_m - ways.start_m, axis=1)
+    places = places_m[(away <= ways.radius_m) & inside_bounds(judge.problem.workspace, places_m)]
+    places = places[is_clear(clearance_m(judge.index, places), clear_m)]
+    if not len(places):
+        return places, np.zeros(0), np.zeros(0)
+    margins = judge.margins_db(search_prediction(judge.context.law, places))
+    tried = _promise(margins, np.linalg.norm(places - ways.start_m, axis=1))[:MEASURED]
+    length = path_lengths_m(ways, places[tried])
+    tried, length = tried[np.isfinite(length)], length[np.isfinite(length)]
+    order = _promise(margins[tried], length)
+    return places[tried[order]], margins[tried[order]], length[order]
+
+
+def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the order of places: the nearest that meets the bound, else the best."""
+    meets = margins_db >= MARGIN_PAD_DB
+    return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
+
+
+def _in_fewest_steps(
+    judge: Judge, turns_m: NDArray[np.float64], length_m: float
+) -> NDArray[np.float64]:
+    """Places (n, 2) after each step of a way, in as few straight clear steps as it can be driven.
+
+    Steps end at places along the way, at its turns, and where its legs would cross: a way round a
+    corner turns often, and one step end beside it is enough.
+    """
+    way = np.vstack([judge.position_m, turns_m])
+    driven = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
+    between = np.arange(0.0, driven[-1], length_m / STEP_PLACES)
+    at = np.unique(np.concatenate([driven, between]))
+    places = np.stack([np.interp(at, driven, way[:, axis]) for axis in (0, 1)], axis=1)
+    beside, beside_at = _crossings(way, driven, length_m)
+    order = np.argsort(np.concatenate([at, beside_at]), kind="stable")
+    places = np.concatenate([places, beside])[order]
+    steps = np.full(len(places), np.inf)
+    steps[0] = 0.0
+    came = np.zeros(len(places), dtype=np.intp)
+    for here in range(len(places) - 1):
+        away = np.linalg.norm(places - places[here], axis=1)
+        there = np.flatnonzero((away <= length_m + REACH_TOLERANCE_M) & (steps > steps[here] + 1.0))
+        there = there[there > here]
+        begin = np.broadcast_to(places[here], (len(there), 2))
+        wanted = judge.problem.constraints.clearance_m
+        there = there[segments_clear(judge.index, begin, places[there], wanted)]
+        steps[there], came[there] = steps[here] + 1.0, here
+    path = [len(places) - 1]
+    while came[path[-1]] > 0:
+        path.append(int(came[path[-1]]))
+    return places[path[::-1]]
+
+
+def _crossings(
+    way_m: NDArray[np.float64], driven_m: NDArray[np.float64], length_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where a leg meets a later one, driven back: places (n, 2), how far along (n,)."""
+    legs = np.diff(way_m, axis=0)
+    places, along = [np.zeros((0, 2))], [np.zeros(0)]
+    for one in range(len(legs)):
+        for other in range(one + 2, len(legs)):
+            if driven_m[other] - driven_m[one + 1] > length_m:
+                break
+            cross = legs[one, 0] * legs[other, 1] - legs[one, 1] * legs[other, 0]
+            gap = way_m[other] - way_m[one + 1]
+            if abs(cross) < 1e-9 * np.linalg.norm(legs[one]) * np.linalg.norm(legs[other]):
+                continue
+            on = (gap[0] * legs[other, 1] - gap[1] * legs[other, 0]) / cross
+            back = (gap[0] * legs[one, 1] - gap[1] * legs[one, 0]) / cross
+            if on > 0.0 > back:
+                places.append((way_m[one + 1] + on * legs[one])[None])
+                along.append(np.array([0.5 * (driven_m[one + 1] + driven_m[other])]))
+    return np.concatenate(places), np.concatenate(along)
+
+
+def _padded(path_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """The first `count` places of a path (n, 2), its last repeated where it has fewer."""
+    return path_m[np.minimum(np.arange(count), len(path_m) - 1)]

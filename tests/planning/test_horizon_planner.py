@@ -217,7 +217,7 @@ def test_mirrored_scene_gives_the_mirrored_plan():
         there,
         problem=mirrored,
         posteriors=(posterior,),
-        position_m=np.asarray(start),
+        state=np.asarray(start),
         target_m=mirror(there.target_m),
     )
     judge, ground = judge_of(there, replace(belief, posterior=posterior))

@@ -221,8 +221,10 @@ class TrackingTerm(Term):
         if self.tries_places:
             return self.tried_values(paths.at, paths.ways_m, paths.chance)
         settings = self.settings(paths.at)
-        sensing = sensing_information(settings.sensor, paths.ways_m, settings.target_m)
-        return (paths.chance * sensing) @ settings.weight
+        # Paths of fewer steps than the horizon come from planners that add step to step.
+        steps = int(paths.ways_m.shape[1])
+        sensing = sensing_information(settings.sensor, paths.ways_m, settings.target_m[:steps])
+        return (paths.chance * sensing) @ settings.weight[:steps]
 
     def derivatives(self, path: NearPath) -> Derivatives:
         """Return the additive value by stages, which also refines drives to places tried."""

@@ -91,7 +91,8 @@ def _solve_block(given: Programmes, planes: Mask, discs: Mask, ways: Mask) -> Fl
     import clarabel
     from scipy.sparse import coo_array, csc_array
 
-    count, size = given.linear.shape[:2]
+    count = len(given.linear)
+    size: int = given.linear.shape[1]
     agent, plane, step = np.nonzero(planes)
     normals, offsets = given.normals[agent, plane], given.place_offset[agent, step]
     flat = given.place_map[agent, step][:, :, None] * normals[:, None]

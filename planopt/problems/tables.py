@@ -74,7 +74,7 @@ def _meanings(data: type[Any]) -> dict[str, str]:
 def _tree_of(module: str) -> ast.Module:
     try:
         return ast.parse(inspect.getsource(sys.modules[module]))
-    except (OSError, TypeError):  # there is no source file
+    except (KeyError, OSError, TypeError):  # there is no module or no source file
         return ast.Module([], [])
 
 

@@ -110,8 +110,9 @@ class Task:
         ``on_step``, which it calls after every step; each returns a
         :class:`planopt.extend.TaskResult` or raises a NoPlanError. None where the task has no such
         action. Arguments of :func:`planopt.solve` that are among their parameters are passed on,
-        others go to `override`. Like `controller`, each may also be ``"module:name"``, imported
-        when needed.
+        others go to `override`. With a parameter ``saved``, a check passes the saved tables: each
+        step can then start from the saved state. Like `controller`, each may also be
+        ``"module:name"``, imported when needed.
     override
         Called with the problem and keyword arguments such as ``horizon`` and ``planner``; returns
         the problem with these settings. None if there are none.
@@ -434,7 +435,9 @@ def reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
         return [f"there is nothing to check: {saved.words[0]}"]
     action: Action = "solve" if file.name == PLAN_FILE else "simulate"
     try:
-        again: TaskResult = perform(action, saved.problem, seed=seed)
+        follows = "saved" in signature(task_of(saved.problem).function(action)).parameters
+        more = {"saved": saved.tables} if follows and saved.tables else {}
+        again: TaskResult = perform(action, saved.problem, seed=seed, **more)
     except NoPlanError as error:
         return [f"{file.name}: there is no plan: {error}"]
     reasons: list[str] = []

@@ -93,9 +93,9 @@ def test_no_edit_passes(saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     # The same problem and seed give the same result: it is computed once.
     again = {}
 
-    def once(action: str, problem: Any, *, seed: int) -> Any:
+    def once(action: str, problem: Any, *, seed: int, **more: Any) -> Any:
         if action not in again:
-            again[action] = computed(action, problem, seed=seed)
+            again[action] = computed(action, problem, seed=seed, **more)
         return again[action]
 
     computed = tasks.perform

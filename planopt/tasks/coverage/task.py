@@ -7,7 +7,7 @@ figures.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planopt.coverage.assignment import NONE
 from planopt.coverage.control.laws import Gains
+from planopt.coverage.control.movers import Motion
 from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
@@ -90,12 +91,20 @@ def agent_name(number: int) -> str:
 
 
 def simulate(
-    problem: CoverageProblem, *, seed: int, on_step: Callable[[], None] = lambda: None
+    problem: CoverageProblem,
+    *,
+    seed: int,
+    on_step: Callable[[], None] = lambda: None,
+    saved: Mapping[str, Data] | None = None,
 ) -> TaskResult:
-    """Simulate a network; starts, noise and losses come from the seed."""
+    """Simulate a network; starts, noise and losses come from the seed.
+
+    A check gives the `saved` tables, whose states the steps start from.
+    """
     generator = np.random.default_rng(seed)
     scene = problem.scene(generator)
-    run = simulate_network(scene, problem.mover, generator, on_step)
+    motions = () if saved is None else _motions_of(saved[STEPS_FILE], len(scene.starts_m))
+    run = simulate_network(scene, problem.mover, generator, on_step, motions)
     planner, (outcome, reason) = problem.given.planner, outcome_of(problem, run)
     times_s = run.times_s.tolist()
     data = {
@@ -117,6 +126,15 @@ def simulate(
         ],
     }
     return TaskResult(problem, data, tables_of(problem, run), run)
+
+
+def _motions_of(steps: Data, agents: int) -> list[Motion]:
+    """Return the saved states by step; none if the table has not as many rows for each agent."""
+    if len(steps["step"]) % agents:
+        return []
+    names = ("x_m", "y_m", "vx_m_s", "vy_m_s", "heading_rad")
+    states = np.stack([steps[name].reshape(agents, -1).T for name in names], axis=2)
+    return [Motion(each[:, :2], each[:, 2:4], each[:, 4]) for each in states]
 
 
 def controller(problem: CoverageProblem, *, seed: int) -> NetworkController:

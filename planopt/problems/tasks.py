@@ -64,7 +64,7 @@ class TaskProblem:
 
     @property
     def description(self) -> str:
-        """What it is, in a sentence."""
+        """Return the description of the problem in a sentence."""
         return self.given.problem.description
 
     @property

@@ -1,4 +1,4 @@
-"""What can be asked of a problem of any task: the functions of the package ``planopt``."""
+"""The functions of the package ``planopt`` that work with problems of every task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a task is, and what all tasks share: results, their files, and how these are checked."""
+"""The parts that all tasks share: results, their files, and how these are checked."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class TaskResult:
-    """What :func:`planopt.solve` or :func:`planopt.simulate` found for a problem of a task.
+    """Result of :func:`planopt.solve` or :func:`planopt.simulate` for a problem of a task.
 
     Attributes
     ----------

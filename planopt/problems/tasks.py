@@ -69,7 +69,7 @@ class TaskProblem:
 
     @property
     def has_figures(self) -> bool:
-        """Whether results are drawn: the key ``report.figures``."""
+        """Return whether results are drawn: the key ``report.figures``."""
         return self.given.report.figures
 
     def tables(self) -> dict[str, Any]:

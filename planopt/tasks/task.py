@@ -436,7 +436,7 @@ def reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
     action: Action = "solve" if file.name == PLAN_FILE else "simulate"
     try:
         follows = "saved" in signature(task_of(saved.problem).function(action)).parameters
-        more = {"saved": saved.tables} if follows and saved.tables else {}
+        more: dict[str, Any] = {"saved": saved.tables} if follows and saved.tables else {}
         again: TaskResult = perform(action, saved.problem, seed=seed, **more)
     except NoPlanError as error:
         return [f"{file.name}: there is no plan: {error}"]

@@ -284,7 +284,8 @@ class RestrictedLikelihood:
 
     def __init__(self, data: LikelihoodData) -> None:
         self.data = data
-        nowhere = _Settled(np.zeros(3), -math.inf, None, np.zeros(data.columns.shape[1]))
+        coefficients = np.zeros(len(data.prior_precision))
+        nowhere = _Settled(np.zeros(3), -math.inf, None, coefficients)
         self._last = self._best = nowhere
 
     def at(

@@ -64,7 +64,7 @@ class Joint(Rule):
         if len(case.context.posteriors) == 1:
             prediction = path_prediction(case.context.posterior, path_m)
             return lambda slack_db: joint_result(prediction, threshold - slack_db, p_min)
-        return drawn_by_slack(self, case, lambda connected: connected.all(axis=1))
+        return drawn_by_slack(self, case, lambda connected: np.all(connected, axis=1))
 
 
 def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:

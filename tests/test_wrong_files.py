@@ -131,7 +131,7 @@ TRACKED = [
     ("kind", 'kind = "tracking"', 'kind = "tracker"', "objective.terms[0].kind"),
     ("term", "sweet_spot_m = 1.0", "sweet_spot = 1.0", "did you mean sweet_spot_m?"),
     ("weight", "sweet_spot_m = 1.0", "sweet_spot_m = 1.0\nweight = -1.0", "terms[0].weight"),
-    ("goal radius", "p_min = 0.8", "goal_radius_m = 1.0", "constraints.goal_radius_m"),
+    ("goal radius", "p_min = 0.8", "goal_radius_m = 2.0", "constraints.goal_radius_m"),
     (
         "velocity",
         "velocity_m_s = [0.5, 0.0]",

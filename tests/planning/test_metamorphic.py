@@ -103,7 +103,7 @@ def scaled_problem(problem: Problem, by: float) -> Problem:
     )
 
 
-@pytest.mark.parametrize("by", [0.1, 1000.0])
+@pytest.mark.parametrize("by", [0.1, 100.0])
 @pytest.mark.parametrize("terms", TERMS)
 def test_another_unit_of_length_changes_nothing(terms, by):
     """Lengths, speeds, decorrelation and what goes by the metre scaled: the same plan, scaled.

@@ -67,7 +67,7 @@ MUTANTS = (
     (POWER, "serving_power_dbm(np.stack(drawn)", "serving_power_dbm(np.stack(drawn[:1])"),
     (DRAWS, "threshold - slack_db).sum", "threshold + slack_db).sum"),
     (DRAWS, "drawn_dbm >= threshold", "drawn_dbm < threshold"),
-    (JOINT, "connected.all(axis=1)", "connected.any(axis=1)"),
+    (JOINT, "np.all(connected, axis=1)", "np.any(connected, axis=1)"),
     (POWER, "[seed, number] if number else seed", "seed"),
 )
 

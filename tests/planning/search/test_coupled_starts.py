@@ -88,8 +88,8 @@ def test_a_redundant_obstacle_changes_nothing(terms):
 
 
 @pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
-def test_kilometres_for_metres_give_the_scaled_plan(terms, monkeypatch):
-    """All lengths a thousand times as long, path loss adapted; polished to the optimum."""
+def test_centimetres_for_metres_give_the_scaled_plan(terms, monkeypatch):
+    """All lengths a hundred times as long, path loss adapted; polished to the optimum."""
     monkeypatch.setattr(path_nlp, "SETTLED", {})
     situation, belief = situation_of(terms_problem(*terms))
     plan = plan_for(situation, belief)
@@ -98,43 +98,43 @@ def test_kilometres_for_metres_give_the_scaled_plan(terms, monkeypatch):
 
     def longer(station):
         x, y = station.position_m
-        return Station((1e3 * x, 1e3 * y), 1e3 * station.height_m)
+        return Station((1e2 * x, 1e2 * y), 1e2 * station.height_m)
 
     robot, world = problem.robots[0], problem.workspace
     scaled = replace(
         problem,
         workspace=replace(
             world,
-            bounds_m=tuple(1e3 * bound for bound in world.bounds_m),
+            bounds_m=tuple(1e2 * bound for bound in world.bounds_m),
             obstacles=tuple(
                 replace(
                     obstacle,
-                    polygon=shapely.transform(obstacle.polygon, lambda corners: 1e3 * corners),
+                    polygon=shapely.transform(obstacle.polygon, lambda corners: 1e2 * corners),
                 )
                 for obstacle in world.obstacles
             ),
         ),
-        robots=(replace(robot, speed_max_m_s=1e3 * robot.speed_max_m_s),),
+        robots=(replace(robot, speed_max_m_s=1e2 * robot.speed_max_m_s),),
         stations=(replace(problem.stations[0], **asdict(longer(site))),),
-        constraints=replace(problem.constraints, clearance_m=1e3 * problem.constraints.clearance_m),
+        constraints=replace(problem.constraints, clearance_m=1e2 * problem.constraints.clearance_m),
     )
     measured = situation.posterior.measurements
     posterior = condition(
         replace(
             parameters,
-            k_pl_db=parameters.k_pl_db + 30.0 * parameters.n_pl,
-            decorrelation_m=1e3 * parameters.decorrelation_m,
+            k_pl_db=parameters.k_pl_db + 20.0 * parameters.n_pl,
+            decorrelation_m=1e2 * parameters.decorrelation_m,
             station=longer(parameters.station),
         ),
-        replace(measured, positions_m=1e3 * measured.positions_m),
+        replace(measured, positions_m=1e2 * measured.positions_m),
     )
     other = plan_for(
         replace(
             situation,
             problem=scaled,
             posteriors=(posterior,),
-            position_m=1e3 * situation.position_m,
-            region=replace(situation.region, grid_m=1e3 * situation.region.grid_m),
+            state=1e2 * situation.state,
+            region=replace(situation.region, grid_m=1e2 * situation.region.grid_m),
         ),
         belief,
     )

@@ -9,7 +9,7 @@ import pytest
 from conftest import Table
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from planopt.channel.fields.field import ShadowField, shadow_field_pair_db
+from planopt.channel.shadow_fields import ShadowField, shadow_field_pair_db
 
 CELLS = 320
 ROUNDS = 7

@@ -20,7 +20,7 @@ import pytest
 from information_scene import WORTHS, Worth, information_step
 
 from planopt import Verdict
-from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.cholesky import one_blas_thread
 from planopt.extend import Rung
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.factor import whiten
+from planopt.channel.cholesky import whiten
 from planopt.channel.parameters import regressors
 from planopt.channel.prediction import bound_quantile
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from planopt import Problem, load
 from planopt.channel import measure
-from planopt.channel.fields.truth import mean_power_dbm
+from planopt.channel.ground_truth import mean_power_dbm
 from planopt.channel.prediction import connection_probability
 from planopt.planning.learn import Prepared, learn_measured, prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m

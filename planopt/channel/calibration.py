@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.held_out import PATH_LOSS, Predictor, held_out_predictions
 from planopt.channel.measurements import Measurements, Table, as_measurements
-from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.prediction import (
     CONFIDENCE,
     Prediction,

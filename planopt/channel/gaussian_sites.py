@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import log_determinant, lower_factor, solve_lower
+from planopt.channel.cholesky import log_determinant, lower_factor, one_blas_thread, solve_lower
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -28,7 +28,6 @@ from planopt.channel.measurement_covariance import (
     own_covariance_db2,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.truncated_normal import TruncatedNormal, truncated_normal
 

@@ -11,15 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.cholesky import semidefinite_factor
-from planopt.channel.factor import whiten
+from planopt.channel.cholesky import semidefinite_factor, whiten
 from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.kriging import predict_noiseless
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
-from planopt.channel.parameters import regressors
-from planopt.channel.places import require_count, require_places
+from planopt.channel.parameters import regressors, require_count, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError

@@ -1,7 +1,7 @@
 """Kriging: mean and standard deviation of the power at places, from a posterior.
 
 With a factor every measurement counts. Without one the nearest do
-(:mod:`planopt.channel.nearest.local_channel`). Covariances of a map's many places are solved for in
+(:mod:`planopt.channel.local_channel`). Covariances of a map's many places are solved for in
 place, block by block.
 """
 
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.cholesky import lower_inverse, multiply_rows, solve_rows
-from planopt.channel.factor import whiten
+from planopt.channel.cholesky import lower_inverse, multiply_rows, solve_rows, whiten
+from planopt.channel.local_channel import NEIGHBOURS_BEYOND, nearby_terms
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -24,11 +24,9 @@ from planopt.channel.measurement_covariance import (
     place_origins,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.local_channel import NEIGHBOURS_BEYOND, nearby_terms
-from planopt.channel.nearest.vecchia import EARLIER_NEIGHBOURS
-from planopt.channel.parameters import regressors
-from planopt.channel.places import require_places
+from planopt.channel.parameters import regressors, require_places
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
+from planopt.channel.vecchia import EARLIER_NEIGHBOURS
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.places import MAX_COORDINATE_M
+from planopt.channel.parameters import MAX_COORDINATE_M
 from planopt.errors import InputError, listed
 from planopt.short_repr import short_repr
 

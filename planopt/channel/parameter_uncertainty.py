@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import MIN_NUGGET_SHARE
 from planopt.channel.estimation.least_squares import examine
 from planopt.channel.estimation.likelihood import (
@@ -31,9 +32,7 @@ from planopt.channel.estimation.likelihood_climb import thinned
 from planopt.channel.estimation.reml import MOST_DENSE
 from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.measurements import Measurements, Table, as_measurements
-from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import ChannelParameters, mean_model
-from planopt.channel.places import require_places
+from planopt.channel.parameters import ChannelParameters, mean_model, require_places
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.short_repr import short_repr

@@ -20,8 +20,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planopt.channel.cholesky import put_lower_factor, whiten
 from planopt.channel.estimation.least_squares import MIN_REGRESSOR_SPREAD_DB, receiver_columns
-from planopt.channel.factor import FactorBuffer, append_rows, spacious, with_room
 from planopt.channel.gaussian_sites import (
     MIN_NOISE_VARIANCE_DB2,
     LatentPrior,
@@ -32,23 +32,82 @@ from planopt.channel.gaussian_sites import (
     needs_site,
 )
 from planopt.channel.kriging import predict, predict_noiseless
+from planopt.channel.local_channel import nearest_to_path
 from planopt.channel.measurement_covariance import (
     Origins,
     covariance_db2,
     measured_origins,
     measured_path_loss_variance_db2,
+    own_covariance_db2,
     place_origins,
 )
 from planopt.channel.measurements import Measurements, Table, as_measurements, join
-from planopt.channel.nearest.local_channel import nearest_to_path
-from planopt.channel.nearest.place_index import PlaceIndex
-from planopt.channel.nearest.vecchia import VecchiaInformation, vecchia_information
-from planopt.channel.nearest.window_sites import neighbour_sites
-from planopt.channel.parameters import ChannelParameters, Station, regressors
-from planopt.channel.places import require_finite
+from planopt.channel.neighbours import PlaceIndex
+from planopt.channel.parameters import ChannelParameters, Station, regressors, require_finite
 from planopt.channel.prediction import Prediction, connection_probability
+from planopt.channel.vecchia import VecchiaInformation, vecchia_information
+from planopt.channel.window_sites import neighbour_sites
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
+
+FACTOR_BLOCK = 264
+"""Rows appended to a factor together; powers of two are slower because of cache conflicts."""
+
+AT_ONCE = 768
+"""Up to so many rows a factor is made in one piece."""
+
+
+class FactorBuffer:
+    """Lower Cholesky factor with spare rows; rows from `used` on are free."""
+
+    def __init__(self, capacity: int) -> None:
+        self.lower: NDArray[np.float64] = np.zeros((capacity, capacity))
+        self.used = 0
+
+
+def spacious(count: int) -> int:
+    """Capacity for `count` rows and more to come; zeroed pages cost nothing until written."""
+    return count + count // 2 + 64
+
+
+def with_room(buffer: FactorBuffer | None, used: int, count: int) -> FactorBuffer:
+    """A buffer for `count` rows whose first `used` ones are those of `buffer`.
+
+    That itself where it has room and its free rows are not taken by another posterior.
+    """
+    if buffer is not None and buffer.used == used and len(buffer.lower) >= count:
+        return buffer
+    grown = FactorBuffer(spacious(count))
+    if buffer is not None:
+        grown.lower[:used, :used] = buffer.lower[:used, :used]
+    grown.used = used
+    return grown
+
+
+def append_rows(
+    buffer: FactorBuffer,
+    parameters: ChannelParameters,
+    origins: Origins,
+    noise_variance_db2: NDArray[np.float64],  # (n,) variance of the noise of each
+    columns: NDArray[np.float64],  # (n, c), whitened as far as the factor goes
+) -> None:
+    """Add the rows from `buffer.used` on to the factor, and whiten those of `columns` in place."""
+    lower, count = buffer.lower, len(columns)
+    block = AT_ONCE if count <= AT_ONCE else FACTOR_BLOCK
+    for start in range(buffer.used, count, block):
+        rows = slice(start, min(start + block, count))
+        across = whiten(
+            lower[:start, :start],
+            covariance_db2(origins.at(slice(start)), origins.at(rows), parameters),
+        )
+        within = own_covariance_db2(origins.at(rows), parameters)
+        within[np.diag_indices_from(within)] += noise_variance_db2[rows]
+        if start:
+            within -= across.T @ across
+        lower[rows, :start] = across.T
+        put_lower_factor(lower[rows, rows], within)
+        columns[rows] = whiten(lower[rows, rows], columns[rows] - across.T @ columns[:start])
+    buffer.used = count
 
 
 def least_squares_theta(
@@ -159,7 +218,7 @@ def _with_theta(posterior: ChannelPosterior, products: NDArray[np.float64]) -> C
 
 MOST_JOINT_SITES = 300
 """Beyond so many censored or coarsely rounded measurements their sites are matched window by window
-(:mod:`planopt.channel.nearest.window_sites`): jointly a sweep costs the cube of their number, at
+(:mod:`planopt.channel.window_sites`): jointly a sweep costs the cube of their number, at
 750 ten times as much."""
 
 ThetaRule = Literal["estimated", "known", "least_squares"]
@@ -324,7 +383,7 @@ def condition(
     exact_limit
         Beyond so many measurements predictions are from the nearest
         (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation
-        (:data:`planopt.channel.nearest.windows.BESIDE` has the accuracies), and
+        (:data:`planopt.channel.neighbours.BESIDE` has the accuracies), and
         sites are matched by neighbours.
     similar
         The same measurements under similar parameters: sites that are matched by neighbours start

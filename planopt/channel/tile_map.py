@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.kriging import kriging_terms
+from planopt.channel.local_channel import LocalChannel
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     fading,
     own_variance_db2,
     place_origins,
 )
-from planopt.channel.nearest.local_channel import LocalChannel
-from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, combine
+from planopt.channel.vecchia import OffsetsGivenTheta, offsets_given_theta
 
 TILES_AT_ONCE = 64
 """Tiles solved together: their matrices fit into a processor's cache."""

@@ -62,7 +62,7 @@ def map_log(
     For the first receiver in the log, at the time of the latest measurement.
     """
     from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
-    from planopt.channel.one_thread import one_blas_thread
+    from planopt.channel.cholesky import one_blas_thread
     from planopt.channel.posterior import condition
     from planopt.world.raster_files import check_raster_output, write_rasters
 

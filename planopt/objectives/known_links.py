@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.place_index import PlaceTree
+from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import SAME_PLACE_M
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.place_index import PlaceTree
+from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 
 SAME_PLACE_M = 1e-6

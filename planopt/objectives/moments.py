@@ -26,12 +26,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.factor import unwhiten, whiten
+from planopt.channel.cholesky import unwhiten, whiten
 from planopt.channel.joint import joint_terms
+from planopt.channel.local_channel import LocalChannel, LocalGrid
 from planopt.channel.measurement_covariance import decayed_db2, shadow_covariance_db2
-from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
-from planopt.channel.parameters import ChannelParameters, regressors
-from planopt.channel.places import require_places
+from planopt.channel.parameters import ChannelParameters, regressors, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 from planopt.errors import InputError

@@ -19,8 +19,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
-from planopt.channel.places import require_places
+from planopt.channel.local_channel import LocalChannel, LocalGrid
+from planopt.channel.parameters import require_places
 from planopt.objectives.measuring import Gates
 from planopt.objectives.moments import blind_variance_db2
 from planopt.objectives.rounded_kernel import rounded_kernel, rounded_log_distance

@@ -7,7 +7,7 @@ neither. A solver evaluates a path some twenty times a step: kernel values and d
 stages are therefore one array, which two products with matrices prepared once turn into the rest.
 
 The serving power of several stations has the law of
-:mod:`planopt.channel.connection.law`, except that its deviation is held at that along the
+:mod:`planopt.channel.connectivity_law`, except that its deviation is held at that along the
 path that the programme is built around:
 
     mean = t_1 + c z,    deviation = c
@@ -25,8 +25,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.law import LEAST_DEVIATION_DB, any_score_derivatives
-from planopt.channel.nearest.local_channel import LocalChannel
+from planopt.channel.connectivity_law import LEAST_DEVIATION_DB, any_score_derivatives
+from planopt.channel.local_channel import LocalChannel
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, score_probability
 from planopt.objectives.rounded_kernel import fill_rounded_kernel, rounded_log_distance, softened_m2

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.places import require_finite, require_places
+from planopt.channel.parameters import require_finite, require_places
 from planopt.plain_values import require_weights
 from planopt.targets.information_filter import TargetModel, covariance_of, require_covariance
 from planopt.targets.sensor import Sensor

@@ -3,7 +3,7 @@
 Plans are valued by assumed-density filtering (equation 4.15): places are taken in turn, and given
 that the earlier ones are not connected, power at all later ones is taken as Gaussian again, with
 the moments that it truly has. It is within hundredths of the multivariate integral
-(:func:`planopt.channel.connection.first_passage.first_passage`) and costs a hundredth of it.
+(:func:`planopt.channel.path_connectivity.first_passage`) and costs a hundredth of it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.joint import joint_prediction
-from planopt.channel.places import leg_lengths_m, require_places
+from planopt.channel.parameters import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import score_probability
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.local_channel import LocalChannel
+from planopt.channel.local_channel import LocalChannel
 from planopt.objectives.path_derivatives import (
     LocalPath,
     PathDerivatives,

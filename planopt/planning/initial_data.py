@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.fields.truth import (
+from planopt.channel.ground_truth import (
     Truth,
     fitted_truth,
     measure,

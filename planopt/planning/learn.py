@@ -8,11 +8,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from planopt.channel.belief import Belief, update
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.fields.truth import Truth
+from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import Measurements
-from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import PRIOR_N_PL, ChannelParameters
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.objectives.measuring import MeasuringRule

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.belief import Belief
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.measurements import Measurements
-from planopt.channel.one_thread import one_blas_thread
 from planopt.errors import InputError
 from planopt.parts import parts_of
 from planopt.planning.drawn_places import with_drawn_starts

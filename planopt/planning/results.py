@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 
 from planopt.channel.belief import Belief
-from planopt.channel.fields.truth import Truth
+from planopt.channel.ground_truth import Truth
 from planopt.errors import A_FOLDER, InputError, path_of
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.holes import BlockedWay

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from planopt.channel.belief import Belief
-from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.cholesky import one_blas_thread
 from planopt.planning.drawn_places import with_drawn_starts
 from planopt.planning.initial_data import UserMeasurements, team_seeds, with_measurements
 from planopt.planning.learn import prepare

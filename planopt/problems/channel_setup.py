@@ -13,7 +13,7 @@ from pydantic import Field, GetCoreSchemaHandler, ValidatorFunctionWrapHandler, 
 from pydantic_core import CoreSchema, core_schema
 
 from planopt.channel.estimation.channel_fit import FitMethod
-from planopt.channel.fields.multipath import (
+from planopt.channel.ground_truth import (
     Lognormal,
     Multipath,
     MultipathKind,

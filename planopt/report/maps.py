@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.connection.law import (
+from planopt.channel.connectivity_law import (
     above_thresholds_db,
     any_probability,
     serving_power_dbm,

@@ -21,8 +21,8 @@ from planopt.channel import (
     joint_prediction,
     posterior_derivatives,
 )
-from planopt.channel.fields.field import conditional_values_db
 from planopt.channel.kriging import predict
+from planopt.channel.local_channel import LocalChannel, predict_nearby
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,
@@ -30,8 +30,8 @@ from planopt.channel.measurement_covariance import (
     own_variance_db2,
     place_origins,
 )
-from planopt.channel.nearest.local_channel import LocalChannel, predict_nearby
 from planopt.channel.posterior import extend
+from planopt.channel.shadow_fields import conditional_values_db
 from planopt.channel.tile_map import TileMap
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))

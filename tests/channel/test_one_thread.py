@@ -2,7 +2,7 @@
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.cholesky import one_blas_thread
 
 
 def threads():

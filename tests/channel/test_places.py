@@ -5,7 +5,7 @@ import pytest
 
 from planopt import InputError
 from planopt.channel import scattered_field_db, shadow_field_db
-from planopt.channel.places import require_count, require_finite, require_places
+from planopt.channel.parameters import require_count, require_finite, require_places
 
 
 def test_what_is_not_is_named():

@@ -14,8 +14,8 @@ from planopt.channel import (
     receiver_offsets,
 )
 from planopt.channel.kriging import predict
+from planopt.channel.local_channel import LocalChannel
 from planopt.channel.measurements import join
-from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import EXACT_LIMIT
 from planopt.channel.tile_map import TileMap

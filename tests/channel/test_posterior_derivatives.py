@@ -105,7 +105,7 @@ def test_casadi():
 def test_measured_place_is_an_error(monkeypatch):
     """At the cusp there is no derivative; the error counts over all blocks."""
     data = measured()
-    monkeypatch.setattr("planopt.channel.derivatives.ELEMENTS", 20 * 4)
+    monkeypatch.setattr("planopt.channel.sensitivity.ELEMENTS", 20 * 4)
     places = np.concatenate([PLACES[:9], data.positions_m[3:4], PLACES[9:]])
     with pytest.raises(InputError, match="position 9 is where measurement 3 was taken"):
         posterior_derivatives(condition(PARAMETERS, data), places)

@@ -15,12 +15,12 @@ from planopt.channel import (
     fit_channel,
     marginalise,
 )
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
 from planopt.channel.estimation.reml import reml_fit
 from planopt.channel.gaussian_sites import FINE_STEP, needs_site
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import mean_model, regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 20.0, 1.0, Station((50.0, 50.0), 10.0))

@@ -8,9 +8,9 @@ from path_scene import CHANNEL, NOTHING, PATH, START, drawn, measured_at, moved,
 
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import kriging_terms, predict
+from planopt.channel.local_channel import LocalChannel, LocalGrid
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements, join
-from planopt.channel.nearest.local_channel import LocalChannel, LocalGrid
 from planopt.channel.parameters import Station, regressors
 from planopt.channel.posterior import WEAK_THETA_DEVIATION, condition, extend, factored_near
 from planopt.errors import InputError

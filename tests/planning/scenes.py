@@ -17,7 +17,7 @@ import shapely
 
 from planopt.channel.belief import Belief
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.fields.truth import Truth
+from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition

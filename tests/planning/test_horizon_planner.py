@@ -18,7 +18,7 @@ from terms_scene import (
     terms_problem,
 )
 
-from planopt.channel.fields.truth import measure
+from planopt.channel.ground_truth import measure
 from planopt.channel.posterior import condition, predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.errors import InputError

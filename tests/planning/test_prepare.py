@@ -10,8 +10,7 @@ import shapely
 from scenes import RING, good_everywhere, small_problem
 
 from planopt import load
-from planopt.channel.fields.multipath import Nakagami
-from planopt.channel.fields.truth import true_power_dbm
+from planopt.channel.ground_truth import Nakagami, true_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.errors import InputError
 from planopt.planning.drawn_places import free_places

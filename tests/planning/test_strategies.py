@@ -10,8 +10,8 @@ import pytest
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt import simulate
-from planopt.channel.fields.truth import true_power_dbm
-from planopt.channel.nearest.local_channel import LocalChannel
+from planopt.channel.ground_truth import true_power_dbm
+from planopt.channel.local_channel import LocalChannel
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.planning.baselines.foresight import best_nodes, clairvoyant_paths, oracle_paths

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, label
 from scipy.stats import norm
 
-from planopt.channel.fields.multipath import Rician
+from planopt.channel.ground_truth import Rician
 from planopt.cli import main
 from planopt.errors import InputError
 from planopt.problems import library

@@ -26,7 +26,7 @@ from small_tables import (
     set_keys,
 )
 
-from planopt.channel.fields.multipath import Nakagami
+from planopt.channel.ground_truth import Nakagami
 from planopt.errors import InputError
 from planopt.problems.channel_setup import LoggedMeasurements
 from planopt.problems.load import load

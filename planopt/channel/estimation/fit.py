@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import (
     FALLBACK_TOTAL_VARIANCE_DB2,
     ChannelFit,
@@ -46,8 +47,6 @@ from planopt.channel.estimation.lemma1 import (
 from planopt.channel.estimation.likelihood import Covariance
 from planopt.channel.estimation.reml import EXACT_ROWS, RemlFit, reml_fit
 from planopt.channel.measurements import Measurements, Table, as_measurements
-from planopt.channel.offsets import ReceiverOffset, receiver_offsets
-from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import (
     PRIOR_N_PL,
     PRIOR_N_PL_STD,
@@ -57,6 +56,7 @@ from planopt.channel.parameters import (
     mean_model,
 )
 from planopt.channel.posterior import condition
+from planopt.channel.vecchia import ReceiverOffset, receiver_offsets
 from planopt.errors import InputError
 
 PRIOR_K_PL_STD_DB = 20.0

@@ -31,7 +31,7 @@ from planopt.channel.measurement_covariance import (
     own_variance_db2,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.place_index import PlaceTree
+from planopt.channel.neighbours import PlaceTree
 from planopt.channel.parameters import ChannelParameters, MeanModel, Station, regressors
 from planopt.errors import InputError
 

@@ -11,7 +11,7 @@ and 2.7):
 
 Few measurements are one window, whose inverse covariance gives everything. For many, Vecchia's
 approximation is the product over blocks of the density of a block given measurements next to it
-that come before it (:mod:`planopt.channel.nearest.windows`). With L the Cholesky factor of a
+that come before it (:mod:`planopt.channel.neighbours`). With L the Cholesky factor of a
 window's covariance, those next to the block first, A the last rows of L^-1, the block's,
 D = A dV L'^-1, split into the columns of those next to it and of the block's own, and z = L^-1 C
 split likewise,
@@ -29,7 +29,7 @@ of the intervals together with the Gaussian measurements, less log r of each rou
 tends to the density of the exact power. At EP's fixed point the sites do not move the value to
 first order, so the gradient is the one above with sites as measurements, plus the direct effect of
 omega^2 on the intervals. In one window the sites are joint, theta integrated out; in several they
-are matched window by window (:mod:`planopt.channel.nearest.window_sites`) about the current mean.
+are matched window by window (:mod:`planopt.channel.window_sites`) about the current mean.
 
 Position errors lengthen the distances, age multiplies the correlation, and errors of path loss add
 to the diagonal (:mod:`planopt.channel.measurement_covariance`): none changes the derivatives' form.
@@ -70,13 +70,7 @@ from planopt.channel.measurement_covariance import (
     own_distance_m,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.window_sites import (
-    SITE_BESIDE,
-    IntervalRows,
-    WindowSites,
-    window_sites,
-)
-from planopt.channel.nearest.windows import (
+from planopt.channel.neighbours import (
     BESIDE,
     BLOCK,
     Window,
@@ -85,6 +79,12 @@ from planopt.channel.nearest.windows import (
     surrounding_windows,
 )
 from planopt.channel.parameters import ChannelParameters, MeanModel
+from planopt.channel.window_sites import (
+    SITE_BESIDE,
+    IntervalRows,
+    WindowSites,
+    window_sites,
+)
 
 Covariance = tuple[float, float, float]
 """xi^2 (dB^2), omega^2 (dB^2), beta (m)."""

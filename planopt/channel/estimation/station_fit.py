@@ -32,7 +32,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.cholesky import lower_factor, solve_lower
+from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower
 from planopt.channel.estimation.channel_fit import MIN_VARIANCE_DB2, ChannelFit, FitMethod, Loss
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.least_squares import least_squares, require_usable
@@ -45,7 +45,6 @@ from planopt.channel.measurement_covariance import (
     own_covariance_db2,
 )
 from planopt.channel.measurements import Measurements, Table, as_measurements
-from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import (
     MIN_DISTANCE_M,
     PRIOR_N_PL,

@@ -16,7 +16,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fields.truth import Truth, mean_power_dbm, true_power_dbm
+from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.prediction import score_probability
 from planopt.errors import InputError
 from planopt.planning.baselines.baseline import held, released

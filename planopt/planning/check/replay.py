@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.fields.truth import Truth
+from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of

@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.law import serving_power_dbm
-from planopt.channel.fields.truth import Truth, mean_power_dbm
+from planopt.channel.connectivity_law import serving_power_dbm
+from planopt.channel.ground_truth import Truth, mean_power_dbm
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
 from planopt.planning.loop.robot_run import true_serving_dbm

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError
 from planopt.parts import calling
 from planopt.planning.drawn_places import with_drawn_starts

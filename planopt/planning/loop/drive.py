@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.fields.truth import Truth, measure
+from planopt.channel.ground_truth import Truth, measure
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import NoPlanError

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.fields.truth import Truth, mean_power_dbm, true_power_dbm
+from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.loop.target_watch import TargetWatch

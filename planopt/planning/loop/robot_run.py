@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.law import serving_power_dbm
-from planopt.channel.fields.truth import Truth, true_power_dbm
+from planopt.channel.connectivity_law import serving_power_dbm
+from planopt.channel.ground_truth import Truth, true_power_dbm
 from planopt.planning.loop.log import Outcome, RobotRun, StepLog
 from planopt.planning.loop.metrics import metrics_of
 from planopt.planning.plan import Plan, Rung, Verdict
@@ -24,7 +24,7 @@ def true_serving_dbm(
     """The serving station's true power at places (n, 2), for the first one's threshold; ``(n,)``.
 
     The power itself of a single station
-    (:mod:`planopt.channel.connection.law`). A robot is connected where it is at least
+    (:mod:`planopt.channel.connectivity_law`). A robot is connected where it is at least
     ``problem.stations[0].true_threshold_dbm``.
     """
     powers = np.stack([true_power_dbm(truth, positions_m) for truth in truths])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.law import ConnectivityLaw
+from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.law import ConnectivityLaw, StationsLaw, UncertainParameters
+from planopt.channel.connectivity_law import ConnectivityLaw, StationsLaw, UncertainParameters
 from planopt.channel.kriging import predict
-from planopt.channel.nearest.local_channel import NEIGHBOURS_BEYOND, predict_nearby
+from planopt.channel.local_channel import NEIGHBOURS_BEYOND, predict_nearby
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.channel.prediction import Prediction

@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.place_index import PlaceTree
+from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.baselines.baseline import free_ends, held
 from planopt.planning.judge import Candidate, Judge

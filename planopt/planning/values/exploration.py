@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import (
     connected_components,  # pyright: ignore[reportUnknownVariableType]
 )
 
-from planopt.channel.nearest.place_index import PlaceTree
+from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region

@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.nearest.place_index import PlaceTree
+from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import connection_probability
 from planopt.channel.tile_map import TileMap
 from planopt.objectives.measuring import OPEN_SPACINGS

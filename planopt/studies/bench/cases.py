@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.files.typed_json import encoded
 from planopt.planning.check.check import check_motion

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import log_ndtr, ndtr
 
-from planopt.channel.connection.law import any_score, any_score_derivatives
+from planopt.channel.connectivity_law import any_score, any_score_derivatives
 
 
 def scores(stations: int, places: int = 40, spread: float = 2.5) -> np.ndarray:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from planopt.channel.connection.joint_connectivity import bivariate_normal_cdf
+from planopt.channel.path_connectivity import bivariate_normal_cdf
 
 SCORES = st.floats(-6.0, 6.0)
 CORRELATIONS = st.floats(-1.0, 1.0)

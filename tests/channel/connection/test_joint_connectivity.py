@@ -17,7 +17,7 @@ from planopt.channel import (
     joint_connectivity,
     joint_prediction,
 )
-from planopt.channel.connection.joint_connectivity import spanning_tree_weight
+from planopt.channel.path_connectivity import spanning_tree_weight
 
 
 def line(shadow_std_db, multipath_std_db, decorrelation_m, marginal, count=20):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
 
-from planopt.channel.connection.joint_connectivity import prefix_probabilities
+from planopt.channel.path_connectivity import prefix_probabilities
 
 
 def rng():

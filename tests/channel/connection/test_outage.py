@@ -20,8 +20,8 @@ from planopt.channel import (
     joint_prediction,
     longest_outage,
 )
-from planopt.channel.connection.joint_connectivity import prefix_probabilities
-from planopt.channel.connection.outage import longest_runs
+from planopt.channel.outage import longest_runs
+from planopt.channel.path_connectivity import prefix_probabilities
 from planopt.planning.loop.metrics import longest_outage_m
 
 CHANNEL = ChannelParameters(-30.0, 3.0, 5.0, 15.0, 1.5, Station((0.0, 0.0)))

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binomtest
 
 from planopt import InputError
-from planopt.channel.connection.outage import SampledDistribution
+from planopt.channel.outage import SampledDistribution
 
 
 def test_intervals_cover():

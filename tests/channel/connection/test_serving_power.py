@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from planopt.channel import Prediction
-from planopt.channel.connection.law import (
+from planopt.channel.connectivity_law import (
     any_probability,
     serving_power_dbm,
     serving_prediction,

@@ -5,7 +5,7 @@ import pytest
 
 from planopt import InputError
 from planopt.channel import Traffic
-from planopt.channel.connection.outage import sent_and_lost
+from planopt.channel.outage import sent_and_lost
 
 TIMES = np.array([0.0, 1.0, 2.5, 3.0, 5.0, 6.0, 9.0])
 

@@ -10,14 +10,14 @@ from simulated_channel import simulated
 from varied_measurements import DRIFTING, dense_covariance, varied
 
 from planopt.channel import ChannelParameters, Station
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.likelihood import (
     RestrictedLikelihood,
     likelihood_data,
     profiled_log_likelihood,
 )
 from planopt.channel.measurement_covariance import measured_path_loss_variance_db2
-from planopt.channel.nearest.windows import BESIDE, BLOCK
-from planopt.channel.one_thread import one_blas_thread
+from planopt.channel.neighbours import BESIDE, BLOCK
 from planopt.channel.parameters import mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))

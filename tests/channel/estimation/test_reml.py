@@ -7,12 +7,12 @@ import pytest
 from simulated_channel import simulated
 
 from planopt.channel import ChannelParameters, Station
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.least_squares import examine
 from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
 from planopt.channel.estimation.likelihood_climb import START_MEASUREMENTS
 from planopt.channel.estimation.reml import reml_fit
-from planopt.channel.one_thread import one_blas_thread
 from planopt.channel.parameters import mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition, conditional_field
-from planopt.channel.fields.field import conditional_values_db
+from planopt.channel.shadow_fields import conditional_values_db
 
 STATION = Station((-20.0, 5.0), 3.0)
 PARAMETERS = ChannelParameters(-30.0, 2.5, 4.0, 8.0, 1.5, STATION)

@@ -5,7 +5,7 @@ import pytest
 
 from planopt import InputError
 from planopt.channel import shadow_field_db
-from planopt.channel.fields.field import CLIPPED_SHARE_TOLERANCE, shadow_field_pair_db
+from planopt.channel.shadow_fields import CLIPPED_SHARE_TOLERANCE, shadow_field_pair_db
 
 
 @pytest.mark.parametrize(("shape", "decorrelation"), [((12, 16), 5.0), ((6, 20), 16.0)])
@@ -96,6 +96,6 @@ def test_seed_fixes_the_field_and_xi_scales_it():
 
 def test_a_torus_that_does_not_fit_is_refused(monkeypatch):
     """A clear error instead of a machine out of memory."""
-    monkeypatch.setattr("planopt.channel.fields.field.MAX_TORUS_CELLS", 10_000)
+    monkeypatch.setattr("planopt.channel.shadow_fields.MAX_TORUS_CELLS", 10_000)
     with pytest.raises(InputError, match="decorrelation distance of 500 cells"):
         shadow_field_db((20, 20), 1.0, 2.0, 500.0, np.random.default_rng(0))

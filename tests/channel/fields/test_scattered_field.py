@@ -5,7 +5,7 @@ import pytest
 
 from planopt import InputError
 from planopt.channel import scattered_field_db, shadow_field_db
-from planopt.channel.fields.field import added_to_lattice_db
+from planopt.channel.shadow_fields import added_to_lattice_db
 
 DRAWS = 1200
 
@@ -42,7 +42,7 @@ def test_repeated_places_share_their_value():
 
 def test_too_many_places(monkeypatch):
     """A clear error instead of a machine out of memory; repeated places do not count."""
-    monkeypatch.setattr("planopt.channel.fields.field.MAX_PLACES", 3)
+    monkeypatch.setattr("planopt.channel.shadow_fields.MAX_PLACES", 3)
     generator = np.random.default_rng(0)
     scattered_field_db(np.zeros((10, 2)), 1.0, 1.0, generator)
     with pytest.raises(InputError, match="4 places are too many"):

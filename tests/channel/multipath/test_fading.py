@@ -5,7 +5,7 @@ import pytest
 from scipy.special import exp1
 from scipy.stats import rice
 
-from planopt.channel.fields.multipath import (
+from planopt.channel.ground_truth import (
     rician_mean_db,
     rician_std_db,
 )

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import loggamma
 
 from planopt import InputError
-from planopt.channel.fields.multipath import (
+from planopt.channel.ground_truth import (
     nakagami_m_of_rician,
     nakagami_m_of_std,
     nakagami_mean_db,

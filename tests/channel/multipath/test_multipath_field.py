@@ -9,7 +9,7 @@ from scipy.stats import kstest, loggamma, norm, rice
 
 from planopt import InputError
 from planopt.channel import Lognormal, Nakagami, Rician, multipath_of
-from planopt.channel.fields.multipath import multipath_field_db, rician_std_db
+from planopt.channel.ground_truth import multipath_field_db, rician_std_db
 
 NEPER_DB = 10.0 / math.log(10.0)
 

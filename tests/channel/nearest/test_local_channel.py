@@ -5,9 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planopt.channel import ChannelParameters, Measurements, Station, condition
-from planopt.channel.nearest import local_channel
-from planopt.channel.nearest.local_channel import (
+from planopt.channel import ChannelParameters, Measurements, Station, condition, local_channel
+from planopt.channel.local_channel import (
     GROUP,
     GROUP_SHARE,
     LocalChannel,

@@ -5,8 +5,8 @@ import pytest
 
 from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.gaussian_sites import gaussian_sites
-from planopt.channel.nearest.window_sites import SITE_BESIDE, neighbour_sites
 from planopt.channel.parameters import regressors
+from planopt.channel.window_sites import SITE_BESIDE, neighbour_sites
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

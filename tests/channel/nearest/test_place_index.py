@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.nearest.place_index import MOST_UNTREED, PlaceIndex
+from planopt.channel.neighbours import MOST_UNTREED, PlaceIndex
 
 CENTRES = np.random.default_rng(8).uniform(0.0, 1.0, (25, 2))
 

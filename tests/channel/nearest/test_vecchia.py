@@ -9,10 +9,9 @@ from planopt.channel.measurement_covariance import (
     measured_origins,
     own_covariance_db2,
 )
-from planopt.channel.nearest.place_index import PlaceIndex
-from planopt.channel.nearest.vecchia import vecchia_information
-from planopt.channel.nearest.windows import BESIDE, BLOCK
+from planopt.channel.neighbours import BESIDE, BLOCK, PlaceIndex
 from planopt.channel.parameters import regressors
+from planopt.channel.vecchia import vecchia_information
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

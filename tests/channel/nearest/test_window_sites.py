@@ -12,8 +12,8 @@ from planopt.channel.measurement_covariance import (
     measured_origins,
     own_covariance_db2,
 )
-from planopt.channel.nearest.window_sites import IntervalRows, window_sites
-from planopt.channel.nearest.windows import place_blocks, surrounding_windows
+from planopt.channel.neighbours import place_blocks, surrounding_windows
+from planopt.channel.window_sites import IntervalRows, window_sites
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.channel.nearest.windows import earlier_windows, place_blocks, surrounding_windows
+from planopt.channel.neighbours import earlier_windows, place_blocks, surrounding_windows
 
 
 def places(count, seed=0):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from shapely.geometry import LineString, box
 
-from planopt.channel.fields.truth import power_truth
+from planopt.channel.ground_truth import power_truth
 from planopt.planning.learn import prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.scene import build_scene

@@ -17,7 +17,7 @@ from scenes import (
 )
 
 from planopt import load
-from planopt.channel.fields.truth import true_power_dbm
+from planopt.channel.ground_truth import true_power_dbm
 from planopt.errors import InputError
 from planopt.planning.files.result_json import run_json
 from planopt.planning.loop.closed_loop import simulate

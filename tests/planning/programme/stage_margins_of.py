@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.channel.nearest.local_channel import LocalChannel
+from planopt.channel.local_channel import LocalChannel
 from planopt.objectives.stage_power import StagePredictor
 from planopt.planning.programme.margin_source import StageMargins, margins_of
 

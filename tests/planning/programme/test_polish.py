@@ -28,8 +28,8 @@ from scipy.stats import norm
 from stage_margins_of import stage_margins
 
 from planopt.channel.kriging import predict
+from planopt.channel.local_channel import LocalChannel
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db, bound_quantile

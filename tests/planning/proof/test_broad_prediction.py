@@ -11,7 +11,7 @@ from scipy.stats import norm
 from terms_scene import TRACKING, terms_problem
 
 from planopt import check, load
-from planopt.channel.connection.law import UncertainParameters, mixture_quantile_dbm
+from planopt.channel.connectivity_law import UncertainParameters, mixture_quantile_dbm
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.prediction import Prediction, bound_margin_db
 from planopt.planning.loop.closed_loop import simulate

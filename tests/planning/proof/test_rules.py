@@ -12,8 +12,8 @@ from scenes import THRESHOLD_DBM, bad_band, bad_everywhere, belief_of, good_ever
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from planopt.channel.connection.joint_connectivity import joint_connectivity
 from planopt.channel.joint import sample_power
+from planopt.channel.path_connectivity import joint_connectivity
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.rules.each_step import counted_steps

@@ -16,11 +16,11 @@ import pytest
 import test_serving
 from test_rules_mutants import source_of
 
-from planopt.channel.connection.law import StationsLaw
+from planopt.channel.connectivity_law import StationsLaw
 from planopt.planning.proof.rules.rule import PathCase, Rule
 
-SCORE = "planopt.channel.connection.law"
-POWER = "planopt.channel.connection.law"
+SCORE = "planopt.channel.connectivity_law"
+POWER = "planopt.channel.connectivity_law"
 PREDICTIONS = "planopt.planning.proof.predictions"
 RULE = "planopt.planning.proof.rules.rule"
 JOINT = "planopt.planning.proof.rules.joint"

@@ -6,7 +6,7 @@ import shapely
 from scenes import small_road_map
 from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.channel.connection.law import StationsLaw
+from planopt.channel.connectivity_law import StationsLaw
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station

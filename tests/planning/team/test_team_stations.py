@@ -10,8 +10,8 @@ import pytest
 from terms_scene import CONNECT, LEARNING, TRACKING, own_term, terms_problem
 
 from planopt import check
-from planopt.channel.connection.law import serving_power_dbm
-from planopt.channel.fields.truth import true_power_dbm
+from planopt.channel.connectivity_law import serving_power_dbm
+from planopt.channel.ground_truth import true_power_dbm
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.solve import solve

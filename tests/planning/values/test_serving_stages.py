@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from planopt.channel.connection.law import StationsLaw
+from planopt.channel.connectivity_law import StationsLaw
+from planopt.channel.local_channel import LocalChannel
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.local_channel import LocalChannel
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability

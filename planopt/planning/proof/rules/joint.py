@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connection.joint_connectivity import JointConnectivity, joint_connectivity
 from planopt.channel.joint import JointPrediction
+from planopt.channel.path_connectivity import JointConnectivity, joint_connectivity
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
 from planopt.planning.proof.rules.path_draws import (

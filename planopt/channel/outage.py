@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.joint import sample_power
-from planopt.channel.places import leg_lengths_m, require_finite, require_places
+from planopt.channel.parameters import leg_lengths_m, require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import CONFIDENCE, binomial_interval, bound_quantile
 from planopt.errors import InputError

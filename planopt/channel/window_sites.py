@@ -37,7 +37,7 @@ from planopt.channel.measurement_covariance import (
     own_covariance_db2,
 )
 from planopt.channel.measurements import Measurements
-from planopt.channel.nearest.windows import BLOCK, Window, place_blocks, surrounding_windows
+from planopt.channel.neighbours import BLOCK, Window, place_blocks, surrounding_windows
 from planopt.channel.parameters import ChannelParameters, regressors
 from planopt.channel.truncated_normal import truncated_normal
 

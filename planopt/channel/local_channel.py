@@ -26,10 +26,9 @@ from planopt.channel.measurement_covariance import (
     place_origins,
     shadow_covariance_db2,
 )
-from planopt.channel.offsets import OffsetsGivenTheta, offsets_given_theta
-from planopt.channel.parameters import ChannelParameters, regressors
-from planopt.channel.places import require_count, require_places
+from planopt.channel.parameters import ChannelParameters, regressors, require_count, require_places
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
+from planopt.channel.vecchia import OffsetsGivenTheta, offsets_given_theta
 
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior

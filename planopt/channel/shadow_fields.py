@@ -23,17 +23,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft as scipy_fft
 
-from planopt.channel.cholesky import lower_factor, solve_lower, solve_upper
-from planopt.channel.factor import whiten
+from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower, solve_upper, whiten
 from planopt.channel.kriging import PREDICTION_ELEMENTS
 from planopt.channel.measurement_covariance import (
     RECEIVER_OFFSET_STD_DB,
     pairwise_distance_m,
     shadow_covariance_db2,
 )
-from planopt.channel.one_thread import one_blas_thread
-from planopt.channel.parameters import regressors
-from planopt.channel.places import require_places, require_shadowing
+from planopt.channel.parameters import regressors, require_places, require_shadowing
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.world.raster import Raster, cell_centres_m

@@ -42,7 +42,7 @@ from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.joint import sample_power
 from planopt.channel.kriging import predict
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
-from planopt.channel.places import require_finite, require_places
+from planopt.channel.parameters import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import (
     Prediction,

@@ -1,1 +1,0 @@
-"""Connectivity along whole paths: jointly, until connected, outages, data, several stations."""

@@ -1,1 +1,0 @@
-"""The posterior from the nearest measurements, at a cost that does not grow with all."""

@@ -33,3 +33,5 @@ from planopt.world.moving_obstacle import MovingObstacle as MovingObstacle
 from planopt.world.readers import obstacles_from as obstacles_from
 from planopt.world.workspace import Obstacle as Obstacle
 from planopt.world.workspace import Workspace as Workspace
+
+__version__: str

@@ -19,9 +19,9 @@ from planopt.commands.bench import bench
 from planopt.commands.check import check
 from planopt.commands.compare import compare
 from planopt.commands.fit import fit
-from planopt.commands.interrupts import stopping
 from planopt.commands.map import map_log
-from planopt.commands.output import print_out, standard_output
+from planopt.commands.options import option
+from planopt.commands.output import print_out, standard_output, stopping
 from planopt.commands.planning import simulate, solve
 from planopt.commands.problem_files import init, list_problems, schema, show_problem, validate
 from planopt.errors import InputError, OutputError, PlanoptError, require_text
@@ -33,7 +33,7 @@ INTERRUPTED, TERMINATED = 130, 143
 app = typer.Typer(
     name="planopt",
     help="Plan motion that stays in radio contact, and prove what can be proven about each plan.",
-    add_completion=False,
+    invoke_without_command=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -53,22 +53,31 @@ app.command()(validate)
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
+        import planopt
 
-        typer.echo(version("planopt"))
+        typer.echo(planopt.__version__)
         raise typer.Exit
+
+
+FIRST_STEPS = """planopt plans motion for robots that must stay in radio contact. First steps:
+
+  planopt list                            list the problem library
+  planopt solve open_field --out first    plan, verify the plan and draw it
+  planopt simulate open_field --out run   drive the robot in a simulated channel
+
+planopt --help lists all commands."""
 
 
 @app.callback()
 def _planopt(  # pyright: ignore[reportUnusedFunction]
+    context: typer.Context,
     version: Annotated[
         bool,
-        typer.Option(
-            "--version", callback=_print_version, is_eager=True, help="Print the version."
-        ),
+        option("--version", None, "Print the version.", callback=_print_version, is_eager=True),
     ] = False,
 ) -> None:
-    pass
+    if context.invoked_subcommand is None:
+        print_out(f"{FIRST_STEPS}\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -79,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             require_text(argument, "the argument")
         with standard_output(), stopping() as received:
             try:
-                code = int(app(arguments, prog_name="planopt", standalone_mode=False))
+                code = int(app(arguments, prog_name="planopt", standalone_mode=False) or 0)
             except KeyboardInterrupt:
                 code = INTERRUPTED
         # Typer makes this code of any interrupt; one within a callback may have been lost.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import planopt
 from planopt.cli import main
 from planopt.commands.output import progress
 from planopt.problems.library import library_folder
@@ -193,11 +194,14 @@ def test_list_and_schema(capsys) -> None:
 
 
 def test_help_and_version(capsys) -> None:
-    """Both are exit code 0 on stdout."""
+    """All are exit code 0 on stdout; without arguments the first three commands are shown."""
+    assert main([]) == 0
+    shown = re.findall("^  planopt ([a-z]+)", capsys.readouterr().out, re.MULTILINE)
+    assert shown == ["list", "solve", "simulate"]
     assert main(["--help"]) == 0
     assert "simulate" in capsys.readouterr().out
     assert main(["--version"]) == 0
-    assert capsys.readouterr().out.count(".") == 2
+    assert capsys.readouterr().out == f"{planopt.__version__}\n"
 
 
 def test_an_interrupt_is_exit_code_130(

@@ -53,7 +53,6 @@ def test_a_bad_problem(name: str, command: str, tmp_path: Path, capsys) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        [],
         ["frob"],
         ["solve"],
         ["solve", "no_such_problem"],

@@ -71,7 +71,7 @@ def test_defaults_and_picture(log: Path, capsys) -> None:
     raster = read_raster(out, "connectivity")
     assert 190 <= max(raster.values.shape) <= 211
     assert abs(raster.x_m[0] - measurements.positions_m[:, 0].min()) < raster.cell_m[0]
-    assert f"from {measurements.power_dbm.min():g} dBm on" in text
+    assert f"P(power at least {measurements.power_dbm.min():g} dBm)" in text
     assert "is estimated, not given" in text and str(picture) in text
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from planopt.cli import main
-from planopt.commands.interrupts import interruptible, stopping
+from planopt.commands.output import progress, stopping
 from planopt.files.writing import STAGING
 from planopt.problems.library import library_folder
 
@@ -152,14 +152,14 @@ def test_signals_in_blocks() -> None:
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     for number in (signal.SIGINT, signal.SIGTERM):
         with stopping() as outer:
-            with pytest.raises(KeyboardInterrupt), interruptible():
+            with pytest.raises(KeyboardInterrupt), progress("working"):
                 signal.raise_signal(number)
             assert outer == [number]
     with stopping() as received:
         # Python ignores exceptions in callbacks of imports.
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
-        with pytest.raises(KeyboardInterrupt), interruptible():
+        with pytest.raises(KeyboardInterrupt), progress("working"):
             raise AssertionError("not entered")
         assert received == [signal.SIGTERM]
     with pytest.raises(KeyboardInterrupt), stopping() as received:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from planopt.commands.compare import listed
-from planopt.commands.options import JsonOption
+from planopt.commands.options import FirstSeedOption, JsonOption, WorkersOption, option
 from planopt.commands.output import drawing, progress, results_folder, show
 from planopt.errors import InputError
 from planopt.files.writing import replaced_results
@@ -33,33 +33,28 @@ bench = typer.Typer(
     rich_markup_mode=None,
 )
 
-WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Number of processes.")]
 ReferencesOption = Annotated[
     Path | None,
-    typer.Option(
-        "--references", metavar="FILE", help="References in place of those of the library."
-    ),
+    option("--references", "FILE", "References in place of those of the library."),
+]
+ProblemsOption = Annotated[
+    str | None, option("--problems", "A,B", "Names or files; else the whole library.")
 ]
 
 
 @bench.command("run")
 def run(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the rows.")],
-    problems: Annotated[
-        str | None,
-        typer.Option("--problems", metavar="A,B", help="Names or files; else the whole library."),
-    ] = None,
+    out: Annotated[Path, option("--out", "DIR", "Folder of the rows.")],
+    problems: ProblemsOption = None,
     planners: Annotated[
-        str | None,
-        typer.Option("--planners", metavar="A,B", help="Names; else all that a problem allows."),
+        str | None, option("--planners", "A,B", "Names; else all that a problem allows.")
     ] = None,
     horizons: Annotated[
-        str | None,
-        typer.Option("--horizons", metavar="N,N", help="Steps ahead; else the own, 5 and 20."),
+        str | None, option("--horizons", "N,N", "Steps ahead; else the own, 5 and 20.")
     ] = None,
-    seeds: Annotated[int, typer.Option("--seeds", min=0, help="How many, for plans.")] = 3,
-    run_seeds: Annotated[int, typer.Option("--run-seeds", min=0, help="For closed loops.")] = 1,
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="First random seed.")] = 0,
+    seeds: Annotated[int, option("--seeds", None, "How many, for plans.", min=0)] = 3,
+    run_seeds: Annotated[int, option("--run-seeds", None, "For closed loops.", min=0)] = 1,
+    first_seed: Annotated[int, FirstSeedOption] = 0,
     workers: WorkersOption = 1,
     json: JsonOption = False,
 ) -> int:
@@ -68,9 +63,9 @@ def run(
     from planopt.studies.bench.folder import TABLE, run_into
 
     cases = library_cases(
-        None if problems is None else listed(problems, "--problems", str),
-        planners=None if planners is None else listed(planners, "--planners", str),
-        horizons=None if horizons is None else listed(horizons, "--horizons", int),
+        listed(problems, "--problems", str),
+        planners=listed(planners, "--planners", str),
+        horizons=listed(horizons, "--horizons", int),
         seeds=range(first_seed, first_seed + seeds),
         run_seeds=range(first_seed, first_seed + run_seeds),
     )
@@ -96,13 +91,12 @@ def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run.")],
     references: ReferencesOption = None,
     freeze: Annotated[
-        Path | None,
-        typer.Option("--freeze", metavar="FILE", help="Add the rows to this file of references."),
+        Path | None, option("--freeze", "FILE", "Add the rows to this file of references.")
     ] = None,
     replace: Annotated[
-        bool, typer.Option("--replace", help="With --freeze: also where references change.")
+        bool, option("--replace", None, "With --freeze: also where references change.")
     ] = False,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="Draw a picture.")] = True,
+    figures: Annotated[bool, option("--figures/--no-figures", None, "Draw a picture.")] = True,
     json: JsonOption = False,
 ) -> int:
     """Print and draw how planners did. Exit code 0."""
@@ -134,9 +128,7 @@ def report(
 @bench.command("check")
 def check(
     references: ReferencesOption = None,
-    problems: Annotated[
-        str | None, typer.Option("--problems", metavar="A,B", help="Names; else the whole library.")
-    ] = None,
+    problems: ProblemsOption = None,
     workers: WorkersOption = 2,
     json: JsonOption = False,
 ) -> int:
@@ -148,9 +140,7 @@ def check(
 
     begun = perf_counter()
     known = read_references(references)
-    cases, worse = fast_cases(
-        known, None if problems is None else listed(problems, "--problems", str)
-    )
+    cases, worse = fast_cases(known, listed(problems, "--problems", str))
     with progress("solving, cases:", len(cases)) as advance:
         rows = answers(cases, workers=workers, on_row=lambda _: advance())
     regressed, better = judged(rows, known, lambda row: f"{row.case}: no reference")

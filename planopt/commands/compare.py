@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, overload
 
 import typer
 
-from planopt.commands.options import PLANNERS, JsonOption, OutOption
+from planopt.commands.options import (
+    PLANNERS,
+    FirstSeedOption,
+    JsonOption,
+    OutOption,
+    WorkersOption,
+    option,
+)
 from planopt.commands.output import NO_PLAN, drawing, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
 
@@ -28,53 +35,35 @@ def compare(
         list[str],
         typer.Argument(metavar="PROBLEM...", help="Problem files, or names that `list` shows."),
     ],
-    horizons: Annotated[
-        str | None, typer.Option("--horizons", metavar="N,N,...", help="Steps ahead.")
-    ] = None,
-    planners: Annotated[
-        str | None,
-        typer.Option(
-            "--planners",
-            metavar="A,B",
-            help=f"Any of {PLANNERS}.",
-        ),
-    ] = None,
+    horizons: Annotated[str | None, option("--horizons", "N,N,...", "Steps ahead.")] = None,
+    planners: Annotated[str | None, option("--planners", "A,B", f"Any of {PLANNERS}.")] = None,
     costs_to_go: Annotated[
-        str | None,
-        typer.Option(
-            "--costs-to-go",
-            metavar="A,B",
-            help="geodesic, connected (both); task reach.",
-        ),
+        str | None, option("--costs-to-go", "A,B", "geodesic, connected (both); task reach.")
     ] = None,
     sweep: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
             "--sweep",
-            metavar="KEY=A,B",
-            help="Values of any key of the problem, such as constraints.p_min=0.5,0.8 or "
+            "KEY=A,B",
+            "Values of any key of the problem, such as constraints.p_min=0.5,0.8 or "
             "robots[*].speed_max_m_s=1,2; may be given several times.",
         ),
     ] = None,
     seeds: Annotated[
         str | None,
-        typer.Option(
+        option(
             "--seeds",
-            metavar="N|A:B",
-            help="How many random seeds, or A to B - 1; 30, or what the problem's own comparison "
-            "says.",
+            "N|A:B",
+            "How many random seeds, or A to B - 1; 30, or those of the problem's own comparison.",
         ),
     ] = None,
-    first_seed: Annotated[
-        int | None, typer.Option("--first-seed", min=0, help="First random seed.")
-    ] = None,
-    workers: Annotated[int, typer.Option("--workers", min=1, help="Number of processes.")] = 1,
+    first_seed: Annotated[int | None, FirstSeedOption] = None,
+    workers: WorkersOption = 1,
     backend: Annotated[
-        str,
-        typer.Option("--backend", metavar="NAME", help="Where processes run: loky, dask or ray."),
+        str, option("--backend", "NAME", "Where processes run: loky, dask or ray.")
     ] = "loky",
     parquet: Annotated[
-        bool, typer.Option("--parquet", help="Save the runs as Parquet too, runs.parquet in --out.")
+        bool, option("--parquet", None, "Save the runs as Parquet too, runs.parquet in --out.")
     ] = False,
     out: OutOption = None,
     json: JsonOption = False,
@@ -105,9 +94,9 @@ def compare(
         require_pyarrow()
     asked = [load(problem) for problem in problems]
     given: dict[str, Any] = {
-        "horizons": None if horizons is None else listed(horizons, "--horizons", int),
-        "planners": None if planners is None else listed(planners, "--planners", str),
-        "costs_to_go": None if costs_to_go is None else listed(costs_to_go, "--costs-to-go", str),
+        "horizons": listed(horizons, "--horizons", int),
+        "planners": listed(planners, "--planners", str),
+        "costs_to_go": listed(costs_to_go, "--costs-to-go", str),
         "sweep": dict(swept(each) for each in sweep) if sweep else None,
     }
     own = own_settings(asked, Lists(**given))
@@ -216,8 +205,16 @@ def _word(text: str) -> Any:
         return text
 
 
-def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...]:
-    """The values of a list such as ``1,2,5``, each once."""
+@overload
+def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...]: ...
+@overload
+def listed(
+    text: str | None, option: str, kind: Callable[[str], Value]
+) -> tuple[Value, ...] | None: ...
+def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...] | None:
+    """Return the values of a list such as ``1,2,5``, each once; None for no list."""
+    if text is None:
+        return None
     parts = [part.strip() for part in text.split(",")]
     try:
         values = [kind(part) for part in parts]

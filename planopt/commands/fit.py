@@ -9,10 +9,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from planopt.commands.log_fit import LogFit, LogOptions, read_and_fit
-from planopt.commands.options import JsonOption, OutOption, with_options
+from planopt.commands.log_fit import LogFit, read_and_fit, require_option
+from planopt.commands.options import JsonOption, LogOptions, OutOption, option, with_options
 from planopt.commands.output import drawing, progress, results_folder, show
 from planopt.errors import InputError
 
@@ -22,54 +20,40 @@ if TYPE_CHECKING:
 
 HoldOutOption = Annotated[
     str | None,
-    typer.Option(
+    option(
         "--hold-out",
-        metavar="COLUMN[:BLOCK][,...]",
-        help="Predict rows that agree in these columns from all others, such as day or "
+        "COLUMN[:BLOCK][,...]",
+        "Predict rows that agree in these columns from all others, such as day or "
         "day,t_s:600 (blocks of 600 in t_s).",
     ),
 ]
 
 ThresholdOption = Annotated[
     float | None,
-    typer.Option(
+    option(
         "--threshold",
-        metavar="DBM",
-        help="With --hold-out: at least this power is a connection (the median power).",
+        "DBM",
+        "With --hold-out: at least this power is a connection (the median power).",
     ),
 ]
 
 MOST_FOLDS = 10
-"""The fit is repeated without each group in turn, or without each of so many shares of them."""
+"""Largest number of folds; a fold holds out one group or several."""
 
 SEED = 0
-"""Of which group goes to which share."""
+"""Random seed that assigns groups to folds."""
 
 NAME_WIDTH = 13
-"""Of the names of what predicted."""
+"""Width of the column with the predictors' names."""
 
 SHOWN_LEVELS = (0.5, 0.8, 0.95)
-"""Coverage for people; JSON has all levels."""
+"""Intervals whose coverage is printed; JSON has all levels."""
 
 
-def require_hold_out(threshold_dbm: float | None, text: str | None) -> None:
-    """Raise an InputError where a threshold is no power, or nothing is held out to use it for."""
-    if threshold_dbm is None:
-        return
-    if not math.isfinite(threshold_dbm):
-        raise InputError(f"{threshold_dbm!r} cannot be used", key="--threshold", remedy="give dBm")
-    if text is None:
-        raise InputError(
-            "is for what is held out", key="--threshold", remedy="give --hold-out COLUMN as well"
-        )
+def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) -> HeldOutReport:
+    """Predict each group of the columns in `text` from all others, and score the predictions.
 
-
-def held_out(
-    log: Path, fitted: LogFit, text: str, threshold_dbm: float | None = None
-) -> HeldOutReport:
-    """Hold out what `text` says, fit the rest as the whole was fitted, and score.
-
-    At least `threshold_dbm` counts as connected; None for the median power.
+    Powers from `threshold_dbm` on count as connected; None stands for the median power.
     """
     import numpy as np
 
@@ -88,7 +72,7 @@ def held_out(
         )
     if fitted.measurements.receiver.any():
         raise InputError(
-            "path loss alone, which others are compared with, knows no offsets of receivers",
+            "the baseline predictors have no receiver offsets",
             key="--hold-out",
             remedy="hold out without --receiver, on the log of one receiver",
         )
@@ -124,7 +108,7 @@ def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
 
 
 def held_out_words(data: dict[str, Any]) -> list[str]:
-    """Lines for people, from what :func:`held_out_json` gives."""
+    """Return the scores of :func:`held_out_json` in lines of text."""
     from planopt.channel.calibration import FEWEST_GROUPS
 
     header = f"  {'':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'of path loss':22}" + "".join(
@@ -149,19 +133,6 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
         ]
         lines.append("  " + "  ".join(cells).rstrip())
     return lines
-
-
-def held_out_reliability_words(report: HeldOutReport) -> list[str]:
-    """Lines for people: predicted against true connection, as the channel predicts it."""
-    from planopt.report import reliability_lines
-
-    return [
-        f"P(power at least {report.threshold_dbm:g} dBm), predicted by the channel:",
-        *(
-            f"  {line}"
-            for line in reliability_lines(report.scores["channel"].reliability, "powers", "groups")
-        ),
-    ]
 
 
 def _draw_held_out(report: HeldOutReport, folder: Path) -> None:
@@ -198,7 +169,7 @@ def _ratio_json(ratio: GroupedRatio, groups: int) -> dict[str, float | None]:
 
 
 def _words(ratio: dict[str, Any], form: str) -> str:
-    """The number with its interval, if it has one."""
+    """Return a number with its interval, if it has one."""
     if ratio["low"] is None:
         return format(ratio["value"], form)
     low, high = format(ratio["low"], form).rstrip("%"), format(ratio["high"], form)
@@ -227,7 +198,11 @@ def fit(
     json: JsonOption = False,
 ) -> int:
     """Fit path loss, shadowing and multipath."""
-    require_hold_out(threshold, hold_out)
+    if threshold is not None:
+        require_option(math.isfinite(threshold), threshold, "--threshold", "give dBm")
+        if hold_out is None:
+            remedy = "give --hold-out COLUMN as well"
+            raise InputError("belongs to --hold-out", key="--threshold", remedy=remedy)
     with results_folder(out) as folder:
         with progress("fitting"):
             fitted = read_and_fit(options)
@@ -243,7 +218,15 @@ def fit(
             with replaced_results(folder, FIT) as new:
                 write_text(new / FIT_FILE, strict_text(data))
         # Results come before pictures: whatever happens to these, the numbers are there.
-        lines = [_in_words(data), *([] if report is None else held_out_reliability_words(report))]
+        lines = [_in_words(data)]
+        if report is not None:
+            from planopt.report import reliability_lines
+
+            lines.append(
+                f"P(power at least {report.threshold_dbm:g} dBm), predicted by the channel:"
+            )
+            bins = report.scores["channel"].reliability
+            lines += [f"  {line}" for line in reliability_lines(bins, "powers", "groups")]
         show(json, data, "\n".join(lines))
         with drawing(folder, FIT, wanted=True) as new:
             if new is not None:
@@ -258,11 +241,7 @@ def fit(
 
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
-    """Return the JSON keys of ``fit``; standard errors that are unknown are null.
-
-    So is ``forgetting_s`` where the channel does not drift, ``reference_receiver`` where the log
-    has no receivers. ``other_modes`` has parameters that are nearly as likely.
-    """
+    """Return the JSON keys of ``fit``; ``other_modes`` are parameters that are nearly as likely."""
     from planopt.planning.files.record import finite
 
     found, receivers = fitted.found, fitted.receivers
@@ -300,7 +279,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
 
 
 def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
-    """Return deviations of the station's x and y; null where given or not determined."""
+    """Return standard errors of the station's x and y; None if the station is given."""
     from planopt.planning.files.record import finite
 
     covariance = found.station_covariance_m2

@@ -1,15 +1,13 @@
-"""The options and the fit that commands on a power log share."""
+"""Read a power log and fit its channel, for ``planopt fit`` and ``planopt map``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, cast, get_args
 
-import typer
-
+from planopt.commands.options import LogOptions
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,96 +21,17 @@ DEGENERATE = 3
 """Exit code if the log does not determine the channel."""
 
 
-def _option(name: str, metavar: str, text: str) -> Any:
-    return typer.Option(name, metavar=metavar, help=text)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LogOptions:
-    """The options of every command on a power log, as given."""
-
-    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
-    station: Annotated[
-        str,
-        _option(
-            "--station",
-            "X,Y[,HEIGHT]|unknown",
-            "Position of the base station in metres; with --origin LAT,LON[,HEIGHT].",
-        ),
-    ]
-    method: Annotated[
-        str, _option("--method", "NAME", "Estimator: lemma1, capped, convex, nls or reml.")
-    ] = "reml"
-    station_method: Annotated[
-        str | None,
-        _option(
-            "--station-method",
-            "NAME",
-            "How an unknown station is found: joint (likelihood) or line (least squares).",
-        ),
-    ] = None
-    columns: Annotated[
-        str | None, _option("--columns", "x=NAME,y=NAME,power=NAME", "Names of columns.")
-    ] = None
-    censored: Annotated[
-        str | None,
-        _option("--censored", "COLUMN", "Column that is 1 where the power is an upper limit."),
-    ] = None
-    floor: Annotated[
-        float | None,
-        _option("--floor", "DBM", "Receiver sensitivity: powers at or below are upper limits."),
-    ] = None
-    resolution: Annotated[
-        float, _option("--resolution", "DB", "Powers are rounded to this step.")
-    ] = 0.0
-    position_error: Annotated[
-        float, _option("--position-error", "M", "Standard deviation of either coordinate (GPS).")
-    ] = 0.0
-    time: Annotated[
-        str | None, _option("--time", "COLUMN", "Column of measurement times, in seconds.")
-    ] = None
-    forgetting: Annotated[
-        float | None,
-        _option("--forgetting", "S", "Shadowing changes over this time; needs --time."),
-    ] = None
-    receiver: Annotated[
-        str | None,
-        _option(
-            "--receiver", "COLUMN", "Column of receivers: each has an offset to the first one."
-        ),
-    ] = None
-    where: Annotated[
-        list[str] | None,
-        _option(
-            "--where",
-            "COLUMN=VALUE",
-            "Only rows with this value, such as those of one transmitter; may be repeated.",
-        ),
-    ] = None
-    origin: Annotated[
-        str | None,
-        _option(
-            "--origin",
-            "LAT,LON",
-            "x and y of the log are longitude and latitude; (0, 0) is here, in degrees.",
-        ),
-    ] = None
-    loss: Annotated[
-        str, _option("--loss", "NAME", "Loss of the method convex: squares, huber or absolute.")
-    ] = "squares"
-
-
 @dataclass(frozen=True)
 class LogFit:
     """A log and the channel fitted to it."""
 
-    measurements: Measurements  # All of the log
-    found: ChannelFit  # Their fit
+    measurements: Measurements
+    found: ChannelFit
     receivers: tuple[str, ...]  # Labels by the receivers' numbers; empty without --receiver
-    # Estimates the parameters from any measurements as from these
+    # Estimates parameters from other measurements with the same options
     learn: Callable[[Measurements], ChannelParameters]
-    log_format: LogFormat  # How the log was read
-    warnings: tuple[str, ...]  # Of the fit, and of values that are implausible
+    log_format: LogFormat
+    warnings: tuple[str, ...]  # From the fit, and about implausible values
 
     @property
     def exit_code(self) -> int:
@@ -166,14 +85,12 @@ def read_and_fit(options: LogOptions) -> LogFit:
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
     """Return the method by which the station is found."""
-    from typing import get_args
-
     from planopt.channel.estimation.station_fit import StationMethod
 
     names = get_args(StationMethod)
     if name is None:
         return "joint"
-    _require(name in names, name, "--station-method", f"use {', '.join(names)}")
+    require_option(name in names, name, "--station-method", f"use {', '.join(names)}")
     if station_is_given:
         raise InputError(
             "the station is given, so there is nothing to find",
@@ -194,9 +111,11 @@ def _log_format(options: LogOptions) -> LogFormat:
     )
 
     resolution_db, position_std_m = options.resolution, options.position_error
-    _require(0.0 <= resolution_db < math.inf, resolution_db, "--resolution", "give 0 or more")
-    _require(0.0 <= position_std_m < math.inf, position_std_m, "--position-error", "give 0 or more")
-    _require(math.isfinite(options.floor or 0.0), options.floor, "--floor", "give dBm")
+    require_option(0.0 <= resolution_db < math.inf, resolution_db, "--resolution", "give 0 or more")
+    require_option(
+        0.0 <= position_std_m < math.inf, position_std_m, "--position-error", "give 0 or more"
+    )
+    require_option(math.isfinite(options.floor or 0.0), options.floor, "--floor", "give dBm")
     return LogFormat(
         DEFAULT_COLUMNS if options.columns is None else parse_columns(options.columns),
         options.censored,
@@ -213,7 +132,7 @@ def _log_format(options: LogOptions) -> LogFormat:
 def _forgetting_s(options: LogOptions) -> float:
     """Return the forgetting time; infinite if none is given."""
     given = math.inf if options.forgetting is None else options.forgetting
-    _require(given > 0.0, given, "--forgetting", "give more than 0 seconds")
+    require_option(given > 0.0, given, "--forgetting", "give more than 0 seconds")
     if options.forgetting is not None and options.time is None:
         raise InputError(
             "needs the times of the measurements",
@@ -223,7 +142,7 @@ def _forgetting_s(options: LogOptions) -> float:
     return given
 
 
-def _require(is_allowed: bool, value: object, key: str, remedy: str) -> None:
+def require_option(is_allowed: bool, value: object, key: str, remedy: str) -> None:
     """Refuse the value of an option."""
     if not is_allowed:
         raise InputError(f"{value!r} cannot be used", key=key, remedy=remedy)

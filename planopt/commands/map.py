@@ -1,4 +1,4 @@
-"""``planopt map``: predicted power, its deviation and P(connected) on a grid, from a power log."""
+"""``planopt map``: a radio map on a grid, from a power log."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from planopt.commands.fit import fit_json
-from planopt.commands.log_fit import LogOptions, read_and_fit
-from planopt.commands.options import JsonOption, with_options
+from planopt.commands.log_fit import read_and_fit
+from planopt.commands.options import JsonOption, LogOptions, option, with_options
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
 from planopt.files.writing import replaced_results
@@ -28,38 +26,30 @@ VARIABLES = ("mean_db", "deviation_db", "connectivity")
 @with_options(LogOptions)
 def map_log(
     options: LogOptions,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="Ends in .csv, .npz, .nc or .tif.")
-    ],
+    out: Annotated[Path, option("--out", "FILE", "Ends in .csv, .npz, .nc or .tif.")],
     cell: Annotated[
-        float | None,
-        typer.Option("--cell", metavar="M", help="Cell side in metres; default: 200 cells."),
+        float | None, option("--cell", "M", "Cell side in metres; default: 200 cells.")
     ] = None,
     bounds: Annotated[
         str | None,
-        typer.Option(
-            "--bounds",
-            metavar="X0,Y0,X1,Y1",
-            help="Bounds of the map, in metres; default: the measured area.",
-        ),
+        option("--bounds", "X0,Y0,X1,Y1", "Bounds in metres; default: the measured area."),
     ] = None,
     threshold: Annotated[
         float | None,
-        typer.Option(
+        option(
             "--threshold",
-            metavar="DBM",
-            help="Connected from here on; default: --floor, or the least power of the log.",
+            "DBM",
+            "Connected from here on; default: --floor, or the least power of the log.",
         ),
     ] = None,
     picture: Annotated[
-        Path | None,
-        typer.Option("--picture", metavar="FILE", help="Draw it too; .png, .svg or .pdf."),
+        Path | None, option("--picture", "FILE", "Draw it too; .png, .svg or .pdf.")
     ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Fit a log and write a radio map: predicted power, deviation, probability of connection.
+    """Write a radio map of a log: power, its standard deviation, probability of connection.
 
-    For the first receiver in the log, at the time of the latest measurement.
+    The map is for the first receiver in the log, at the time of the latest measurement.
     """
     from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.channel.cholesky import one_blas_thread
@@ -133,7 +123,7 @@ def _threshold_dbm(
 
 @contextlib.contextmanager
 def _writable(out: Path, picture: Path | None) -> Generator[None]:
-    """Know that both files can be written before any work is done."""
+    """Check that both files can be written before any work is done."""
     with contextlib.ExitStack() as stack:
         for file in (out, picture):
             if file is not None:
@@ -143,7 +133,7 @@ def _writable(out: Path, picture: Path | None) -> Generator[None]:
 
 @contextlib.contextmanager
 def _together(out: Path, picture: Path | None) -> Generator[tuple[Path, Path | None]]:
-    """Give names to write map and picture to; on leaving both take the places of older ones."""
+    """Yield temporary names of map and picture; on leaving, both replace older files."""
     files = [file for file in (out, picture) if file is not None]
     with contextlib.ExitStack() as stack:
         staged: dict[Path, Path] = {}
@@ -165,8 +155,8 @@ def _in_words(data: dict[str, Any]) -> str:
         f"x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g}",
         f"  from {fit['measurements']} measurements, {fit['censored']} of them upper limits "
         f"({fit['method']}: {fit['status']}; {data['posterior']})",
-        f"  more likely connected than not, from {data['threshold_dbm']:g} dBm on, in "
-        f"{data['connected_share']:.1%} of the cells",
+        f"  {100.0 * data['connected_share']:.1f} % of the cells have P(power at least "
+        f"{data['threshold_dbm']:g} dBm) of 0.5 or more",
         *(f"  {warning}" for warning in fit["warnings"]),
     ]
     if data["picture"] is not None:

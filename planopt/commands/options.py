@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Options that several commands share, each declared once."""
 
 from __future__ import annotations
 
@@ -15,41 +15,115 @@ from planopt.problems.planner_kinds import OWN
 
 PLANNERS = ", ".join(OWN)
 
+
+def option(name: str, metavar: str | None, text: str, **settings: Any) -> Any:
+    """Return the declaration of an option."""
+    return typer.Option(name, metavar=metavar, help=text, **settings)
+
+
 ProblemArgument = Annotated[
     str, typer.Argument(metavar="PROBLEM", help="A problem file, or a name that `list` shows.")
 ]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder to save the results in.")
-]
+OutOption = Annotated[Path | None, option("--out", "DIR", "Folder to save the results in.")]
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else.")
+    bool, option("--json", None, "Print one JSON object on standard output, nothing else.")
 ]
 AnimationOption = Annotated[
-    bool, typer.Option("--animation", help="Save the run as an animation too, run.gif in --out.")
+    bool, option("--animation", None, "Save the run as an animation too, run.gif in --out.")
 ]
+WorkersOption = Annotated[int, option("--workers", None, "Number of processes.", min=1)]
+FirstSeedOption = option("--first-seed", None, "First random seed.", min=0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanningOptions:
-    """The options of every command that plans for one problem, as given."""
+    """Options of the commands that plan for one problem."""
 
     problem: ProblemArgument
     horizon: Annotated[
-        int | None,
-        typer.Option("--horizon", metavar="N", help="Planning horizon: steps ahead, 1 to 500."),
+        int | None, option("--horizon", "N", "Planning horizon: steps ahead, 1 to 500.")
     ] = None
-    planner: Annotated[
-        str | None, typer.Option("--planner", metavar="NAME", help=f"Planner: {PLANNERS}.")
-    ] = None
+    planner: Annotated[str | None, option("--planner", "NAME", f"Planner: {PLANNERS}.")] = None
     cost_to_go: Annotated[
-        str | None,
-        typer.Option("--cost-to-go", metavar="NAME", help="Cost-to-go: geodesic or connected."),
+        str | None, option("--cost-to-go", "NAME", "Cost-to-go: geodesic or connected.")
     ] = None
     seed: Annotated[
-        int, typer.Option("--seed", min=0, help="Random seed of fading and measured places.")
+        int, option("--seed", None, "Random seed of fading and measured places.", min=0)
     ] = 0
     out: OutOption = None
     json: JsonOption = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogOptions:
+    """Options of the commands on a power log."""
+
+    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
+    station: Annotated[
+        str,
+        option(
+            "--station",
+            "X,Y[,HEIGHT]|unknown",
+            "Position of the base station in metres; with --origin LAT,LON[,HEIGHT].",
+        ),
+    ]
+    method: Annotated[
+        str, option("--method", "NAME", "Estimator: lemma1, capped, convex, nls or reml.")
+    ] = "reml"
+    station_method: Annotated[
+        str | None,
+        option(
+            "--station-method",
+            "NAME",
+            "How an unknown station is found: joint (likelihood) or line (least squares).",
+        ),
+    ] = None
+    columns: Annotated[
+        str | None, option("--columns", "x=NAME,y=NAME,power=NAME", "Names of columns.")
+    ] = None
+    censored: Annotated[
+        str | None,
+        option("--censored", "COLUMN", "Column that is 1 where the power is an upper limit."),
+    ] = None
+    floor: Annotated[
+        float | None,
+        option("--floor", "DBM", "Receiver sensitivity: powers at or below are upper limits."),
+    ] = None
+    resolution: Annotated[
+        float, option("--resolution", "DB", "Powers are rounded to this step.")
+    ] = 0.0
+    position_error: Annotated[
+        float, option("--position-error", "M", "Standard deviation of either coordinate (GPS).")
+    ] = 0.0
+    time: Annotated[
+        str | None, option("--time", "COLUMN", "Column of measurement times, in seconds.")
+    ] = None
+    forgetting: Annotated[
+        float | None, option("--forgetting", "S", "Shadowing changes over this time; needs --time.")
+    ] = None
+    receiver: Annotated[
+        str | None,
+        option("--receiver", "COLUMN", "Column of receivers: each has an offset to the first one."),
+    ] = None
+    where: Annotated[
+        list[str] | None,
+        option(
+            "--where",
+            "COLUMN=VALUE",
+            "Only rows with this value, such as those of one transmitter; may be repeated.",
+        ),
+    ] = None
+    origin: Annotated[
+        str | None,
+        option(
+            "--origin",
+            "LAT,LON",
+            "x and y of the log are longitude and latitude; (0, 0) is here, in degrees.",
+        ),
+    ] = None
+    loss: Annotated[
+        str, option("--loss", "NAME", "Loss of the method convex: squares, huber or absolute.")
+    ] = "squares"
 
 
 Options = TypeVar("Options")
@@ -59,34 +133,25 @@ Own = ParamSpec("Own")
 def with_options(
     options: type[Options],
 ) -> Callable[[Callable[Concatenate[Options, Own], int]], Callable[..., int]]:
-    """Let a command take the fields of a dataclass of options in place of its first parameter."""
-    fields = dataclasses.fields(cast("Any", options))
+    """Replace the first parameter of a command by the fields of a dataclass of options."""
 
     def decorated(command: Callable[Concatenate[Options, Own], int]) -> Callable[..., int]:
         def run(**values: Any) -> int:
-            shared = {field.name: values.pop(field.name) for field in fields}
+            shared = {name: values.pop(name) for name in names}
             return cast("Callable[..., int]", command)(options(**shared), **values)
 
-        hints = get_type_hints(options, include_extras=True)
-        shared = [
-            inspect.Parameter(
-                field.name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=inspect.Parameter.empty
-                if field.default is dataclasses.MISSING
-                else field.default,
-                annotation=hints[field.name],
-            )
-            for field in fields
-        ]
+        own = list(inspect.signature(command).parameters.values())[1:]
         hints = get_type_hints(command, include_extras=True)
-        own = [
+        hints |= get_type_hints(options, include_extras=True)
+        names = [field.name for field in dataclasses.fields(cast("Any", options))]
+        shared = [inspect.signature(options).parameters[name] for name in names]
+        parameters = [
             each.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[each.name])
-            for each in list(inspect.signature(command).parameters.values())[1:]
+            for each in (*shared, *own)
         ]
         run.__name__, run.__doc__ = command.__name__, command.__doc__
-        run.__annotations__ = {each.name: each.annotation for each in (*shared, *own)}
-        vars(run)["__signature__"] = inspect.Signature([*shared, *own])
+        run.__annotations__ = {each.name: each.annotation for each in parameters}
+        vars(run)["__signature__"] = inspect.Signature(parameters)
         return run
 
     return decorated

@@ -1,22 +1,24 @@
-"""The output of commands: results to stdout, progress to stderr, files to --out.
+"""Output of commands: results to stdout, progress to stderr, files to --out; and interrupts.
 
-Errors are raised; :func:`planopt.cli.main` prints them.
+Errors are raised; :func:`planopt.cli.main` prints them. SIGTERM, by which schedulers and containers
+end a process, does what Ctrl-C does.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from planopt.commands.interrupts import interruptible
-from planopt.errors import OutputError
-from planopt.files.writing import Patterns, replaced_results
+from planopt.errors import OutputError, escaped
+from planopt.files.writing import Patterns, replaced_results, strict_text, writable_folder
 
 NO_PLAN = 4
 """Exit code where there is no plan, or a run did not arrive."""
@@ -25,13 +27,9 @@ NO_PLAN = 4
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
     """Print the JSON object if it was asked for, else the text."""
     if as_json:
-        from planopt.files.writing import strict_text
-
         print_out(strict_text(data))
     else:
-        from planopt.errors import escaped
-
-        # Names and messages may come from any file, and a terminal obeys what it is sent.
+        # Names and messages may come from any file and contain control codes of terminals.
         print_out("\n".join(escaped(line) for line in text.split("\n")) + "\n")
 
 
@@ -59,28 +57,63 @@ def standard_output() -> Generator[None]:
 
 def say(text: str) -> None:
     """Print a line to stderr while work is going on."""
-    from planopt.errors import escaped
-
     typer.echo(escaped(text), err=True)
+
+
+_active: list[list[int]] = []
+"""Signals received by each block that is running, the outermost first."""
+
+
+def _stop(number: int, _: object) -> None:
+    # A second SIGTERM does not disturb the cleanup after the first.
+    again = number == signal.SIGTERM and number in _active[-1]
+    for received in _active:
+        received.append(number)
+    if not again:
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def stopping() -> Generator[list[int]]:
+    """Raise KeyboardInterrupt on SIGINT and SIGTERM within the block; yield the signals received.
+
+    Only the main thread of a process has handlers; elsewhere nothing changes.
+    """
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    _active.append(received)
+    before = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        _active.pop()
 
 
 @contextlib.contextmanager
 def progress(description: str, total: int | None = None) -> Generator[Callable[[], None]]:
-    """Show progress on stderr if it is a terminal; call the result for each part."""
-    with interruptible() as stop_if_interrupted:
-        with _bar(description, total) if sys.stderr.isatty() else _no_bar() as bar_advance:
+    """Show progress on stderr if it is a terminal; yield a function to call after each part.
+
+    Interrupts that were swallowed, such as by a CasADi callback, are raised again.
+    """
+    if any(_active):
+        raise KeyboardInterrupt
+    with stopping() as received:
+        bar = _bar(description, total) if sys.stderr.isatty() else contextlib.nullcontext()
+        with bar as advance_bar:
 
             def advance() -> None:
-                stop_if_interrupted()
-                bar_advance()
+                if received:
+                    raise KeyboardInterrupt
+                if advance_bar is not None:
+                    advance_bar()
 
             yield advance
-        stop_if_interrupted()
-
-
-@contextlib.contextmanager
-def _no_bar() -> Generator[Callable[[], None]]:
-    yield lambda: None
+        if received:
+            raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
@@ -111,10 +144,7 @@ def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def drawing(folder: Path | None, files: Patterns, *, wanted: bool) -> Generator[Path | None]:
-    """Give a folder for the pictures of results that are saved; None where none are wanted.
-
-    Pictures come after the results: whatever happens to them, the numbers are there.
-    """
+    """Yield a folder for pictures of saved results, which are written first; None without any."""
     if folder is None or not wanted:
         yield None
         return
@@ -124,15 +154,10 @@ def drawing(folder: Path | None, files: Patterns, *, wanted: bool) -> Generator[
 
 @contextlib.contextmanager
 def results_folder(out: Path | None) -> Generator[Path | None]:
-    """The folder for results, known to be writable before any work is done.
-
-    If nothing comes of the work, a folder made for it is removed again.
-    """
+    """Yield the folder for results, writable before any work is done; remove it after a failure."""
     if out is None:
         yield None
         return
-    from planopt.files.writing import writable_folder
-
     existed = out.exists()
     try:
         # A signal may arrive at once after the folder was made.

@@ -16,41 +16,40 @@ from planopt.planning.results import Run
 class RunSummary:
     """A run without its steps, as comparisons list it."""
 
-    horizon: int  # What was run; `cost_to_go` is None if there is no goal
+    horizon: int
     planner: str
-    cost_to_go: str | None
+    cost_to_go: str | None  # None if there is no goal
     seed: int
-    outcome: str  # How it ended, and why in words
-    reason: str
-    # 0 if it did what the problem asks with every step verified, 3 if some was not, 4 if it did not
+    outcome: str
+    reason: str  # Why it ended, in words
+    # 0 if the task was done with every step verified, 3 if some was not, 4 if it was not done
     exit_code: int
-    metrics: dict[str, float]  # Of all robots together, by name
-    rungs: dict[str, int]  # How often each fallback released a step, over all robots
-    # Share of all released steps whose plan was verified; NaN where nothing is to be verified
-    verified_rate: float
-    # (steps x robots,) wall time that planning one step of one robot took
-    step_s: NDArray[np.float64]
-    # (steps x robots,) predicted probability of connection after each step, and whether there was
-    # one; empty where no channel is learnt
+    metrics: dict[str, float]  # Over all robots, by name
+    rungs: dict[str, int]  # Number of steps released by each fallback, over all robots
+    verified_rate: float  # Share of released steps whose plan was verified; NaN if none can be
+    step_s: NDArray[np.float64]  # (steps x robots,) wall time of planning a step of one robot
+    # (steps x robots,) predicted probability of connection after each step, and true connection;
+    # empty for tasks without a channel
     connectivity: NDArray[np.float64]
     connected: NDArray[np.bool_]
     problem: str = ""  # Name of the problem
     # Keys of the problem that a study changed, with their values
     sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    # (steps + 1,) each, by name: trace_p, the trace in m^2 of the station's covariance of the
-    # target's position, normalised_trace_p, the same over that of the first estimate, and of the
-    # channel rms_db, rms_without_multipath_db and path_loss_variance_db2; empty on the way to a
-    # goal
+    # (steps + 1,) each, by name: trace_p in m^2 and normalised_trace_p of the station's target
+    # estimate; rms_db, rms_without_multipath_db and path_loss_variance_db2 of the channel
     traces: Mapping[str, NDArray[np.float64]] = field(
         default_factory=dict[str, NDArray[np.float64]]
     )
 
 
+NOT_DONE = 4
+"""Exit code of runs that did not complete their task."""
+
 CHANNEL_TRACES = ("rms_db", "rms_without_multipath_db", "path_loss_variance_db2")
 
 
 def _traces(run: Run) -> dict[str, NDArray[np.float64]]:
-    """Return what was known over the steps of a run, by name."""
+    """Return the errors of the target and channel estimates over the steps of a run, by name."""
     found = dict[str, NDArray[np.float64]]()
     if run.target is not None:
         found["trace_p"] = run.target.station_variance_m2
@@ -58,6 +57,25 @@ def _traces(run: Run) -> dict[str, NDArray[np.float64]]:
     if run.channel is not None:
         found |= {name: getattr(run.channel, name) for name in CHANNEL_TRACES}
     return found
+
+
+def short_summary(
+    labels: tuple[int, str, str | None], seed: int, outcome: str, reason: str, exit_code: int
+) -> RunSummary:
+    """Return the summary of a run without steps; labels are horizon, planner and cost-to-go."""
+    return RunSummary(
+        *labels,
+        seed=seed,
+        outcome=str(outcome),
+        reason=reason,
+        exit_code=exit_code,
+        metrics={},
+        rungs={},
+        verified_rate=np.nan,
+        step_s=np.zeros(0),
+        connectivity=np.zeros(0),
+        connected=np.zeros(0, dtype=np.bool_),
+    )
 
 
 def summary_of(run: Run) -> RunSummary:

@@ -8,24 +8,18 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, cast
 
-import numpy as np
-
 from planopt.errors import NoPlanError
 from planopt.parts import parts_of
-from planopt.planning.learn import Prepared, prepare
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.run_summary import RunSummary, summary_of
-from planopt.planning.scene import Scene, build_scenes
+from planopt.planning.run_summary import NOT_DONE, RunSummary, short_summary
 from planopt.problems.problem import Problem
-from planopt.problems.tasks import TaskProblem, problem_from, task_of
+from planopt.problems.tasks import TaskProblem, task_of
 from planopt.studies.comparison import Comparison
-from planopt.studies.comparison_rows import NOT_DONE, comparison_rows
+from planopt.studies.comparison_rows import comparison_rows
 from planopt.studies.study import FinishedRuns, Study, run_key, run_study
 from planopt.studies.variants import (
     AnyProblem,
     Lists,
-    TaskRun,
     chosen_seeds,
     default_seeds,
     own_settings,
@@ -48,35 +42,34 @@ def compare(
     on_run: Callable[[RunSummary], None] | None = None,
     finished: Path | str | None = None,
 ) -> Comparison:
-    """Run every setting of every problem on every seed and tabulate.
+    """Simulate every setting of every problem on every seed, and tabulate the runs.
 
     Parameters
     ----------
     problems
         One or several, with different names, of tasks that can be simulated.
     horizons, planners, costs_to_go
-        In place of the problems' own, which are kept if not given. Costs to go are both where
-        there is a goal unless given, and cannot be given where there is none.
+        Values to compare; None keeps the problems' own. Problems with a goal are compared with
+        both costs-to-go by default; others have none.
     sweep
         Values of any further keys of the problem files, by dotted key such as
         ``constraints.p_min`` or ``robots[*].speed_max_m_s``. The settings are the product of all.
-        Where one problem and no setting is given, its own table ``compare`` says what is run.
+        One problem without any setting is compared as its own table ``compare`` says.
     seeds
-        The seeds, or how many (0, 1, ...); by default those of the table ``compare`` where that
-        is run, else 30. Every setting sees the same ones. Ratios and differences
-        are paired by seed with the first setting of the same problem; with that of the first
-        problem if each has only one.
+        The seeds, or their number (0, 1, ...); by default those of the table ``compare`` if it
+        is used, else 30. Every setting uses the same seeds. Ratios and differences are paired by
+        seed with the first setting of the same problem; with that of the first problem if each
+        has only one.
     workers
-        Processes; a task is one seed of one problem, on one BLAS thread. The result does not depend
-        on their number, but for the measured times.
+        Number of processes; each runs one seed of one problem on one BLAS thread. Only measured
+        times depend on their number.
     backend
-        Where they run: ``loky`` (this machine), ``dask`` or ``ray``.
+        Where the processes run: ``loky`` (this machine), ``dask`` or ``ray``.
     on_run
         Called for every finished run, for progress display.
     finished
-        Folder in which every run is kept when it is finished
-        (:mod:`planopt.studies.study`). A run that an earlier comparison has kept there
-        is taken from it, with the times measured then.
+        Folder that keeps every finished run (:mod:`planopt.studies.study`). Runs that an earlier
+        comparison has kept there are read, with the times measured then.
 
     Returns
     -------
@@ -86,11 +79,10 @@ def compare(
     Raises
     ------
     InputError
-        There is nothing to compare, a seed is no whole number, negative or twice there, there is
-        no worker or no such backend, a value is not allowed, or runs of a problem with parts from
-        Python are to be kept.
+        There is nothing to compare, a seed is negative, repeated or no whole number, a value or
+        backend is unknown, or a run with parts from Python cannot be kept.
     NoPlanError
-        No run has a plan, since obstacles cut every goal off.
+        No run has a plan, for instance because obstacles cut off every goal.
 
     Examples
     --------
@@ -104,22 +96,19 @@ def compare(
     """
     begun = perf_counter()
     kind = cast("type[AnyProblem]", Problem | TaskProblem)
-    given = parts_of("problems", problems, kind, "load or make a Problem")
+    compared = parts_of("problems", problems, kind, "load or make a Problem")
     own = several(horizons), several(planners), several(costs_to_go)
     lists = Lists(*own, swept_values(sweep))
-    variants = variants_of(given, lists)
+    variants = variants_of(compared, lists)
     if seeds is None:
-        seeds = default_seeds(own_settings(given, lists))
+        seeds = default_seeds(own_settings(compared, lists))
     chosen = chosen_seeds(seeds)
     kept = None if finished is None else FinishedRuns(Path(finished))
-    study: Study[_Asked, Shared, RunSummary] = Study(
-        kind=RunSummary,
-        prepare=_shared,
-        work=_drive,
-        key=_key,
+    study: Study[Item, Any, RunSummary] = Study(
+        kind=RunSummary, prepare=_shared, work=_drive, key=lambda item: run_key(*item)
     )
     places = [(variant, seed) for seed in chosen for variant in range(len(variants))]
-    groups = [[(each, seed) for each in variants[variant].asked] for variant, seed in places]
+    groups = [[(each, seed) for each in variants[variant].settings] for variant, seed in places]
     results = run_study(study, groups, workers=workers, backend=backend, record=kept)
     driven: dict[tuple[int, int, int], RunSummary] = {}
     resumed = 0
@@ -127,7 +116,7 @@ def compare(
         variant = variants[number]
         for setting, run in enumerate(runs):
             resumed += run.resumed
-            # A record does not know which study it is read for.
+            # The record of a run does not contain the name and changes of this study.
             done = replace(run.result, problem=variant.problem.name, sweep=variant.sweep)
             driven[number, setting, seed] = done
             if on_run is not None:
@@ -135,119 +124,46 @@ def compare(
     ordered = [
         driven[number, setting, seed]
         for number, variant in enumerate(variants)
-        for setting in range(len(variant.asked))
+        for setting in range(len(variant.settings))
         for seed in chosen
     ]
     if all(run.outcome == Outcome.NO_PLAN for run in ordered):
         raise NoPlanError(ordered[0].reason)
     return Comparison(
-        problem=given[0],
+        problem=compared[0],
         runs=tuple(ordered),
         rows=tuple(comparison_rows(ordered)),
         wall_s=perf_counter() - begun,
         resumed=resumed,
-        others=tuple(given[1:]),
+        others=tuple(compared[1:]),
     )
 
 
 def exit_code(comparison: Comparison) -> int:
-    """Return 0 if all did what was asked with every step verified, 3 if some step was not, or 4."""
+    """Return 0 if all runs did their task, 3 if some step is not verified, 4 if some run failed."""
     return max(run.exit_code for run in comparison.runs)
 
 
-_Asked = tuple[Problem | TaskRun, int]
+Item = tuple[AnyProblem, int]
 """A problem with the settings of a run, and its seed."""
 
-Shared = tuple[Prepared, tuple[Scene, ...] | None] | NoPlanError | None
-"""First belief of a seed, and the scenes where there are goals: the same for all settings.
 
-The error if there provably is no plan; None for tasks other than motion planning.
-"""
-
-
-def _shared(asked: _Asked) -> Shared:
-    problem, seed = asked
-    if isinstance(problem, TaskRun):
-        return None
-    prepared = prepare(problem, seed)
+def _shared(item: Item) -> Any:
+    """Return the data that all settings of one seed share; the error if there is no plan."""
+    problem, seed = item
     try:
-        return prepared, build_scenes(problem)
+        return task_of(problem).shared(problem, seed)
     except NoPlanError as error:
         return error
 
 
-def _key(asked: _Asked) -> dict[str, Any]:
-    problem, seed = asked
-    if isinstance(problem, TaskRun):
-        return run_key(problem.tables, seed)
-    return run_key(problem, seed)
-
-
-def _drive(asked: _Asked, shared: Shared) -> RunSummary:
-    """Drive a closed loop and summarise it."""
-    problem, seed = asked
-    if isinstance(problem, TaskRun):
-        return _drive_task(problem, seed)
+def _drive(item: Item, shared: Any) -> RunSummary:
+    """Simulate one setting and summarise the run."""
+    problem, seed = item
+    task = task_of(problem)
     try:
-        if shared is None or isinstance(shared, NoPlanError):
-            raise shared or AssertionError("nothing was prepared")
-        prepared, scenes = shared
-        return summary_of(simulate(problem, seed=seed, scenes=scenes, prepared=prepared))
+        if isinstance(shared, NoPlanError):
+            raise shared
+        return task.run_summary(problem, seed, shared)
     except NoPlanError as error:
-        settings = problem.planner.horizon, problem.planner.name, problem.cost_to_go
-        return _summary(settings, seed, Outcome.NO_PLAN.value, str(error), NOT_DONE)
-
-
-def _drive_task(asked: TaskRun, seed: int) -> RunSummary:
-    """Simulate a problem of a task other than motion planning, and summarise the run."""
-    problem = problem_from(asked.tables, folder=Path.cwd(), file=None)
-    settings = asked.horizon, asked.planner, None
-    try:
-        result = task_of(problem).run(problem, seed=seed)
-    except NoPlanError as error:
-        return _summary(settings, seed, Outcome.NO_PLAN.value, str(error), NOT_DONE)
-    data, rate = result.data, result.data.get("verified_rate")
-    return replace(
-        _summary(
-            settings,
-            seed,
-            str(data["outcome"]),
-            str(data.get("reason", data.get("message", ""))),
-            result.exit_code,
-        ),
-        metrics=_numbers(data.get("metrics", {})),
-        rungs={str(name): int(count) for name, count in data.get("rungs", {}).items()},
-        verified_rate=np.nan if rate is None else float(rate),
-        step_s=np.asarray(result.step_s, dtype=float),
-    )
-
-
-def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Return metrics as numbers; those of nested tables are named by both keys."""
-    found: dict[str, float] = {}
-    for name, value in metrics.items():
-        if isinstance(value, Mapping):
-            parts = _numbers(cast("Mapping[str, Any]", value))
-            found |= {f"{name}_{key}": part for key, part in parts.items()}
-        else:
-            found[name] = np.nan if value is None else float(value)
-    return found
-
-
-def _summary(
-    settings: tuple[int, str, str | None], seed: int, outcome: str, reason: str, code: int
-) -> RunSummary:
-    """A run of no step."""
-    return RunSummary(
-        *settings,
-        seed=seed,
-        outcome=outcome,
-        reason=reason,
-        exit_code=code,
-        metrics={},
-        rungs={},
-        verified_rate=np.nan,
-        step_s=np.zeros(0),
-        connectivity=np.zeros(0),
-        connected=np.zeros(0, dtype=np.bool_),
-    )
+        return short_summary(task.labels(problem), seed, Outcome.NO_PLAN, str(error), NOT_DONE)

@@ -25,8 +25,7 @@ from planopt.planning.files.result_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
 from planopt.planning.run_summary import RunSummary
 from planopt.problems.problem import Problem
-from planopt.problems.save import problem_to_dict
-from planopt.problems.tasks import TaskProblem, problem_from
+from planopt.problems.tasks import TaskProblem, problem_from, task_of
 from planopt.short_repr import short_repr
 from planopt.studies.comparison_rows import (
     Row,
@@ -126,7 +125,9 @@ def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = Fal
     """Save a comparison; ``load_result`` reads it."""
     if parquet:
         require_pyarrow()
-    tables = [_tables(problem) for problem in (comparison.problem, *comparison.others)]
+    tables = [
+        task_of(problem).tables(problem) for problem in (comparison.problem, *comparison.others)
+    ]
     runs = "".join(_run_line(run) for run in comparison.runs)
     data = {
         **comparison_json(comparison),
@@ -144,7 +145,8 @@ def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = Fal
 
 def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Path) -> None:
     """Save that there is no plan, in place of what there was."""
-    data = {**no_comparison_json(problem.name, message), "problem_file": _tables(problem)}
+    tables = task_of(problem).tables(problem)
+    data = {**no_comparison_json(problem.name, message), "problem_file": tables}
     with replaced_results(folder, COMPARISON) as new:
         write_text(new / COMPARISON_FILE, strict_text(data))
 
@@ -200,10 +202,6 @@ def _load_comparison(folder: Path) -> Comparison:
     except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
         raise InputError(f"cannot be read: {error!r}", file=file, remedy=REMEDY) from None
     return Comparison(problems[0], runs, rows, wall_s, resumed, tuple(problems[1:]))
-
-
-def _tables(problem: Problem | TaskProblem) -> dict[str, Any]:
-    return problem_to_dict(problem) if isinstance(problem, Problem) else problem.tables()
 
 
 def _run_line(run: RunSummary) -> str:

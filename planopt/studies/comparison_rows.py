@@ -12,16 +12,13 @@ from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin, reliability
 from planopt.planning.loop.metrics import ANY, POSSIBLE
-from planopt.planning.run_summary import RunSummary
+from planopt.planning.run_summary import NOT_DONE, RunSummary
 from planopt.problems.planner_kinds import OWN
 
 CONFIDENCE = 0.95
 
 SettingKey = tuple[str, str, str | None, str, int]
 """Problem, sweep in words, cost-to-go, planner and horizon."""
-
-NOT_DONE = 4
-"""Exit code of runs that did not complete their task."""
 
 
 @dataclass(frozen=True)

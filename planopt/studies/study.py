@@ -45,7 +45,7 @@ from planopt.problems.planner_kinds import (
 )
 from planopt.problems.problem import Problem
 from planopt.problems.read_toml import FILE_KEYS
-from planopt.problems.save import problem_to_dict
+from planopt.problems.tasks import TaskProblem, task_of
 
 UNDECIDING = ("report", "compare")
 """Tables that do not affect a run: its figures, and the runs of a comparison."""
@@ -99,9 +99,9 @@ def _read_record(file: Path, kind: type[Value]) -> tuple[Any, Value] | None:
         return None
 
 
-def run_key(problem: Problem | Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return all that decides a run: problem, seed and program."""
-    tables = problem_to_dict(problem) if isinstance(problem, Problem) else problem
+def run_key(problem: Problem | TaskProblem, seed: int) -> dict[str, Any]:
+    """Return everything that determines a run: problem, seed and program."""
+    tables = task_of(problem).tables(problem)
     return {"problem": _deciding(tables), "seed": seed, "program": dict(program())}
 
 

@@ -16,8 +16,7 @@ from planopt.problems.comparison_settings import (
     require_swept,
     seeds_of,
 )
-from planopt.problems.overrides import with_changes, with_overrides
-from planopt.problems.planner_kinds import planner_kind
+from planopt.problems.overrides import with_changes
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, task_of
 
@@ -32,22 +31,12 @@ AnyProblem = Problem | TaskProblem
 
 
 @dataclass(frozen=True)
-class TaskRun:
-    """A run of a task other than motion planning, as data that any process can rebuild it from."""
-
-    name: str
-    tables: Mapping[str, Any]
-    horizon: int
-    planner: str
-
-
-@dataclass(frozen=True)
 class Variant:
-    """One problem with its changes, and its settings as they are run."""
+    """A problem with swept changes, and its settings."""
 
     problem: AnyProblem
     sweep: Mapping[str, Any]
-    asked: tuple[Problem | TaskRun, ...]
+    settings: tuple[AnyProblem, ...]
 
 
 @dataclass(frozen=True)
@@ -66,10 +55,10 @@ def settings_of(
     planners: Sequence[str] | None = None,
     costs_to_go: Sequence[str] | None = None,
     sweep: Mapping[str, Sequence[Any]] | None = None,
-) -> list[Problem | TaskRun]:
+) -> list[AnyProblem]:
     """Return every setting that :func:`planopt.compare` runs on each seed; errors as there."""
     variants = variants_of(problems, Lists(horizons, planners, costs_to_go, sweep))
-    return [asked for variant in variants for asked in variant.asked]
+    return [setting for variant in variants for setting in variant.settings]
 
 
 def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSettings | None:
@@ -168,17 +157,12 @@ def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
         except InputError as error:
             message = error.message if error.key is None else f"{error.key} {error.message}"
             raise InputError(message, remedy=error.remedy, **where) from error
-        settings = [(each.sweep, *_labels(asked)) for each in found for asked in each.asked]
+        settings = [
+            (each.sweep, *task_of(one).labels(one)) for each in found for one in each.settings
+        ]
         if any(setting in settings[:n] for n, setting in enumerate(settings)):
             raise InputError("has a setting that is there twice", remedy="leave it out", **where)
     return found
-
-
-def _labels(asked: Problem | TaskRun) -> tuple[int, str, str | None]:
-    """Return horizon, planner and cost-to-go of a setting."""
-    if isinstance(asked, TaskRun):
-        return asked.horizon, asked.planner, None
-    return asked.planner.horizon, asked.planner.name, asked.cost_to_go
 
 
 def _product(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
@@ -191,37 +175,17 @@ def _product(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
     for problem, values in product(problems, product(*swept.values())):
         changes = dict(zip(swept, values, strict=True))
         changed = with_changes(problem, changes)
-        is_task = isinstance(changed, TaskProblem)
-        asked = _task_runs(changed, lists) if is_task else _motion_runs(changed, lists)
-        variants.append(Variant(changed, changes, tuple(asked)))
+        costs: Sequence[str | None] = lists.costs_to_go or (None,)
+        if lists.costs_to_go is None and "objective.cost_to_go" not in swept:
+            costs = task_of(changed).compared_costs_to_go(changed)
+        variants.append(Variant(changed, changes, _settings(changed, costs, lists)))
     return variants
 
 
-def _motion_runs(problem: Problem, lists: Lists) -> list[Problem]:
-    """Return the runs of a problem of motion planning."""
-    costs: Sequence[str | None] = lists.costs_to_go or (None,)
-    if lists.costs_to_go is None and "objective.cost_to_go" not in (lists.sweep or {}):
-        costs = default_costs_to_go(problem)
-    return [
-        with_overrides(problem, horizon=n, planner=p, cost_to_go=c)
-        for c in costs
-        for p in lists.planners or (None,)
-        for n in _horizons_of(p or problem.planner.name, lists.horizons or (None,))
-    ]
-
-
-def _horizons_of(planner: str, horizons: Sequence[int | None]) -> Sequence[int | None]:
-    """Return the horizons that matter to a planner: bounds foresee the whole run."""
-    return horizons[:1] if planner_kind(planner).foresees else horizons
-
-
-def default_costs_to_go(problem: Problem) -> tuple[str | None, ...]:
-    """Return the costs-to-go compared by default: both where there is a goal."""
-    return ("geodesic", "connected") if problem.task == "reach" else (None,)
-
-
-def _task_runs(problem: TaskProblem, lists: Lists) -> list[TaskRun]:
-    """Return the runs of a problem by planner and horizon, each once."""
+def _settings(
+    problem: AnyProblem, costs: Sequence[str | None], lists: Lists
+) -> tuple[AnyProblem, ...]:
+    """Return a problem with each combination of cost-to-go, planner and horizon, once each."""
     task = task_of(problem)
     if task.simulate is None:
         raise InputError(
@@ -230,15 +194,12 @@ def _task_runs(problem: TaskProblem, lists: Lists) -> list[TaskRun]:
             key="problem.task",
             remedy="compare problems that can be simulated",
         )
-    found: list[TaskRun] = []
+    found: dict[tuple[object, ...], AnyProblem] = {}
     for cost, planner, horizon in product(
-        lists.costs_to_go or (None,), lists.planners or (None,), lists.horizons or (None,)
+        costs, lists.planners or (None,), lists.horizons or (None,)
     ):
-        asked = task.overridden(problem, horizon=horizon, planner=planner, cost_to_go=cost)
-        table = getattr(asked.given, "planner", None)
-        own = getattr(table, "horizon", 1), getattr(table, "name", "")
-        run = TaskRun(problem.name, task.tables(asked), *own)
-        # Planners that do not look ahead are the same for every horizon.
-        if run not in found:
-            found.append(run)
-    return found
+        one = task.overridden(problem, horizon=horizon, planner=planner, cost_to_go=cost)
+        own_horizon, *others = task.labels(one)
+        # Planners that foresee the whole run plan alike with every horizon.
+        found.setdefault((own_horizon if task.has_horizon(one) else None, *others), one)
+    return tuple(found.values())

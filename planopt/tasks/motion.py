@@ -11,7 +11,9 @@ from planopt.errors import NoPlanError
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, save_no_plan
 from planopt.planning.holes import BlockedError
 from planopt.planning.results import Solution
+from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.problems.overrides import with_overrides
+from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.save import problem_to_dict
 from planopt.problems.schema import ProblemFile
@@ -170,6 +172,31 @@ class MotionTask(Task):
             warnings += [f"fit of the channel, seed 0: {words}" for words in belief.fit.warnings]
         count = sum(belief.fit.measurements for belief in beliefs)
         return {"measurements": count, "warnings": warnings}
+
+    def labels(self, problem: Problem) -> tuple[int, str, str | None]:
+        """Return horizon, planner and cost-to-go."""
+        return problem.planner.horizon, problem.planner.name, problem.cost_to_go
+
+    def has_horizon(self, problem: Problem) -> bool:
+        """Return False for bounds, which foresee the whole run."""
+        return not planner_kind(problem.planner.name).foresees
+
+    def compared_costs_to_go(self, problem: Problem) -> Sequence[str | None]:
+        """Return both costs-to-go where there is a goal."""
+        return ("geodesic", "connected") if problem.task == "reach" else (None,)
+
+    def shared(self, problem: Problem, seed: int) -> Any:
+        """Return ground truth, first belief, and the geometry of robots with a goal."""
+        from planopt.planning.learn import prepare
+        from planopt.planning.scene import build_scenes
+
+        return {"prepared": prepare(problem, seed), "scenes": build_scenes(problem)}
+
+    def run_summary(self, problem: Problem, seed: int, shared: Any) -> RunSummary:
+        """Simulate a problem and return the summary of the run."""
+        from planopt.planning.loop.closed_loop import simulate
+
+        return summary_of(simulate(problem, seed=seed, **shared))
 
     def words_ahead(self, problem: Problem, plans: Any) -> Iterable[str]:
         """Return the coverage holes that lie on the way to each goal."""

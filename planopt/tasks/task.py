@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, cast
 
 import numpy as np
 from pydantic import Field
@@ -19,6 +19,7 @@ from planopt.files.tables import Column, Data, comparable, dataframe, read_table
 from planopt.files.typed_json import whole_number
 from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
+from planopt.planning.run_summary import RunSummary, short_summary
 from planopt.problems.messages import located
 from planopt.problems.settings import ReportSettings
 from planopt.problems.tables import Name, Table
@@ -217,9 +218,36 @@ class Task:
             return getattr(import_module(module), attribute)
         return found
 
-    def run(self, problem: Any, *, seed: int) -> Any:
-        """Return the result of a simulation, timed and verified, for comparisons."""
-        return perform("simulate", problem, seed=seed)
+    def labels(self, problem: Any) -> tuple[int, str, str | None]:
+        """Return horizon, planner and cost-to-go, by which comparisons name a setting."""
+        table = getattr(problem.given, "planner", None)
+        return getattr(table, "horizon", 1), getattr(table, "name", ""), None
+
+    def has_horizon(self, problem: Any) -> bool:
+        """Return whether runs depend on the horizon."""
+        return True
+
+    def compared_costs_to_go(self, problem: Any) -> Sequence[str | None]:
+        """Return the costs-to-go that are compared by default; None keeps the problem's own."""
+        return (None,)
+
+    def shared(self, problem: Any, seed: int) -> Any:
+        """Return the data that runs of one seed share, whatever their settings."""
+        return None
+
+    def run_summary(self, problem: Any, seed: int, shared: Any) -> RunSummary:
+        """Simulate a problem and return the summary of the run, for comparisons."""
+        result: TaskResult = perform("simulate", problem, seed=seed)
+        data, rate = result.data, result.data.get("verified_rate")
+        reason = str(data.get("reason", data.get("message", "")))
+        labels = self.labels(problem)
+        return replace(
+            short_summary(labels, seed, data["outcome"], reason, result.exit_code),
+            metrics=_numbers(data.get("metrics", {})),
+            rungs={str(name): int(count) for name, count in data.get("rungs", {}).items()},
+            verified_rate=np.nan if rate is None else float(rate),
+            step_s=np.asarray(result.step_s, dtype=float),
+        )
 
     def act(self, action: Action, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
         """Return the result of an action under settings; those that are None are left out."""
@@ -259,6 +287,18 @@ class Task:
                     f"is not for the task {problem.task}", key=name, remedy="leave it out"
                 )
         return problem if self.override is None else self.override(problem, **given)
+
+
+def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Return metrics as numbers; names of nested tables are joined by an underscore."""
+    found: dict[str, float] = {}
+    for name, value in metrics.items():
+        if isinstance(value, Mapping):
+            parts = _numbers(cast("Mapping[str, Any]", value))
+            found |= {f"{name}_{key}": part for key, part in parts.items()}
+        else:
+            found[name] = np.nan if value is None else float(value)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

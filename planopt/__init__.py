@@ -6,17 +6,6 @@ Names are imported when they are first used, so that ``import planopt`` costs no
 :mod:`planopt.extend` (parts of one's own).
 """
 
-from typing import Any
-
 from planopt.lazy_names import lazy_names
 
-_find, __dir__, __all__ = lazy_names(__name__, __file__)
-
-
-def __getattr__(name: str) -> Any:
-    """Return a public name, imported when it is first used, or the version."""
-    if name == "__version__":
-        from importlib.metadata import version
-
-        return version("planopt")
-    return _find(name)
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -22,7 +22,10 @@ LIKE = 0.75
 def lazy_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy public names."""
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy public names.
+
+    The top package also has ``__version__``, from its metadata.
+    """
     modules = _listed_names(f"{file}i")
 
     def find(name: str) -> Any:
@@ -30,6 +33,10 @@ def lazy_names(
             return import_module(f"{package}.{name}")
         if name in modules:
             return getattr(import_module(modules[name]), name)
+        if name == "__version__" and "." not in package:
+            from importlib.metadata import version
+
+            return version(package)
         words = f"module {package!r} has no attribute {name!r}{_hint(package, name)}"
         caller = sys._getframe(1)  # pyright: ignore[reportPrivateUsage]
         # Python replaces an AttributeError of "from package import name" by words of its own.

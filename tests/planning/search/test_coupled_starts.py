@@ -140,4 +140,4 @@ def test_centimetres_for_metres_give_the_scaled_plan(terms, monkeypatch):
     )
     assert other.verdict is Verdict.VERIFIED
     assert other.objective == pytest.approx(plan.objective, rel=5e-3)
-    np.testing.assert_allclose(1e-3 * other.positions_m, plan.positions_m, atol=0.1)
+    np.testing.assert_allclose(1e-2 * other.positions_m, plan.positions_m, atol=0.1)

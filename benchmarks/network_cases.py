@@ -28,19 +28,20 @@ from planopt.coverage.assignment import (
 )
 from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
 from planopt.coverage.control.movers import LawMover
-from planopt.coverage.counting import (
-    Counting,
-)
-from planopt.coverage.events import Event, Sensing, cramer_rao_m2, fisher_information, ring_places
+from planopt.coverage.events import Event, Sensing, ring_places
 from planopt.coverage.ground import ConvexGround, coverage
 from planopt.coverage.localisation import (
-    best_distance_m,
-    diffusion_sensor,
-    locate_events,
+    EventSensor,
+    Readings,
+    cramer_rao_m2,
+    fisher_information,
+    locate_event,
     measure,
-    no_readings,
     pooled,
     single_readings,
+)
+from planopt.coverage.network import (
+    Counting,
 )
 from planopt.coverage.region import ConvexRegion, convex_region
 from planopt.coverage.simulation import Scene, simulate_network
@@ -78,7 +79,7 @@ def team_case(seed: int) -> tuple[bool, bool]:
     scene = Scene(
         ConvexGround(region), starts[:-1], np.zeros(count), np.full(count, np.inf),
         (Event("event", (float(event[0]), float(event[1])), 5.0),), (demand,),
-        Sensing(diffusion_sensor(0.5, 200.0, 5.0)), None,
+        Sensing(EventSensor(0.5, 200.0, 5.0)), None,
         "all" if seed % 2 else "coverage_only", GAINS, 1.0, 1.0, Counting("leader"), None, 30,
         1.0, 1500.0, settled_m,
     )  # fmt: skip
@@ -102,24 +103,24 @@ def located(seed: int, agents: int, ring: bool, steps: int) -> np.ndarray:
     """
     generator = np.random.default_rng(seed)
     region = convex_region(np.array([[0, 0], [100, 0], [100, 80], [0, 80]]))
-    sensor, event = diffusion_sensor(0.5, 60.0, 3.0), np.array([50.0, 40.0])
+    sensor, event = EventSensor(0.5, 60.0, 3.0), np.array([50.0, 40.0])
     turn = 2.0 * np.pi * generator.random(agents)
     away = 6.0 + 9.0 * generator.random(agents)
     here = event + away[:, None] * np.stack((np.cos(turn), np.sin(turn)), axis=1)
-    logs, near, rows = no_readings(), None, list[list[float]]()
+    logs, near, rows = list[Readings](), None, list[list[float]]()
     information, responds = np.zeros((2, 2)), np.ones(agents, dtype=np.bool_)
     for step in range(1, steps + 1):
-        logs = pooled((logs, single_readings(here, measure(sensor, here, event, generator))))
+        logs.append(single_readings(here, measure(sensor, here, event, generator)))
         information += fisher_information(sensor, here, event)
-        found = locate_events(sensor, logs, region, near_m=near)
-        estimate = found.positions_m[0]
-        near = None if step < 5 else np.concatenate((found.positions_m, found.rivals_m))
+        found = locate_event(sensor, pooled(logs), region, near_m=near)
+        estimate = found.position_m
+        near = None if step < 5 else np.vstack((estimate, found.rivals_m))
         if step in (steps // 2, steps):
             error = float(((estimate - event) ** 2).sum())
             rows.append([error, cramer_rao_m2(information)])
         aims = np.tile(estimate, (agents, 1))
         if ring:
-            aims = ring_places(here, estimate, best_distance_m(sensor))
+            aims = ring_places(here, estimate, sensor.best_distance_m)
         here = law_moves(here, aims, responds, GAINS, 1.0, 2.0)
     return np.array(rows)
 

@@ -1,9 +1,7 @@
-"""Events in a region: what a network knows of them, and where agents respond to them.
+"""Events in a region: the network's estimates of them, and where agents respond to them.
 
 Each event has a signal of its own kind, so that signals of several events do not mix. An event is
-detected when an agent reads more than noise, and gone when nobody has for some steps. A reading
-informs about the event along the line to it, in proportion to the squared slope of the signal,
-which is zero at the event itself: responding agents may stand on a ring around it.
+detected when an agent reads more than noise, and gone when nobody has for some steps.
 """
 
 from __future__ import annotations
@@ -21,53 +19,24 @@ from planopt.coverage.localisation import (
     EventEstimate,
     EventSensor,
     Readings,
-    locate_events,
+    joined,
+    locate_event,
     measure,
     pooled,
     single_readings,
 )
-from planopt.coverage.region import ConvexRegion, positive
-from planopt.errors import InputError
+from planopt.coverage.region import ConvexRegion
 
 LOOSE = 0.02
 """Bodies that crowd around an event keep this share of their radius more apart than they must."""
 
 
-def fisher_information(
-    sensor: EventSensor,
-    positions_m: NDArray[np.float64],  # (k, 2) where agents measure
-    event_m: NDArray[np.float64],  # (2,) where the event is
-    counts: NDArray[np.float64] | None = None,  # (k,) how often they measure there; once if None
-) -> NDArray[np.float64]:
-    """Return what measurements tell of an event of known strength, ``sum g^2 u u' / sigma^2``."""
-    offset = positions_m - event_m
-    distance = np.linalg.norm(offset, axis=1)
-    unit = offset / np.where(distance > 0.0, distance, 1.0)[:, None]
-    gain = sensor.gain(distance) / sensor.noise_std
-    weight = gain**2 if counts is None else counts * gain**2
-    return (unit * weight[:, None]).T @ unit
-
-
-def cramer_rao_m2(information: NDArray[np.float64]) -> float:
-    """Return the least mean squared distance error of unbiased estimates, trace of the inverse.
-
-    Infinite if the information ``(2, 2)`` is singular.
-    """
-    determinant = float(np.linalg.det(information))
-    trace = float(np.trace(information))
-    if not determinant > 1e-14 * trace**2:
-        return float("inf")
-    return trace / determinant
-
-
 def ring_angles(count: int) -> NDArray[np.float64]:
-    """Return angles ``(count,)`` at which agents tell most of an event, in rad.
+    """Return the angles ``(count,)`` in rad at which agents have most information on an event.
 
-    Equal angles, for which the information is the same in all directions; two agents stand 90
-    degrees apart, since opposite each other they would tell of one direction only.
+    Equal angles give the same information in all directions; two agents stand 90 degrees apart,
+    since opposite each other they would measure along one direction only.
     """
-    if count < 1:
-        raise InputError(f"{count} agents", key="agents")
     turn = 0.5 * np.pi if count == 2 else 2.0 * np.pi / count
     return turn * np.arange(count, dtype=np.float64)
 
@@ -75,13 +44,11 @@ def ring_angles(count: int) -> NDArray[np.float64]:
 def ring_places(
     agents_m: NDArray[np.float64], event_m: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.float64]:
-    """Return a place on the ring for each agent, in their order around the event.
+    """Return a position on the ring for each agent, in their order around the event.
 
-    The ring is turned so that the sum of squared angles that agents have to turn is least; they do
-    not cross each other's way.
+    The ring is turned so that the sum of squared angles by which agents have to turn is least.
     """
     # Shapes: agents_m (k, 2); event_m (2,).
-    positive(radius_m, "radius_m")
     offset = agents_m - event_m
     angle = np.arctan2(offset[:, 1], offset[:, 0])
     order = np.argsort(angle, kind="stable")
@@ -102,14 +69,14 @@ def ring_places(
 def packed_places(
     agents_m: NDArray[np.float64], event_m: NDArray[np.float64], body_radius_m: float
 ) -> NDArray[np.float64]:
-    """Return a place for each agent of a team of bodies that crowds around an event.
+    """Return a position for each agent of a team of bodies that crowds around an event.
 
-    Places are those of a hexagonal lattice that are nearest to the event, which is at a place, in
-    the middle of two or of three, whichever leaves the farthest one nearest. The sum of squared
-    distances from agents to places is least, so that agents that block each other swap places.
+    Positions are those of a hexagonal lattice that are nearest to the event, which is at a node, in
+    the middle of two or of three, whichever leaves the farthest one nearest. The assignment has the
+    least sum of squared distances, so that agents that block each other swap positions.
     """
     # Shapes: agents_m (k, 2); event_m (2,).
-    count, side = len(agents_m), 2.0 * (1.0 + LOOSE) * positive(body_radius_m, "body_radius_m")
+    count, side = len(agents_m), 2.0 * (1.0 + LOOSE) * body_radius_m
     shells = np.arange(-count, count + 1)
     steps = np.stack(np.meshgrid(shells, shells), axis=-1).reshape(-1, 2)
     lattice = side * steps @ np.array([[1.0, 0.0], [0.5, np.sqrt(0.75)]])
@@ -142,22 +109,21 @@ def event_places(
 
 
 GRID_READINGS = 150
-"""Up to so many readings the whole region is searched; then the last estimate's surroundings."""
+"""With more readings the search starts from the last estimate alone."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that appears in the region."""
+    """An event in the region."""
 
-    name: str  # What outputs call it
-    place_m: tuple[float, float]  # Where it appears
-    # When it appears and ends; it is there from the first up to before the second
+    name: str
+    place_m: tuple[float, float]  # Position where it appears
     appears_s: float = 0.0
-    ends_s: float = math.inf
-    velocity_m_s: tuple[float, float] = (0.0, 0.0)  # It moves with this velocity
+    ends_s: float = math.inf  # It is there up to before this time
+    velocity_m_s: tuple[float, float] = (0.0, 0.0)
 
     def place_at(self, time_s: float) -> NDArray[np.float64]:
-        """Return where it is; (2,)."""
+        """Return its position at a time; (2,)."""
         moved_s = max(time_s - self.appears_s, 0.0)
         return np.array(self.place_m) + moved_s * np.array(self.velocity_m_s)
 
@@ -168,17 +134,15 @@ class Event:
 
 @dataclass(frozen=True)
 class Sensing:
-    """The sensor and rate by which agents measure events."""
+    """The sensor of events, and the rules of detection."""
 
-    sensor: EventSensor  # The signal of an event and the noise
+    sensor: EventSensor
     strength_known: bool = True  # Whether agents know K; if not, they estimate it as well
-    # A reading of more standard deviations of the noise than this says that there is an event
+    # A reading of more standard deviations of the noise than this detects an event
     detection_std: float = 5.0
     silent_steps: int = 3  # An event is gone when nobody has read so much for so many steps
-    # Older readings are forgotten; None for none. Needed where events move.
-    memory_s: float | None = None
-    # Where events may move, the standard deviation of each component of their velocities before
-    # anything is read; None where all events are known to stand
+    memory_s: float | None = None  # Older readings are dropped; needed where events move
+    # Prior standard deviation of each component of events' velocities; None if all events stand
     speed_std_m_s: float | None = None
 
 
@@ -187,8 +151,8 @@ class Watch:
     """The network's knowledge of one event."""
 
     logs: tuple[tuple[float, Readings], ...] = ()  # Readings with the time they were taken at
-    estimate: EventEstimate | None = None  # Where it most likely is; None while it is not detected
-    silent: int = 0  # For how many steps nobody has read it
+    estimate: EventEstimate | None = None  # None while it is not detected
+    silent: int = 0  # Number of the last steps in which nobody has read it
 
     @property
     def is_known(self) -> bool:
@@ -197,19 +161,19 @@ class Watch:
 
     @property
     def place_m(self) -> NDArray[np.float64]:
-        """The estimated place (2,); NaN while it is not detected."""
-        return np.full(2, math.nan) if self.estimate is None else self.estimate.positions_m[0]
+        """Return the estimated position (2,); NaN while it is not detected."""
+        return np.full(2, math.nan) if self.estimate is None else self.estimate.position_m
 
     @property
     def velocity_m_s(self) -> NDArray[np.float64]:
-        """The estimated velocity (2,); zero while it is not detected, or if events stand."""
+        """Return the estimated velocity (2,); zero while it is not detected, or if events stand."""
         return np.zeros(2) if self.estimate is None else self.estimate.velocity_m_s
 
     @property
     def std_m(self) -> float:
-        """Root of the trace of the estimate's covariance; NaN while it is not detected.
+        """Return the root of the trace of the estimate's covariance; NaN while it is not detected.
 
-        A rival place that may be the right one as well counts as a deviation of its distance.
+        A rival position that may be the right one as well counts as a deviation of its distance.
         """
         if self.estimate is None:
             return math.nan
@@ -256,21 +220,19 @@ def watched(
         logs = tuple(each for each in logs if each[0] > time_s - sensing.memory_s)
     if not logs:
         return replace(watch, silent=silent)
-    readings, drift = pooled(log for _, log in logs), None
-    if sensing.speed_std_m_s is not None:
-        # Readings of one place at several times tell different things of an event that moves.
-        readings = Readings(
-            np.concatenate([log.positions_m for _, log in logs]),
-            np.concatenate([log.signal for _, log in logs]),
-            np.concatenate([log.counts for _, log in logs]),
-        )
+    every, drift = [log for _, log in logs], None
+    if sensing.speed_std_m_s is None:
+        readings = pooled(every)
+    else:
+        # Readings of one position at several times differ for an event that moves.
+        readings = joined(every)
         ages_s = np.concatenate([np.full(len(log.signal), time_s - then) for then, log in logs])
         guess = np.zeros(2) if known is None else known.velocity_m_s
         drift = Drift(ages_s, sensing.speed_std_m_s, guess)
     near = None
     if known is not None and len(readings.signal) > GRID_READINGS:
-        near = np.concatenate((known.positions_m, known.rivals_m))
-    estimate = locate_events(
+        near = np.concatenate((known.position_m[None], known.rivals_m))
+    estimate = locate_event(
         sensing.sensor,
         readings,
         hull,
@@ -278,6 +240,6 @@ def watched(
         near_m=near,
         drift=drift,
     )
-    # Readings at the very same places are kept as their mean.
+    # Repeated readings are kept as their mean.
     kept = logs if sensing.memory_s is not None else ((time_s, readings),)
     return Watch(kept, estimate, silent)

@@ -23,10 +23,9 @@ from planopt.coverage.assignment import (
 )
 from planopt.coverage.control.laws import Gains, Partition, coverage_aims
 from planopt.coverage.control.movers import Motion, Mover
-from planopt.coverage.counting import Counting, Tally, start_tally, tally_step
 from planopt.coverage.events import Event, Sensing, Watch, event_places, signals, watched
 from planopt.coverage.ground import Ground, neighbour_network
-from planopt.coverage.network import LinkModel, Loss, Network
+from planopt.coverage.network import Counting, LinkModel, Loss, Network, Tally, tally_step
 from planopt.coverage.region import positive
 from planopt.errors import InputError
 
@@ -288,11 +287,7 @@ class NetworkController:
         counts = np.where(members, float(len(who)), np.nan)
         if network is not None:
             loss = _loss(scene, network, here[who])
-            self._tally = (
-                start_tally(scene.counting, network, members, generator, loss)
-                if self._tally is None
-                else tally_step(self._tally, scene.counting, network, members, generator, loss)
-            )
+            self._tally = tally_step(self._tally, scene.counting, network, members, generator, loss)
             counts, sent[0] = self._tally.estimates, self._tally.messages
             self._watches, sent[2] = _noticed(
                 scene, self._watches, network, loss, here[who], states[who], time_s, generator,

@@ -12,17 +12,16 @@ from scattered import scattered
 from planopt.coverage.assignment import Demand, optimal_assignment
 from planopt.coverage.control.laws import Gains
 from planopt.coverage.control.movers import LawMover, RecedingMover
-from planopt.coverage.counting import Counting
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import MoveLimits
-from planopt.coverage.localisation import best_distance_m, diffusion_sensor
-from planopt.coverage.network import LinkModel
+from planopt.coverage.localisation import EventSensor
+from planopt.coverage.network import Counting, LinkModel
 from planopt.coverage.region import convex_region
 from planopt.coverage.simulation import ABSENT, NetworkRun, Scene, simulate_network
 
 REGION = convex_region(np.array([[0, 0], [60, 0], [60, 40], [0, 40]]))
-SENSING = Sensing(diffusion_sensor(0.2, 60.0, 3.0))
+SENSING = Sensing(EventSensor(0.2, 60.0, 3.0))
 GAINS = Gains(0.5, 1.0)
 
 
@@ -209,11 +208,11 @@ def test_plans_that_lead_keep_nearer_to_a_moving_event() -> None:
 def test_stand_off_ring_learns_on() -> None:
     """On the ring the estimate's uncertainty goes on falling; at the event it stops."""
     at = replace(scene_of(7, 12, Event("leak", (30.0, 20.0), 0.0)), stop_when_settled=False)
-    ring = replace(at, stand_off_m=best_distance_m(SENSING.sensor))
+    ring = replace(at, stand_off_m=SENSING.sensor.best_distance_m)
     stds = [run_of(scene).stds_m[:, 0] for scene in (at, ring)]
     assert stds[0][-1] > 0.8 * stds[0][40]
     assert stds[1][-1] < 0.7 * stds[1][40]
     # Three agents at equal angles: 4 sigma^2 / (P g^2) for each step there.
-    slope = abs(SENSING.sensor.gain(np.array([best_distance_m(SENSING.sensor)]))[0])
+    slope = 60.0 * abs(float(SENSING.sensor.slope(np.array(SENSING.sensor.best_distance_m))))
     limit = 2.0 * 0.2 / slope / math.sqrt(3 * 120)
     assert stds[1][-1] == pytest.approx(limit, rel=0.15)

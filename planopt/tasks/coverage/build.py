@@ -17,14 +17,13 @@ from planopt.coverage.assignment import LEAST_ON_RING, Demand, demanded
 from planopt.coverage.control.laws import Gains
 from planopt.coverage.control.movers import LawMover, Mover, RecedingMover
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.counting import Counting
 from planopt.coverage.density import Density, RasterDensity, checked_mass
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.geodesic import MAX_NODES
 from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
 from planopt.coverage.limits import MoveLimits, RadioLimits, StationMap
-from planopt.coverage.localisation import best_distance_m, diffusion_sensor
-from planopt.coverage.network import LinkModel
+from planopt.coverage.localisation import EventSensor
+from planopt.coverage.network import Counting, LinkModel
 from planopt.coverage.region import checked_polygon, convex_region
 from planopt.coverage.simulation import Scene
 from planopt.errors import InputError
@@ -80,7 +79,7 @@ class CoverageProblem(TaskProblem):
         """Radius of the ring that responding agents stand on; None for the event itself."""
         if self.sensing is None or not self.given.assignment.stand_off:
             return None
-        return best_distance_m(self.sensing.sensor)
+        return self.sensing.sensor.best_distance_m
 
     def scene(self, generator: np.random.Generator) -> Scene:
         """Return the scene of one run: starts may be drawn."""
@@ -379,7 +378,7 @@ def _sensing(given: CoverageFile) -> Sensing | None:
     table = given.sensor
     if table is None:
         return None
-    sensor = diffusion_sensor(table.noise_std, table.strength, table.scale_m)
+    sensor = EventSensor(table.noise_std, table.strength, table.scale_m)
     memory_s, moving = table.memory_s, any(any(each.velocity_m_s) for each in given.events)
     if memory_s is None and moving:
         memory_s = MEMORY_STEPS * given.control.time_step_s

@@ -11,10 +11,10 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from planopt.coverage.control.laws import Partition
-from planopt.coverage.counting import Counting, Method
 from planopt.coverage.density import Density, GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.events import Sensing
 from planopt.coverage.ground import Ground
+from planopt.coverage.network import Counting, Method
 from planopt.errors import InputError
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tables import SMALLEST, FileName, Metres, Name, Pair, Quad, Table

@@ -28,7 +28,7 @@ from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.proof.predictions import connectivity_law
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.world.road_map import lattice_paths, way_from
+from planopt.world.road_map import lattice_paths, route_from
 
 REPLANNED_STEPS = 3
 """A path is driven for so many steps before it is found again."""
@@ -71,7 +71,7 @@ def drive_plain(
             ways = lattice_paths(roads, scene.goal_node, factor)
             nodes, lengths = first_moves(scene.ground, problem, here)
             first = int(nodes[np.argmin(lengths * factor[nodes] + ways.cost_m[nodes])])
-            way = np.vstack([here, roads.nodes_m[way_from(roads, ways, first, np.inf)]])
+            way = np.vstack([here, roads.nodes_m[route_from(roads, ways, first, np.inf)]])
         way = _after(way, problem.step_length_m)
         here = way[0]
         driven.append(here)

@@ -29,8 +29,8 @@ from planopt.tasks.calls import check as check
 from planopt.tasks.calls import load_result as load_result
 from planopt.tasks.calls import simulate as simulate
 from planopt.tasks.calls import solve as solve
-from planopt.world.moving_obstacle import MovingObstacle as MovingObstacle
 from planopt.world.readers import obstacles_from as obstacles_from
+from planopt.world.workspace import MovingObstacle as MovingObstacle
 from planopt.world.workspace import Obstacle as Obstacle
 from planopt.world.workspace import Workspace as Workspace
 

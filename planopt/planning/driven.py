@@ -23,24 +23,15 @@ from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_missing
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
-from planopt.robots.dynamics import Dynamics
 from planopt.world.separation import SeparatingLines, joined_lines, separating_lines
-
-
-def dynamics_of(problem: Problem) -> Dynamics:
-    """Return the dynamics of the problem's first robot, which has some."""
-    dynamics = problem.robots[0].dynamics
-    if dynamics is None:
-        raise AssertionError("a single integrator has no dynamics of its own")
-    return dynamics
 
 
 def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
     """Structure of the rows of the robot's dynamics; None for the single integrator."""
-    dynamics = problem.robots[0].dynamics
-    if dynamics is None:
+    robot = problem.robots[0]
+    if robot.moves_freely:
         return None
-    return MotionShape(dynamics, problem.planner.step_s, problem.planner.horizon, lines)
+    return MotionShape(robot.dynamics, problem.planner.step_s, problem.planner.horizon, lines)
 
 
 def driven_starts(
@@ -48,7 +39,7 @@ def driven_starts(
 ) -> list[Start]:
     """Starts that the robot can drive, best first; those that come too near to something last."""
     problem = judge.problem
-    dynamics, step_s = dynamics_of(problem), problem.planner.step_s
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     found: list[Start] = []
     for start in starts:
         inputs = dynamics.following(judge.state, start.path_m, step_s)
@@ -99,8 +90,7 @@ def motion_task(
 
 def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return where the robot stands (2,) that stops from `state` (s,), or a little beyond."""
-    dynamics = problem.robots[0].dynamics
-    points = () if dynamics is None else dynamics.stop_points(tuple(state), problem.planner.step_s)
+    points = problem.robots[0].dynamics.stop_points(tuple(state), problem.planner.step_s)
     return np.array(points[-1] if points else state[:2], dtype=np.float64)
 
 
@@ -110,4 +100,4 @@ def refined_drive(
     """Return where the inputs that a solver returned lead; None of a single integrator."""
     if inputs is None:
         return None
-    return rolled_out(dynamics_of(problem), state, inputs, problem.planner.step_s)
+    return rolled_out(problem.robots[0].dynamics, state, inputs, problem.planner.step_s)

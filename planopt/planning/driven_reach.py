@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.budget import Budget
-from planopt.planning.driven import driven_start, dynamics_of, last_drive
+from planopt.planning.driven import driven_start, last_drive
 from planopt.planning.fallbacks import braked, drive_candidate, without_guess
 from planopt.planning.horizon_planner import FallbackCascade
 from planopt.planning.judge import Candidate, Judge
@@ -76,7 +76,7 @@ class DrivenReach:
         )
         # Of ways that come too near to obstacles, nobody knows where they would end.
         ends = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
-        now = np.array(dynamics_of(self._problem).resting_place(tuple(judge.state)))
+        now = np.array(self._problem.robots[0].dynamics.resting_place(tuple(judge.state)))
         shared = self._pivot(start, ends or [now], node_margin_db)
 
         def own(each: Start) -> Pivot:
@@ -117,7 +117,7 @@ class DrivenReach:
 
     def _straight(self, judge: Judge, end_m: NDArray[np.float64]) -> Drive | None:
         """Return a drive from rest to rest at a place (2,), up to the horizon; None if unknown."""
-        dynamics, settings = dynamics_of(self._problem), self._problem.planner
+        dynamics, settings = self._problem.robots[0].dynamics, self._problem.planner
         inputs = dynamics.straight(judge.state, end_m, settings.step_s)
         if inputs is None:
             return None
@@ -130,7 +130,7 @@ class DrivenReach:
     ) -> list[Start]:
         """Ways that the robot can drive: the last plan, along what was found, and straight on."""
         problem, settings = self._problem, self._problem.planner
-        dynamics = dynamics_of(problem)
+        dynamics = problem.robots[0].dynamics
         last = last_drive(problem, warm)
         starts = [] if last is None else [driven_start(judge, situation, last)]
         way = np.vstack([start.path_m, start.beyond_m])

@@ -32,7 +32,7 @@ def best_of(
     if verified:
         return with_effort(max(verified, key=judge.worth), tried)
     sound = [c for c in tried if c.sound and judge.worth(c) >= least]
-    if judge.problem.robots[0].dynamics is not None:
+    if not judge.problem.robots[0].moves_freely:
         sound.sort(key=lambda candidate: candidate.missing_db)
     if any(candidate.hopeless for candidate in sound):
         return with_effort(sound[0], tried)
@@ -55,7 +55,7 @@ def with_effort(chosen: Candidate, tried: Sequence[Candidate]) -> Candidate:
 def without_guess(judge: Judge, warm: Plan | None) -> Candidate:
     """Return the remainder of the previous verified plan, verified again; else a stop."""
     problem = judge.problem
-    if problem.robots[0].dynamics is not None:
+    if not problem.robots[0].moves_freely:
         return _driven_without_guess(judge, warm)
     path = shifted_path(problem, judge.index, judge.position_m, warm)
     if path is not None:
@@ -89,8 +89,6 @@ def _driven_without_guess(judge: Judge, warm: Plan | None) -> Candidate:
 def braked(judge: Judge) -> Drive:
     """Return the trajectory of a robot with dynamics that brakes over the horizon."""
     settings, dynamics = judge.problem.planner, judge.problem.robots[0].dynamics
-    if dynamics is None:
-        raise AssertionError("a single integrator has no dynamics of its own")
     inputs = dynamics.braking(judge.state, settings.step_s, settings.horizon)
     return rolled_out(dynamics, judge.state, inputs, settings.step_s)
 

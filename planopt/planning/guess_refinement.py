@@ -37,7 +37,7 @@ from planopt.planning.values.local_value import local_value
 from planopt.planning.values.rule_rows import has_step_rows, has_sum_row, rows_again, rule_rows
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion
-from planopt.world.moving_obstacle import MovingDiscs
+from planopt.world.moving_discs import MovingDiscs
 from planopt.world.separation import (
     PackedPieces,
     SeparatingLines,
@@ -118,8 +118,7 @@ def lines_count(standing: int, discs: MovingDiscs, horizon: int) -> int:
 
 def timed_pad_m(problem: Problem) -> float:
     """Return the uncertainty of where the robot is on its way at a time, in metres."""
-    dynamics = problem.robots[0].dynamics
-    return 0.0 if dynamics is None else dynamics.timed_pad_m(problem.planner.step_s)
+    return problem.robots[0].dynamics.timed_pad_m(problem.planner.step_s)
 
 
 LINES_PER_SEGMENT = 2

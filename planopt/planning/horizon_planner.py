@@ -62,7 +62,7 @@ class FallbackCascade:
         self._thorough = thorough
         coupled = bends_starts(problem) and problem.planner.horizon > 1
         self._followed = COUPLED_STARTS if coupled else 1
-        self._driven = problem.robots[0].dynamics is not None
+        self._driven = not problem.robots[0].moves_freely
         # To a goal, what one more round gains is lost again where the next pivot is seen.
         again = self._driven and problem.task != "reach"
         self._rounds = DRIVEN_ROUNDS if again else int(thorough)
@@ -195,7 +195,7 @@ class HorizonPlanner:
                 starts = sorted([*starts, out], key=lambda start: -start.worth)
             elif (plan := self._released(situation, judge, out, warm, begun)) is not None:
                 return plan
-        if self.problem.robots[0].dynamics is not None:
+        if not self.problem.robots[0].moves_freely:
             starts = driven_starts(judge, situation, starts, warm)
         chosen = self.cascade.first_verified(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
@@ -221,7 +221,7 @@ class HorizonPlanner:
         self, situation: StepContext, judge: Judge, start: Start, warm: Plan | None, begun_s: float
     ) -> Plan | None:
         """The plan of a start as it is; None if it is not verified."""
-        if self.problem.robots[0].dynamics is not None:
+        if not self.problem.robots[0].moves_freely:
             start = driven_starts(judge, situation, [start], warm)[0]
         rung = Rung.PLAN if self.cascade.refinement is None else Rung.LATTICE
         found = judge.judged(

@@ -20,7 +20,7 @@ from planopt.world.clearance import (
     distances_m,
     segment_clearance_m,
 )
-from planopt.world.moving_obstacle import MovingDiscs, ways_gap_m
+from planopt.world.moving_discs import MovingDiscs, paths_gap_m
 from planopt.world.workspace import Workspace
 
 DIRECTIONS, LENGTHS = 48, 8
@@ -49,7 +49,7 @@ def leaving_path(
     outside = _outside_m(problem.workspace, ends)
     ways = np.repeat(ends[:, None], horizon + 1, axis=1)
     ways[:, 0] = position_m
-    gap = ways_gap_m(moving, ways)
+    gap = paths_gap_m(moving, ways)
     deep, others = _inside_m(index, ends)
     static = np.maximum(wanted - away, 0.0) + outside + deep
     if static[0] + _too_near_now_m(moving, position_m) == 0.0:

@@ -278,11 +278,11 @@ class Planner:
         """Return the state of a robot, which must be a place where it can be."""
         robot = self.problem.robots[number]
         key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
-        names = ("x_m", "y_m") if robot.dynamics is None else robot.dynamics.state_names
+        names = robot.dynamics.state_names
         state = _numbers(key, given, (len(names),), ", ".join(names))
         # Drift may carry a robot out of bounds; it is led back. A step out is another frame.
         nearest = np.clip(state[:2], *np.reshape(self.problem.workspace.bounds_m, (2, 2)))
-        reach = 0.0 if robot.dynamics is not None else self._robots.owns[number].step_length_m
+        reach = self._robots.owns[number].step_length_m if robot.moves_freely else 0.0
         if float(np.linalg.norm(state[:2] - nearest)) > reach:
             raise InputError(
                 f"is {state.tolist()}, outside the bounds {list(self.problem.workspace.bounds_m)}",

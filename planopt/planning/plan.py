@@ -244,7 +244,7 @@ def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
     sweeps does not depend on what is believed of the channel.
     """
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
-    if warm is None or warm.drive is None or dynamics is None:
+    if warm is None or warm.drive is None:
         return None
     last = dynamics.braking(warm.drive.states[-1], step_s, 1)
     inputs = np.vstack([warm.drive.inputs[1:], last])

@@ -42,7 +42,7 @@ from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.reach_cost import ReachCost
 from planopt.planning.values.rule_rows import RuleRows, step_rows
 from planopt.problems.problem import Problem
-from planopt.world.moving_obstacle import MovingDiscs
+from planopt.world.moving_discs import MovingDiscs
 
 LINES_PER_SEGMENT = 4
 """Nearest convex pieces that each segment is kept from; the verifier looks at all."""
@@ -76,7 +76,7 @@ class ReachPlanner:
         may_miss = problem.constraints.rule.slack_max_db is None
         self._goal_grid = build_goal_grid(problem, scene.index) if may_miss else None
         self._nlp: PathNlp | None = None
-        self._driven = DrivenReach(problem, scene) if problem.robots[0].dynamics else None
+        self._driven = None if problem.robots[0].moves_freely else DrivenReach(problem, scene)
         if problem.planner.name in METHODS and self._driven is None:
             moving = len(problem.workspace.moving) + others
             lines = LINES_PER_SEGMENT + min(moving, MOVING_LINES)

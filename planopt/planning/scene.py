@@ -15,7 +15,7 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles
 from planopt.world.lattice import nearest_node, node_positions
-from planopt.world.road_map import RoadMap, Ways, lattice_paths
+from planopt.world.road_map import CostToGo, RoadMap, lattice_paths
 from planopt.world.separation import PackedPieces, pack_pieces
 
 
@@ -57,7 +57,7 @@ class Scene:
     # Obstacles and lattice; its nodes are anchored at the goal, which is one of them
     ground: Ground
     goal_node: int  # The goal's number in the lattice
-    ways: Ways  # Shortest ways round the obstacles to the goal
+    ways: CostToGo  # Shortest ways round the obstacles to the goal
 
     @property
     def index(self) -> ObstacleIndex:

@@ -179,7 +179,7 @@ class Stepper:
         if plan is None:
             return False
         step_s = self.problem.planner.step_s
-        unit = np.ones(2) if robot.dynamics is None else np.array(robot.dynamics.unit_m(step_s))
+        unit = np.array(robot.dynamics.unit_m(step_s))
         if float(np.linalg.norm((state - plan.next_state) * unit)) <= STANDSTILL_M:
             return True
-        return robot.dynamics is None and not has_separation(self.problem)
+        return robot.moves_freely and not has_separation(self.problem)

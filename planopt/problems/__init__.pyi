@@ -16,6 +16,7 @@ from planopt.problems.settings import ReportSettings as ReportSettings
 from planopt.problems.tasks import TaskProblem as TaskProblem
 from planopt.pursuit.records import Record as Record
 from planopt.pursuit.simulation import PursuitController as PursuitController
-from planopt.robots.double_integrator import DoubleIntegrator as DoubleIntegrator
-from planopt.robots.unicycle import Unicycle as Unicycle
+from planopt.robots.models import DoubleIntegrator as DoubleIntegrator
+from planopt.robots.models import SingleIntegrator as SingleIntegrator
+from planopt.robots.models import Unicycle as Unicycle
 from planopt.world.occupancy_grid import OccupancyGrid as OccupancyGrid

@@ -29,7 +29,7 @@ from planopt.problems.channel_setup import (
     RasterTruth,
     SampledMeasurements,
 )
-from planopt.robots.drive import standing_motion, state_after
+from planopt.robots.drive import state_after, stopping_motion
 from planopt.robots.dynamics import RestsByInput
 from planopt.world.clearance import (
     ObstacleIndex,
@@ -38,8 +38,8 @@ from planopt.world.clearance import (
     index_obstacles,
     inside_bounds,
 )
-from planopt.world.moving_obstacle import centres_at
-from planopt.world.timed_motion import CLOSE_M, step_distances_m
+from planopt.world.motion import CLOSE_M, step_distances_m
+from planopt.world.moving_discs import centres_at
 from planopt.world.workspace import LARGEST_COORDINATE_M, node_estimate
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
     """Robots that move at the start keep apart if all stop, so that there is always a way out."""
     separation, step_s = problem.constraints.separation_m, problem.planner.step_s
     moving = {
-        one: standing_motion(robot.dynamics, robot.start_state, step_s)
+        one: stopping_motion(robot.dynamics, robot.start_state, step_s)
         for one, robot in ((one, problem.robots[one]) for one in (number, other))
     }
     steps = max(motion.steps for motion in moving.values())
@@ -184,7 +184,7 @@ def _check_cells(problem: Problem, cell_m: float) -> None:
 def _check_spread(problem: Problem, number: int) -> None:
     """A start is drawn only where nothing but a sum of terms is planned from it."""
     robot = problem.robots[number]
-    if robot.start_spread_m > 0.0 and (problem.task == "reach" or robot.dynamics is not None):
+    if robot.start_spread_m > 0.0 and (problem.task == "reach" or not robot.moves_freely):
         raise InputError(
             f"is {robot.start_spread_m:g}, and starts are drawn only of single integrators, and "
             "not for the task reach",
@@ -410,8 +410,6 @@ def check_own_map(problem: Problem, number: int) -> None:
     """Raise an error if the dynamics of robot number `number` cannot be driven."""
     robot, step_s = problem.robots[number], problem.planner.step_s
     dynamics, start = robot.dynamics, robot.start_state
-    if dynamics is None:
-        return
     key = f"robots[{number}].dynamics"
     with calling(dynamics, "braking", key=key):
         braking = dynamics.braking(start, step_s, 1)[0]
@@ -440,15 +438,13 @@ def check_own_map(problem: Problem, number: int) -> None:
 def check_stopping(problem: Problem, index: ObstacleIndex, number: int) -> None:
     """Raise an error if robot number `number` cannot brake in time from its start."""
     robot = problem.robots[number]
-    if robot.dynamics is None:
+    curve = robot.dynamics.stop_curve(robot.start_state, problem.planner.step_s)
+    if curve is None:
         return
-    way = robot.dynamics.stop_way(robot.start_state, problem.planner.step_s)
-    if way is None:
-        return
-    places, within = way.points_m()
+    places, within = curve.points_m()
     bounds = np.array(problem.workspace.bounds_m)
     outside = (places - within < bounds[:2]).any() or (places + within > bounds[2:]).any()
-    if outside or way.clearance_m(index) < problem.constraints.clearance_m:
+    if outside or curve.clearance_m(index) < problem.constraints.clearance_m:
         raise InputError(
             f"is {list(robot.start_rest)}, too fast to stop "
             + ("within world.bounds_m" if outside else "clear of the obstacles ahead"),

@@ -198,7 +198,7 @@ class Problem:
         """
         if any(type(term).derivatives is Term.derivatives for term in self.terms):
             return False
-        has_dynamics = any(robot.dynamics is not None for robot in self.robots)
+        has_dynamics = not all(robot.moves_freely for robot in self.robots)
         return has_dynamics or not any(term.tries_places for term in self.terms)
 
     @property
@@ -208,7 +208,7 @@ class Problem:
             self.planner.horizon,
             len(self.stations),
             bool(self.targets),
-            any(robot.dynamics is not None for robot in self.robots),
+            not all(robot.moves_freely for robot in self.robots),
             not self.constraints.asks_connection and self._has_one_term,
             any(target.packets == "estimates" for target in self.targets),
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -13,9 +13,8 @@ from pydantic import Field, Strict, model_validator
 from planopt.errors import InputError, listed
 from planopt.parts import class_name
 from planopt.problems.tables import Name, Pair, Part, Table, fault_of
-from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.dynamics import Dynamics
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
 
 DynamicsName = Literal["single_integrator", "double_integrator", "unicycle"]
 
@@ -98,8 +97,8 @@ class Robot(Part):
     """Largest speed in m/s."""
     name: Name = "robot"
     """What outputs call it."""
-    dynamics: Dynamics | None = None
-    """How it moves; None for the single integrator, with inputs in the disc of speed_max_m_s."""
+    dynamics: Dynamics = field(default_factory=SingleIntegrator)
+    """How it moves; a single integrator has its speed_max_m_s."""
     start_rest: tuple[float, ...] = ()
     """State at the start beyond its position, in the order of dynamics.state_names; 0 if absent."""
     start_spread_m: Annotated[float, Field(ge=0, le=1e6)] = 0.0
@@ -110,10 +109,11 @@ class Robot(Part):
     in place of their own. A term of weight 0 is none of its terms."""
 
     def __post_init__(self) -> None:
-        if self.dynamics is not None:
-            rest = _start_rest(self.dynamics, cast("object", self.start_rest))
-            object.__setattr__(self, "start_rest", rest)
+        rest = _start_rest(self.dynamics, cast("object", self.start_rest))
+        object.__setattr__(self, "start_rest", rest)
         super().__post_init__()
+        if self.moves_freely:
+            object.__setattr__(self, "dynamics", SingleIntegrator(self.speed_max_m_s))
 
     def to_keys(self) -> dict[str, Any]:
         """Return the keys of its table; dynamics from Python have none."""
@@ -143,7 +143,7 @@ class Robot(Part):
                 dynamics = Unicycle(speed, table.turn_rate_max_rad_s, table.speed_min_m_s or 0.0)
                 rest = (table.start_heading_rad or 0.0,)
             case _:
-                dynamics, rest = None, ()
+                dynamics, rest = SingleIntegrator(speed), ()
         return {**super().of_keys(table), "dynamics": dynamics, "start_rest": rest}
 
     def fault(self) -> str | None:
@@ -155,6 +155,11 @@ class Robot(Part):
                 "speed_max_m_s"
             )
         return None
+
+    @property
+    def moves_freely(self) -> bool:
+        """Return whether positions alone describe how it moves: it turns and stops at will."""
+        return isinstance(self.dynamics, SingleIntegrator)
 
     @property
     def start_state(self) -> NDArray[np.float64]:
@@ -199,7 +204,7 @@ def _require_dynamics(given: object) -> None:
             f"is {given!r}, no object with dynamics",
             key="robots[].dynamics",
             remedy="give planopt.problems.DoubleIntegrator(...), Unicycle(...), "
-            "planopt.extend.CasadiMap(...) or your own, or none for a robot that moves at will",
+            "planopt.extend.CasadiMap(...) or your own, or leave it out for a single integrator",
         )
     if missing:
         raise InputError(

@@ -47,7 +47,7 @@ def saved_table(part: Any) -> Any:
             return saved(part)
         case TermsObjective():
             return {"terms": [term_keys(term) for term in part.terms]}
-        case Robot(dynamics=dynamics) if dynamics is not None and "dynamics" not in part.to_keys():
+        case Robot(dynamics=dynamics) if not (part.moves_freely or "dynamics" in part.to_keys()):
             raise InputError(
                 f"{dynamics.kind} is from Python and cannot be saved",
                 key="robots.dynamics",

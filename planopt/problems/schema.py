@@ -27,9 +27,8 @@ from planopt.problems.settings import PlannerSettings, ReportSettings
 from planopt.problems.tables import Name, Table
 from planopt.problems.target import Target
 from planopt.problems.world_tables import WORLD
-from planopt.robots.unicycle import Unicycle
-from planopt.world.moving_obstacle import MovingObstacle
-from planopt.world.workspace import Workspace
+from planopt.robots.models import Unicycle
+from planopt.world.workspace import MovingObstacle, Workspace
 
 Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
 
@@ -141,7 +140,7 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
     """Return why robots with dynamics cannot be planned for."""
     for number, robot in enumerate(tables.robots):
         dynamics = robot.dynamics
-        if dynamics is None:
+        if robot.moves_freely:
             continue
         if not planner_kind(tables.planner.name).has_dynamics:
             return (

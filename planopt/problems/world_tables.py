@@ -13,11 +13,10 @@ from pydantic import Field, model_validator
 
 from planopt.errors import InputError
 from planopt.problems.tables import FileName, Name, Pair, Quad, ReadAs, Table, fault_of, saved
-from planopt.world.moving_obstacle import MovingObstacle
 from planopt.world.occupancy_files import is_grid
 from planopt.world.occupancy_grid import UnknownCells
 from planopt.world.readers import obstacle_from_wkt, read_obstacles
-from planopt.world.workspace import Obstacle, Workspace, check_name, footprint
+from planopt.world.workspace import MovingObstacle, Obstacle, Workspace, check_name, footprint
 
 
 class MovingTable(Table):

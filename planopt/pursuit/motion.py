@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.pursuit.service import require_number
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import Unicycle
 
 ARRIVED_M = 1e-9
 """Nearer than this a point is reached: its bearing no longer means anything."""

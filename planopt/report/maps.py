@@ -35,7 +35,7 @@ from planopt.report.style import (
     dress,
 )
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
-from planopt.world.moving_obstacle import centres_at, growth_m
+from planopt.world.moving_discs import centres_at, growth_m
 from planopt.world.raster import Raster
 from planopt.world.workspace import Workspace
 

@@ -31,7 +31,7 @@ from planopt.report.style import (
     robot_marker,
     spaced,
 )
-from planopt.world.moving_obstacle import centres_at
+from planopt.world.moving_discs import centres_at
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -115,10 +115,11 @@ def path_curve(
     """Return points (k, 2) of the curve through positions (n + 1, 2), and which are positions."""
     if drive is None or len(drive.inputs) <= first:
         return positions_m[first:], list(range(len(positions_m) - first))
-    ways = drive.dynamics.ways(drive.states[first:-1], drive.inputs[first:], problem.planner.step_s)
+    dynamics, step_s = drive.dynamics, problem.planner.step_s
+    curves = dynamics.curves(drive.states[first:-1], drive.inputs[first:], step_s)
     curve, marks = [positions_m[first : first + 1]], [0]
-    for way in ways:
-        points, _ = way.points_m()
+    for each in curves:
+        points, _ = each.points_m()
         count = min(CURVE_POINTS, len(points))
         chosen = np.linspace(0, len(points) - 1, count).round().astype(int)
         curve.append(points[chosen[1:]])

@@ -1,13 +1,10 @@
 # pyright: basic
-"""Any dynamics that CasADi can write: a discrete map, or a continuous one by Runge-Kutta.
+"""Dynamics given by a CasADi function: a discrete map, or a derivative, by Runge-Kutta.
 
-From Python only: a problem file cannot hold a function. Of the way within a step nothing is known
-but samples and the largest speed: between two samples that are d metres and t seconds apart the
-robot is within sqrt((v t)^2 - d^2) / 2 of the straight line, in the ellipse of all ways that are
-not too long; at equal times it is no farther from even motion on that line (Stewart's theorem). A
-plan must end in a state in which the robot can rest.
-
-Components may be NumPy numbers, NumPy arrays or CasADi expressions.
+Within a step only samples and the largest speed are known: between two samples that are d metres
+and t seconds apart the robot is within sqrt((v t)^2 - d^2) / 2 of the straight line, in the ellipse
+of all paths that are not too long; at equal times it is no farther from even motion on that line
+(Stewart's theorem). A plan must end in a state in which the robot can rest.
 """
 
 from __future__ import annotations
@@ -26,12 +23,12 @@ from scipy.optimize import least_squares
 
 from planopt.errors import InputError
 from planopt.plain_values import make_plain
-from planopt.robots.dynamics import Components, Disc, PurePursuit
-from planopt.world.ways import PointWay, StepWay
+from planopt.robots.dynamics import BaseDynamics, Components, PurePursuit
+from planopt.world.motion import PointCurve, StepCurve
 
 
 class ComponentFunction:
-    """A function of (state, input), called with the components of both."""
+    """A CasADi function of (state, input), called with the components of both."""
 
     def __init__(self, function: Any) -> None:
         self._function = function
@@ -39,7 +36,7 @@ class ComponentFunction:
         self._results = function.size1_out(0)
 
     def __call__(self, state: Components, control: Components) -> Components:
-        """Return the function's components, of the kind and shape of those given, also if empty."""
+        """Return the components of the result, of the kind and shape of the arguments."""
         if any(isinstance(value, ca.SX | ca.MX) for value in (*state, *control)):
             return tuple(ca.vertsplit(self._function(ca.vertcat(*state), ca.vertcat(*control))))
         both = np.broadcast_arrays(*(np.asarray(value) for value in (*state, *control)))
@@ -51,15 +48,15 @@ class ComponentFunction:
 
 
 Derivative = Callable[[Components, Components], Components]
-"""From state and input to how fast each component of the state changes, per second."""
+"""Function of state and input that returns the derivative of the state by time, in seconds."""
 
 
 def runge_kutta(
     derivative: Derivative, state: Components, control: Components, step_s: float, substeps: int
 ) -> list[Components]:
-    """The states after each of `substeps` equal parts of a step of constant input."""
+    """Return the states after each of `substeps` equal parts of a step of constant input."""
     part = step_s / substeps
-    found: list[Components] = []
+    states: list[Components] = []
     for _ in range(substeps):
         first = derivative(state, control)
         second = derivative(_moved(state, first, 0.5 * part), control)
@@ -70,8 +67,8 @@ def runge_kutta(
             for a, b, c, d in zip(first, second, third, fourth, strict=True)
         )
         state = _moved(state, slope, part)
-        found.append(state)
-    return found
+        states.append(state)
+    return states
 
 
 def _moved(state: Components, slope: Components, duration_s: float) -> Components:
@@ -79,20 +76,20 @@ def _moved(state: Components, slope: Components, duration_s: float) -> Component
 
 
 DENSER = 8
-"""How many times as many samples a way is proven from as planned with."""
+"""Ratio of the samples that the verifier uses to those of the planner."""
 
-TRIED = 5
-"""Values of each input that following a path looks at."""
+INPUT_VALUES = 5
+"""Values of each input that following a path compares."""
 
 HELD_STEPS = 2
-"""For how many steps it looks ahead with each."""
+"""Steps for which it holds each."""
 
 REST_SEARCH = 1e-15
-"""Tolerances of the search for a state that rests: near rounding, for maps that are steep there."""
+"""Tolerance of the search for a state at rest: near round-off, for maps that are steep there."""
 
 
 @dataclass(frozen=True, eq=False)
-class CasadiMap:
+class CasadiMap(BaseDynamics):
     """Dynamics given by a CasADi function.
 
     Attributes
@@ -101,18 +98,18 @@ class CasadiMap:
         A ``casadi.Function`` of (state, input), both column vectors, to the next state, or to the
         derivative of the state where `continuous`.
     state_names, input_names
-        Names with units. The first two states are the place in metres and must be called ``x_m``
-        and ``y_m``.
+        Names with units. The first two states are the position and must be called ``x_m`` and
+        ``y_m``.
     speed_max_m_s
-        The robot is never faster: what is proven of its way rests on it.
+        Largest speed. The verifier relies on it.
     state_bounds, input_bounds
         Least and largest value of each component, infinite where there is no bound.
     rest_input
-        The input with which it can stay where it is.
+        Input with which the robot can stay where it is.
     continuous
         Whether `function` is a derivative.
     substeps
-        Parts that a step is integrated in; 1 for a discrete map.
+        Runge-Kutta steps within a step; 1 for a discrete map.
     """
 
     function: Any
@@ -126,27 +123,19 @@ class CasadiMap:
     substeps: int = 1
     _evaluated: ComponentFunction = field(init=False, repr=False)
 
+    kind = "casadi_map"
+
     def __post_init__(self) -> None:
         make_plain(self)
         check_casadi_map(self)
         object.__setattr__(self, "_evaluated", ComponentFunction(self.function))
 
-    @property
-    def kind(self) -> str:
-        """Return the name for messages."""
-        return "casadi_map"
-
-    @property
-    def discs(self) -> tuple[Disc, ...]:
-        """Return no disc: all limits are intervals."""
-        return ()
-
     def step(self, state: Components, control: Components, step_s: float) -> Components:
-        """The state after a step."""
+        """Return the state after a step."""
         return self._samples(state, control, step_s, self.substeps)[-1]
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Components over their finite bounds, scaled."""
+        """Return the components over their finite bounds, scaled."""
         rows = []
         for values, bounds in ((control, self.input_bounds), (after, self.state_bounds)):
             for value, (low, high) in zip(values, bounds, strict=True):
@@ -158,24 +147,13 @@ class CasadiMap:
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Places between the parts of a step."""
+        """Return the positions between the parts of a step."""
         samples = self._samples(state, control, step_s, self.substeps)
         return tuple((sample[0], sample[1]) for sample in samples[:-1])
 
-    def way_pad_m(self, step_s: float) -> float:
-        """Return half the longest way of a part of a step."""
+    def hull_pad_m(self, step_s: float) -> float:
+        """Return half the longest path of a part of a step."""
         return 0.5 * self.speed_max_m_s * step_s / self.substeps
-
-    def timed_pad_m(self, step_s: float) -> float:
-        """Return 0: way_pad_m bounds the distance from even motion, too."""
-        return 0.0
-
-    def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return none: a plan ends at rest."""
-        return ()
-
-    def stop_way(self, state: NDArray[np.float64], step_s: float) -> None:
-        """Return None: a plan ends at rest."""
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
         """Return the change of the state by the rest input."""
@@ -183,11 +161,10 @@ class CasadiMap:
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
-        """Return how the rest input changes a state ``(s,)`` of this place that it changes least.
+        """Return the least change ``(s,)`` of a state at this position by the rest input.
 
-        The place is that of `state`, whose other components and zeros are where the search begins.
-        The search is local; where the map is not finite on its way, the change is that at its
-        beginning, infinite where the map is not finite there.
+        The local search begins at the other components of `state`, and at zeros. Where the map is
+        not finite during a search, the change at its beginning counts.
         """
         low, high = np.array(self.state_bounds)[2:].T
         free = low < high
@@ -213,31 +190,15 @@ class CasadiMap:
             return change(rest)
 
         found = []
-        for begun in (state[2:], np.zeros(len(state) - 2)):
-            rest = np.clip(begun, low, high)
+        for begin in (state[2:], np.zeros(len(state) - 2)):
+            rest = np.clip(begin, low, high)
             found.append(change(rest))
             if free.any() and np.isfinite(found[-1]).all() and found[-1].any():
                 found.append(least(rest))
         return min(found, key=lambda rows: float(np.abs(rows).max()))
 
-    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """Return 0: a plan ends at rest."""
-        return 0
-
-    def longest_stop_steps(self, step_s: float) -> int:
-        """Return 0: a plan ends at rest."""
-        return 0
-
-    def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return its place: nothing is known of how it brakes, and a plan ends at rest."""
-        return state[0], state[1]
-
-    def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Nothing is known of how it turns."""
-        return 0.0
-
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
-        """The rest input."""
+        """Return the rest input for each step."""
         return np.tile(np.array(self.rest_input), (steps, 1))
 
     def following(
@@ -246,58 +207,49 @@ class CasadiMap:
         """Return the inputs, each held for two steps, that lead nearest to the path ahead."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         ranges = [
-            np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), TRIED)
+            np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), INPUT_VALUES)
             if not (math.isfinite(low) and math.isfinite(high))
-            else np.linspace(low, high, TRIED)
+            else np.linspace(low, high, INPUT_VALUES)
             for (low, high), rest in zip(self.input_bounds, self.rest_input, strict=True)
         ]
-        tried = np.array([self.rest_input, *itertools.product(*ranges)])
+        controls = np.array([self.rest_input, *itertools.product(*ranges)])
         inputs = np.zeros((len(path_m), len(self.input_names)))
         here = tuple(state)
         for k in range(len(path_m)):
             reach = HELD_STEPS * self.speed_max_m_s * step_s
             target, _ = pursuit.ahead_m(np.array(here[:2], dtype=float), reach)
-            after = tuple(np.full(len(tried), value) for value in here)
+            after = tuple(np.full(len(controls), value) for value in here)
             for _ in range(HELD_STEPS):
-                after = self.step(after, tuple(tried.T), step_s)
+                after = self.step(after, tuple(controls.T), step_s)
             away = np.hypot(after[0] - target[0], after[1] - target[1])
             # Beyond the bounds of the state the map need not be defined.
             away = np.where(np.isnan(away), np.inf, away)
-            inputs[k] = tried[int(np.argmin(away))]
+            inputs[k] = controls[int(np.argmin(away))]
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
     def straight(
         self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
     ) -> None:
-        """Return None: nothing is known of how it moves."""
+        """Return None: how to drive straight is not known."""
 
-    def may_reach(
-        self,
-        state: NDArray[np.float64],
-        places_m: NDArray[np.float64],
-        duration_s: float,
-        slack_m: float,
-    ) -> NDArray[np.bool_]:
-        """Nothing but the largest speed is known."""
-        return np.ones(len(places_m), dtype=np.bool_)
-
-    def ways(
+    def curves(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[StepWay]:
-        """Samples of each step, and how far from the lines between them the robot can be."""
+    ) -> list[StepCurve]:
+        """Return samples of each step, with a bound on the distance from the lines between them."""
         count = self.substeps * DENSER if self.continuous else 1
         before, control = tuple(states.T), tuple(inputs.T)
         samples = [before, *self._samples(before, control, step_s, count)]
         places = np.array([[sample[0], sample[1]] for sample in samples]).transpose(2, 0, 1)
         end = np.column_stack(self.step(before, control, step_s)[:2])
         longest = self.speed_max_m_s * step_s / count
-        found: list[StepWay] = []
-        for way, planned in zip(places, end, strict=True):
-            apart = np.linalg.norm(np.diff(way, axis=0), axis=1)
+        found: list[StepCurve] = []
+        for points, planned in zip(places, end, strict=True):
+            apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
             within = 0.5 * math.sqrt(max(0.0, longest**2 - float(apart.min()) ** 2))
-            # That the plan's integration is coarser counts as not knowing where the robot is.
-            found.append(PointWay(way, within + float(np.linalg.norm(planned - way[-1]))))
+            # The error of the plan's coarser integration adds to the uncertainty.
+            error = float(np.linalg.norm(planned - points[-1]))
+            found.append(PointCurve(points, within + error))
         return found
 
     def excess_m(
@@ -314,7 +266,7 @@ class CasadiMap:
         return max(over)
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Any other component counts as what is driven in a step at most."""
+        """Return the longest step for each component but the position."""
         other = self.speed_max_m_s * step_s
         return (1.0, 1.0, *(other for _ in self.state_names[2:]))
 
@@ -327,7 +279,7 @@ class CasadiMap:
 
 
 def check_casadi_map(dynamics: CasadiMap) -> None:
-    """Raise the first fault of its function, names, bounds and parts."""
+    """Raise the first fault of the function, names, bounds and substeps."""
     function: object = dynamics.function
     if not isinstance(function, ca.Function):
         raise InputError(
@@ -384,7 +336,7 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
 
 
 def _are_numbers(given: Any, shape: tuple[int, ...]) -> bool:
-    """Return whether numbers of a shape are given: bounds lower first, others finite."""
+    """Return whether values are numbers of a shape: bounds lower first, others finite."""
     try:
         found = np.array(given)
     except ValueError:

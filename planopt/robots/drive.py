@@ -1,7 +1,4 @@
-"""The drive of a robot along a path, and its place at each time until it stands.
-
-The single integrator, q+ = q + h v with a speed limit, drives straight within a step.
-"""
+"""Drives: the states and inputs of a robot along a path, and its motion until it stands."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from numpy.typing import NDArray
 from planopt.errors import InputError, listed
 from planopt.parts import calling, class_name
 from planopt.robots.dynamics import Dynamics
-from planopt.world.timed_motion import TimedMotion
+from planopt.world.motion import TimedMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +20,12 @@ class Drive:
     Attributes
     ----------
     dynamics
-        Of the robot.
+        Dynamics of the robot.
     states
-        ``(N + 1, s)`` now and after each step, in the units of the dynamics' ``state_names``; the
-        first two are x and y in metres.
+        ``(N + 1, s)`` states now and after each step, in the units of ``state_names``; the first
+        two components are x and y in metres.
     inputs
-        ``(N, m)`` of each step, in the units of ``input_names``; constant over the step.
+        ``(N, m)`` inputs of each step, in the units of ``input_names``.
     """
 
     dynamics: Dynamics
@@ -37,7 +34,7 @@ class Drive:
 
     @property
     def positions_m(self) -> NDArray[np.float64]:
-        """``(N + 1, 2)``."""
+        """``(N + 1, 2)`` positions of the states."""
         return self.states[:, :2]
 
 
@@ -47,7 +44,7 @@ def rolled_out(
     inputs: NDArray[np.float64],
     step_s: float,
 ) -> Drive:
-    """Return where `inputs` (N, m) lead from `state` (s,)."""
+    """Return the drive that `inputs` (N, m) cause from `state` (s,)."""
     states = [np.asarray(state, dtype=np.float64)]
     for control in inputs:
         states.append(state_after(dynamics, states[-1], control, step_s))
@@ -75,7 +72,7 @@ def state_after(
 def dynamics_defect_m(
     positions_m: NDArray[np.float64], start_m: NDArray[np.float64], step_length_m: float
 ) -> float:
-    """Largest violation of the motion model over a path (n + 1, 2), in metres.
+    """Return the largest violation of the single integrator over a path (n + 1, 2), in metres.
 
     The path must begin where the robot is, and no step may be longer than the speed allows.
     """
@@ -86,9 +83,9 @@ def dynamics_defect_m(
 
 
 def braked_motion(path_m: NDArray[np.float64], drive: Drive | None, step_s: float) -> TimedMotion:
-    """The motion of a plan (N + 1, 2) and of braking after it, for as many steps as that takes.
+    """Return the motion of a plan (N + 1, 2) and of braking after it.
 
-    A robot without `drive` goes straight and evenly from place to place, and stops at will.
+    Without `drive` it is straight and even during each step, and ends with the plan.
     """
     if drive is None:
         return TimedMotion(path_m)
@@ -97,24 +94,17 @@ def braked_motion(path_m: NDArray[np.float64], drive: Drive | None, step_s: floa
     inputs = np.vstack([drive.inputs, stop.inputs])
     return TimedMotion(
         np.vstack([path_m, stop.positions_m[1:]]),
-        tuple(drive.dynamics.ways(states[:-1], inputs, step_s)),
+        tuple(drive.dynamics.curves(states[:-1], inputs, step_s)),
     )
 
 
 def braking_drive(dynamics: Dynamics, state: NDArray[np.float64], step_s: float) -> Drive:
-    """Braking from `state` (s,), for as many steps as that takes; none where it stops at once."""
+    """Return the braking drive from `state` (s,); of no step where it stops at once."""
     steps = dynamics.stop_steps(state, step_s)
     return rolled_out(dynamics, state, dynamics.braking(state, step_s, steps), step_s)
 
 
-def standing_motion(
-    dynamics: Dynamics | None, state: NDArray[np.float64], step_s: float
-) -> TimedMotion:
-    """Stopping from `state` (s,), its place first, as soon as the robot can."""
-    if dynamics is None:
-        return TimedMotion(state[None, :2])
-    return braked_motion(
-        state[None, :2],
-        Drive(dynamics, state[None], np.zeros((0, len(dynamics.input_names)))),
-        step_s,
-    )
+def stopping_motion(dynamics: Dynamics, state: NDArray[np.float64], step_s: float) -> TimedMotion:
+    """Return the motion of a robot that stops from `state` (s,) as soon as it can."""
+    resting = Drive(dynamics, state[None], np.zeros((0, len(dynamics.input_names))))
+    return braked_motion(state[None, :2], resting, step_s)

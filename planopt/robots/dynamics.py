@@ -2,7 +2,6 @@
 
 States and inputs are tuples of components, so that NumPy numbers, NumPy arrays (of any shape) and
 CasADi expressions pass through the same formula. Inputs are constant over a step.
-The single integrator needs none of this: its steps are the differences of its positions.
 """
 
 from __future__ import annotations
@@ -13,15 +12,15 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.world.ways import StepWay, Way
+from planopt.world.motion import Curve, StepCurve
 
 Components = tuple[Any, ...]
-"""One number, array or expression for each component of a state or an input."""
+"""A number, array or expression for each component of a state or an input."""
 
 
 @dataclass(frozen=True)
 class Disc:
-    """A limit that a pair of components lies in a disc: squares over the radius's, less 1."""
+    """A limit of a pair of components to a disc: its square over that of the radius, less 1."""
 
     limit: int  # Its number among the limits
     names: tuple[str, str]  # Of the pair: components of the state after a step, or of the input
@@ -38,17 +37,17 @@ class Dynamics(Protocol):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names with units; the first two are ``x_m`` and ``y_m``."""
+        """Return the components of the state, with units; the first two are ``x_m`` and ``y_m``."""
         ...
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names with units."""
+        """Return the components of the input, with units."""
         ...
 
     @property
     def speed_max_m_s(self) -> float:
-        """It is never faster."""
+        """Return the largest speed."""
         ...
 
     @property
@@ -57,77 +56,74 @@ class Dynamics(Protocol):
         ...
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
-        """The state after a step."""
+        """Return the state after a step."""
         ...
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return what must be at most 0, for a solver: input of a step, state after it, scaled."""
+        """Return constraints, at most 0, on the input of a step and the state after it, scaled."""
         ...
 
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Points that with both ends have the whole way of a step in their convex hull."""
+        """Return points whose convex hull, with both ends, contains the path of a step."""
         ...
 
-    def way_pad_m(self, step_s: float) -> float:
-        """Return how far outside that hull the way of a step may be, in metres."""
+    def hull_pad_m(self, step_s: float) -> float:
+        """Return the largest distance of the path of a step from that hull, in metres."""
         ...
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return how much farther the way may be from the hull's points at equal times.
+        """Return how much farther the path may be from the hull's points at equal times.
 
-        The points are as far apart in time as they are in number, as those of Bezier curves are.
+        The points are evenly spaced in time, as those of Bezier curves.
         """
         ...
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Points that with the place have the way of stopping from a state in their hull."""
+        """Return points whose hull, with the position, contains the braking path from a state."""
         ...
 
-    def stop_way(self, state: NDArray[np.float64], step_s: float) -> Way | None:
-        """The way of stopping from a state; None where it stands at once."""
+    def stop_curve(self, state: NDArray[np.float64], step_s: float) -> Curve | None:
+        """Return the braking path from a state; None where it stops at once."""
         ...
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """Return what must be 0 so that the robot can stop from a state; none where it always can.
-
-        Differences of the components of the state.
-        """
+        """Return differences of the state that must be 0 so that the robot can stop; () if none."""
         ...
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """Return how many steps of :meth:`braking` it takes to stop."""
+        """Return the number of steps of :meth:`braking` until it stands."""
         ...
 
     def longest_stop_steps(self, step_s: float) -> int:
-        """The most that it takes from any state within the limits."""
+        """Return the largest such number from any state within the limits."""
         ...
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return about where it comes to stand if it brakes from a state; smooth in the state."""
+        """Return about where braking from a state ends; smooth in the state."""
         ...
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return about how long it turns before driving to a place; smooth, 0 at the place."""
+        """Return about how long it turns before driving to a position; smooth, 0 there."""
         ...
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
-        """Inputs (steps, m) that stop as soon as they can and then rest."""
+        """Return inputs (steps, m) that stop as soon as possible and then rest."""
         ...
 
     def following(
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Inputs (N, m) that lead about along a path (N, 2) of straight steps."""
+        """Return inputs (N, m) that approximately follow a path (N, 2) of straight steps."""
         ...
 
     def straight(
         self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64] | None:
-        """Inputs (k, m) from rest to rest at a place (2,), straight there; None if none are known.
+        """Return inputs (k, m) of a straight drive from rest to rest at `end_m`; None if unknown.
 
-        Braking after any of them ends short of the place, on the way to it.
+        Braking after any of them ends on the line, short of `end_m`.
         """
         ...
 
@@ -138,16 +134,16 @@ class Dynamics(Protocol):
         duration_s: float,
         slack_m: float,
     ) -> NDArray[np.bool_]:
-        """Return whether it may be at places (n, 2) after a while, or `slack_m` from there.
+        """Return whether it may be within `slack_m` of places (n, 2) after a duration.
 
-        Obstacles and the largest speed are left out; it is never False where the robot can be.
+        Obstacles and the largest speed are left out; never False where the robot can be.
         """
         ...
 
-    def ways(
+    def curves(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[StepWay]:
-        """The ways of steps from states (n, s) with inputs (n, m)."""
+    ) -> list[StepCurve]:
+        """Return the paths of steps from states (n, s) with inputs (n, m)."""
         ...
 
     def excess_m(
@@ -157,27 +153,83 @@ class Dynamics(Protocol):
         ...
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return how many metres a unit of each component of the state makes, in about a step."""
+        """Return the metres that a unit of each component of the state makes in about a step."""
         ...
+
+
+class BaseDynamics:
+    """Defaults of dynamics: limits are intervals, hulls are exact, and the robot stops at once."""
+
+    @property
+    def discs(self) -> tuple[Disc, ...]:
+        """Return no disc."""
+        return ()
+
+    def hull_pad_m(self, step_s: float) -> float:
+        """Return 0."""
+        return 0.0
+
+    def timed_pad_m(self, step_s: float) -> float:
+        """Return 0."""
+        return 0.0
+
+    def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
+        """Return no points."""
+        return ()
+
+    def stop_curve(self, state: NDArray[np.float64], step_s: float) -> Curve | None:
+        """Return None."""
+        return None
+
+    def stop_rows(self, state: Components, step_s: float) -> Components:
+        """Return no rows: it can stop from any state."""
+        return ()
+
+    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+        """Return 0."""
+        return 0
+
+    def longest_stop_steps(self, step_s: float) -> int:
+        """Return 0."""
+        return 0
+
+    def resting_place(self, state: Components) -> tuple[Any, Any]:
+        """Return its place."""
+        return state[0], state[1]
+
+    def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
+        """Return 0: it drives to any side, or nothing is known of how it turns."""
+        return 0.0
+
+    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+        """Return two inputs of 0 for each step."""
+        return np.zeros((steps, 2))
+
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """Return True for every place: only the largest speed bounds where it may be."""
+        return np.ones(len(places_m), dtype=np.bool_)
 
 
 @runtime_checkable
 class RestsByInput(Protocol):
-    """Dynamics that tell what their inputs may be, and with which the robot rests."""
+    """Dynamics with bounds of the input, and the input with which the robot rests."""
 
     rest_input: tuple[float, ...]
     input_bounds: tuple[tuple[float, float], ...]
 
     def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
-        """Return how the rest input changes the state ``(s,)`` of this place that it changes least.
-
-        ``(s,)``, in the units of the state; zeros where the robot can rest.
-        """
+        """Return the least change ``(s,)`` of a state at this position by the rest input."""
         ...
 
 
 class PurePursuit:
-    """Follows a robot along a path without turning back."""
+    """The point ahead on a path that a robot heads for, without turning back."""
 
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         lengths = np.linalg.norm(np.diff(path_m, axis=0), axis=1)
@@ -193,15 +245,15 @@ class PurePursuit:
     def ahead_m(
         self, place_m: NDArray[np.float64], lookahead_m: float
     ) -> tuple[NDArray[np.float64], float]:
-        """The point (2,) to head for from `place_m` (2,), and how much of the path is left."""
-        tried = np.linspace(self._at_m, self._at_m + 1.5 * lookahead_m, 33)
-        away = np.linalg.norm(self._points(tried) - place_m, axis=1)
-        self._at_m = float(min(tried[int(away.argmin())], self._along_m[-1]))
+        """Return the point (2,) to head for from `place_m` (2,), and the rest of the path."""
+        along = np.linspace(self._at_m, self._at_m + 1.5 * lookahead_m, 33)
+        away = np.linalg.norm(self._points(along) - place_m, axis=1)
+        self._at_m = float(min(along[int(away.argmin())], self._along_m[-1]))
         target = self._points(np.array([self._at_m + lookahead_m]))[0]
         return target, float(self._along_m[-1] - self._at_m)
 
     def speed_m_s(self, acceleration_m_s2: float, swing_m: float) -> float:
-        """Return the speed from which a robot can stop at the end without swinging out."""
+        """Return the speed that lets a robot take the turns and stop at the end."""
         turn = np.append(self._turn, np.inf)[-len(self._corner_m) :]
         # To change its direction it takes turn v / a seconds, in which it drives twice the swing.
         square = 2.0 * acceleration_m_s2 * swing_m / np.maximum(turn, 1e-9)

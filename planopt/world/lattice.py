@@ -55,7 +55,7 @@ def near_pairs(index: ObstacleIndex, positions_m: NDArray[np.float64], reach_m: 
     return NearPairs(node, obstacle, distances_m(points[node], index.polygons[obstacle]))
 
 
-def blocked_ways(
+def blocked_segments(
     index: ObstacleIndex,
     starts_m: NDArray[np.float64],
     ends_m: NDArray[np.float64],
@@ -85,7 +85,9 @@ def open_moves(
         ways = result[number].reshape(-1)
         stride = dy * free.shape[1] + dx
         node, obstacle = _unsure(undecided, ways, stride, places, clearance_m, len(index.polygons))
-        blocked = blocked_ways(index, places[node], places[node + stride], obstacle, clearance_m)
+        blocked = blocked_segments(
+            index, places[node], places[node + stride], obstacle, clearance_m
+        )
         ways[node[blocked]] = False
     for number, (dx, dy) in enumerate(_DOUBLED, start=len(_TESTED) + 1):
         once = result[1 + _TESTED.index((dx, dy))]
@@ -228,7 +230,7 @@ def moves_from(
     way, obstacle = index.tree.query(
         segment_lines(starts, ends), predicate="dwithin", distance=clearance_m
     )
-    blocked = blocked_ways(index, starts[way], ends[way], obstacle, clearance_m)
+    blocked = blocked_segments(index, starts[way], ends[way], obstacle, clearance_m)
     ok[free[way[blocked]]] = False
     return iy, ix, ok
 

@@ -37,7 +37,7 @@ class RoadMap:
 
 
 @dataclass(frozen=True)
-class Ways:
+class CostToGo:
     """Shortest ways from every node to the goal."""
 
     # (n,) weighted length of the way; infinite where there is none (or beyond the limit)
@@ -86,7 +86,7 @@ def lattice_paths(
     node_factor: NDArray[np.float64] | None = None,  # (n,) at least 1, or None for plain lengths
     *,
     limit_m: float = math.inf,
-) -> Ways:
+) -> CostToGo:
     """Shortest ways to `goal_node`, each metre weighted by the mean factor of its edge's ends."""
     weights = road_map.edge_length_m
     if node_factor is not None:
@@ -96,16 +96,16 @@ def lattice_paths(
         ends *= weights
         ends *= 0.5
         weights = ends
-    return cheapest_ways(road_map, goal_node, weights, limit_m=limit_m)
+    return cheapest_paths(road_map, goal_node, weights, limit_m=limit_m)
 
 
-def cheapest_ways(
+def cheapest_paths(
     road_map: RoadMap,
     goal_node: int,
     edge_cost_m: NDArray[np.float64],
     *,
     limit_m: float = math.inf,
-) -> Ways:
+) -> CostToGo:
     """Cheapest ways to `goal_node`, where each edge has its cost (e,), the same both ways."""
     count = len(road_map.nodes_m)
     graph = csr_matrix((edge_cost_m, road_map.edge_to, road_map.edge_start), shape=(count, count))
@@ -113,10 +113,10 @@ def cheapest_ways(
         "tuple[NDArray[np.float64], NDArray[np.int32]]",
         dijkstra(graph, indices=goal_node, return_predecessors=True, limit=limit_m),
     )
-    return Ways(cost_m=cost, next_node=following)
+    return CostToGo(cost_m=cost, next_node=following)
 
 
-def way_from(road_map: RoadMap, ways: Ways, node: int, length_m: float) -> NDArray[np.intp]:
+def route_from(road_map: RoadMap, ways: CostToGo, node: int, length_m: float) -> NDArray[np.intp]:
     """Node numbers along the shortest way from `node` on, until it is `length_m` long."""
     nodes = [node]
     travelled = 0.0

@@ -33,8 +33,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.timed_motion import TimedMotion, nearest_to_origin_m
+from planopt.world.motion import TimedMotion, nearest_to_origin_m
+from planopt.world.moving_discs import MovingDiscs
 from planopt.world.workspace import Workspace
 
 Vertex = tuple[float, float]

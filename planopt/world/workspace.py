@@ -20,7 +20,6 @@ from planopt.errors import InputError
 from planopt.parts import part_of, parts_of
 from planopt.plain_values import plain
 from planopt.short_repr import short_repr
-from planopt.world.moving_obstacle import MovingObstacle
 
 
 @dataclass(frozen=True)
@@ -51,6 +50,42 @@ class Obstacle:
     def __post_init__(self) -> None:
         remedy = "planopt.obstacles_from makes obstacles of corners, tables and grids"
         part_of(f"the obstacle {self.name!r}", self.polygon, shapely.Polygon, remedy)
+
+
+@dataclass(frozen=True)
+class MovingObstacle:
+    """A disc that moves as predicted.
+
+    Attributes
+    ----------
+    name
+        What messages call it.
+    radius_m
+        Radius of the disc.
+    times_s, positions_m
+        Positions of its centre at increasing times; it stands before the first and moves straight
+        between.
+    velocity_m_s
+        Velocity after the last.
+    position_std_m, acceleration_std_m_s2
+        Standard deviations of the predicted centre along each axis: now, and of its acceleration.
+    probability
+        Least probability that the centre stays within the growth of the disc during a step.
+    """
+
+    name: str
+    radius_m: float
+    times_s: tuple[float, ...]
+    positions_m: tuple[tuple[float, float], ...]
+    velocity_m_s: tuple[float, float] = (0.0, 0.0)
+    position_std_m: float = 0.0
+    acceleration_std_m_s2: float = 0.0
+    probability: float = 0.99
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Return whether its path is uncertain: only then does the probability matter."""
+        return self.position_std_m > 0.0 or self.acceleration_std_m_s2 > 0.0
 
 
 @dataclass(frozen=True, init=False)

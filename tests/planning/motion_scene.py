@@ -11,9 +11,8 @@ from terms_scene import judge_of, situation_of, terms_problem
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.judge import Judge
 from planopt.problems.problem import Problem
-from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.dynamics import Dynamics
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import DoubleIntegrator, Unicycle
 
 DOUBLE = DoubleIntegrator(2.0, 0.8)
 WHEELS = Unicycle(2.0, 0.9)

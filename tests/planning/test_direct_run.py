@@ -13,9 +13,8 @@ from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems.problem import Problem, problem_from_tables
-from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import rolled_out
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import DoubleIntegrator, Unicycle
 
 ROBOTS = {
     "single": {"speed_max_m_s": 3.0},

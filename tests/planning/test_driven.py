@@ -17,9 +17,8 @@ from planopt.planning.plan import Rung, Verdict, shifted_drive
 from planopt.planning.scene import build_ground
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import rolled_out
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import DoubleIntegrator, Unicycle
 from planopt.world.workspace import Obstacle, Workspace
 
 INFORMATION = {"kind": "mapping", "form": "information"}
@@ -68,7 +67,7 @@ def test_large_acceleration_is_the_single_integrator() -> None:
 
 def planned_single(problem):
     """The plan of the single integrator."""
-    assert problem.robots[0].dynamics is None
+    assert problem.robots[0].moves_freely
     return planned(problem)
 
 

@@ -20,10 +20,9 @@ from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
 from planopt.planning.values.reach_cost import ReachCost, resting_places_m
 from planopt.problems.problem import Problem
-from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import rolled_out
 from planopt.robots.dynamics import Dynamics
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import DoubleIntegrator, Unicycle
 from planopt.world.workspace import Obstacle
 
 BOAT = DoubleIntegrator(2.0, 0.5)
@@ -120,8 +119,8 @@ def test_robot_can_always_stop() -> None:
     for plan in driven(problem).plans[0][:12]:
         drive = shifted_drive(problem, plan)
         index = build_scene(problem).index
-        ways = drive.dynamics.ways(drive.states[:-1], drive.inputs, problem.planner.step_s)
-        ways.append(drive.dynamics.stop_way(drive.states[-1], problem.planner.step_s))
+        ways = drive.dynamics.curves(drive.states[:-1], drive.inputs, problem.planner.step_s)
+        ways.append(drive.dynamics.stop_curve(drive.states[-1], problem.planner.step_s))
         clear = min(way.clearance_m(index) for way in ways)
         assert clear >= problem.constraints.clearance_m - 1e-6
 

@@ -15,6 +15,7 @@ from planopt.planning.explain.explain import explain
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
+from planopt.problems import SingleIntegrator
 
 SEED = 3
 
@@ -42,7 +43,7 @@ def test_missed_steps_are_excused_by_where_it_can_be(dynamics, horizon: int, tmp
     plan = solve(problem, seed=SEED).plans[0]
     certificate = plan.certificate
     assert certificate.relaxed_steps
-    free = replace(problem, robots=(replace(robot, dynamics=None, start_rest=()),))
+    free = replace(problem, robots=(replace(robot, dynamics=SingleIntegrator(), start_rest=()),))
     wide = solve(free, seed=SEED).plans[0].certificate
     assert wide.relaxed_steps == certificate.relaxed_steps
     assert np.all(np.array(certificate.best_margin_db) <= np.array(wide.best_margin_db) + 0.05)

@@ -15,7 +15,7 @@ from planopt.planning.proof.predictions import SEARCH_ERROR_DB
 from planopt.planning.rule_bounds import lacks
 from planopt.planning.solve import solve
 from planopt.planning.values.rule_rows import rule_rows
-from planopt.world.moving_obstacle import MovingObstacle
+from planopt.world.workspace import MovingObstacle
 
 
 def test_standing_before_the_first_plan_is_a_stop() -> None:

@@ -12,7 +12,7 @@ from planopt.errors import InputError
 from planopt.planning.leaving import leaving_path
 from planopt.planning.plan import Rung
 from planopt.world.clearance import index_obstacles
-from planopt.world.moving_obstacle import NOTHING_MOVES
+from planopt.world.moving_discs import NOTHING_MOVES
 
 HOUSE = shapely.box(18.0, 10.0, 22.0, 20.0)
 PROBLEM = small_problem(HOUSE)

@@ -16,7 +16,8 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
 from planopt.problems.constraints import ConnectivityRule
-from planopt.world.moving_obstacle import MovingObstacle, centres_at
+from planopt.world.moving_discs import centres_at
+from planopt.world.workspace import MovingObstacle
 
 SHARES = np.linspace(0.0, 1.0, 201)
 CROSSING = MovingObstacle("tram", 2.0, (0.0,), ((20.0, 5.0),), (0.0, 1.0))

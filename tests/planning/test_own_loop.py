@@ -20,7 +20,7 @@ from planopt.planning.learn import prepare
 from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.loop.target_watch import watch_target
 from planopt.problems.problem import Problem
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import Unicycle
 from planopt.targets.sensor import sense
 
 SEED = 4

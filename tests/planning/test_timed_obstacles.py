@@ -19,10 +19,9 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Verdict
 from planopt.problems.problem import problem_at
 from planopt.problems.save import problem_from_dict, problem_to_dict
-from planopt.robots.double_integrator import DoubleIntegrator
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import DoubleIntegrator, Unicycle
 from planopt.world.clearance import index_obstacles
-from planopt.world.moving_obstacle import NOTHING_MOVES
+from planopt.world.moving_discs import NOTHING_MOVES
 
 HOUSE = shapely.box(18.0, 10.0, 22.0, 20.0)
 FENCE = shapely.box(25.0, 5.0, 26.0, 30.0)

@@ -27,7 +27,13 @@ from planopt.objectives import (
     TrackingTerm,
     UntilConnectedTerm,
 )
-from planopt.problems import DoubleIntegrator, ModelTruth, SampledMeasurements, Unicycle
+from planopt.problems import (
+    DoubleIntegrator,
+    ModelTruth,
+    SampledMeasurements,
+    SingleIntegrator,
+    Unicycle,
+)
 from planopt.problems.schema import json_schema
 
 
@@ -131,7 +137,7 @@ def test_terms_are_read_in_order(
 def test_defaults_of_dynamics(tables: Tables, built: Build) -> None:
     """At rest, heading along x, no driving backward; a single integrator without the keys."""
     set_keys(tables, LEARN)
-    assert built(tables).robots[0].dynamics is None
+    assert built(tables).robots[0].dynamics == SingleIntegrator(1.0)
     assert built(tables).robots[0].start_state.tolist() == [5.0, 5.0]
     set_keys(tables, HEAVY)
     assert built(tables).robots[0].dynamics == DoubleIntegrator(1.0, 0.3)

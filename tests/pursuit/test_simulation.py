@@ -22,7 +22,7 @@ from planopt.pursuit.simulation import (
     first_within,
     simulate_pursuit,
 )
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import Unicycle
 from planopt.world.clearance import clearance_m
 from planopt.world.workspace import Obstacle, Workspace
 

@@ -19,7 +19,7 @@ from planopt.report import draw_run, draw_run_series, draw_solution
 from planopt.report.motion_figures import WORDS_LINES, plan_words
 from planopt.report.style import BAND_Z
 from planopt.tasks.motion import MotionReport
-from planopt.world.moving_obstacle import centres_at
+from planopt.world.moving_discs import centres_at
 
 MAP, POWER, CHANCE = {"x [m]", "y [m]"}, "power [dBm]", "P [1]"
 DISC = "moving obstacle, paler later"

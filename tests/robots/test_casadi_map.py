@@ -10,7 +10,7 @@ import pytest
 
 from planopt.errors import InputError
 from planopt.robots.casadi_map import CasadiMap
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import Unicycle
 
 FREE = (-np.inf, np.inf)
 
@@ -46,12 +46,12 @@ def test_the_way_is_within_its_bound() -> None:
     """The exact arc is nowhere farther from the samples' lines than is said."""
     model, exact = wheels(substeps=2), Unicycle(2.0, 1.5)
     state, control = np.array([0.0, 0.0, 0.4]), np.array([1.2, 1.5])
-    (way,) = model.ways(state[None], control[None], 1.0)
-    arc, _ = exact.ways(state[None], control[None], 1.0)[0].points_m()
+    (way,) = model.curves(state[None], control[None], 1.0)
+    arc, _ = exact.curves(state[None], control[None], 1.0)[0].points_m()
     places, within = way.points_m()
     away = np.linalg.norm(arc[:, None] - places[None], axis=2).min(axis=1)
     assert away.max() <= within + 0.5 * np.linalg.norm(np.diff(places, axis=0), axis=1).max()
-    assert within <= model.way_pad_m(1.0)
+    assert within <= model.hull_pad_m(1.0)
 
 
 def test_a_discrete_map_is_known_at_its_ends_only() -> None:
@@ -65,7 +65,7 @@ def test_a_discrete_map_is_known_at_its_ends_only() -> None:
         substeps=1,
     )
     assert model.step((1.0, 2.0), (0.5, -0.5), 0.1) == pytest.approx((1.5, 1.5))
-    (way,) = model.ways(np.zeros((1, 2)), np.array([[3.0, 0.0]]), 2.5)
+    (way,) = model.curves(np.zeros((1, 2)), np.array([[3.0, 0.0]]), 2.5)
     assert way.points_m()[1] == pytest.approx(2.0)  # 5 m of way between places 3 m apart
 
 
@@ -107,7 +107,7 @@ def test_nothing_to_drive() -> None:
     """No states and inputs give no ways and no excess."""
     model = wheels()
     states, inputs = np.zeros((0, 3)), np.zeros((0, 2))
-    assert model.ways(states, inputs, 0.5) == []
+    assert model.curves(states, inputs, 0.5) == []
     assert model.excess_m(np.zeros((1, 3)), inputs, 0.5) <= 0.0
     after = model.step(tuple(states.T), tuple(inputs.T), 0.5)
     assert [value.shape for value in after] == [(0,)] * 3

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from planopt.robots.unicycle import sinc
+from planopt.robots.models import sinc
 
 
 def test_sinc_is_numpys() -> None:

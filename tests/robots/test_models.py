@@ -9,10 +9,9 @@ import shapely
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import rolled_out
 from planopt.robots.dynamics import Dynamics
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import DoubleIntegrator, Unicycle
 
 STEP_S = 0.7
 DOUBLE = DoubleIntegrator(3.0, 1.3)
@@ -89,7 +88,7 @@ def test_hull_has_the_whole_way(dynamics: Dynamics) -> None:
 def test_points_of_the_way(dynamics: Dynamics) -> None:
     """The way that clearance is computed from is the one that the steps lead along."""
     for state, control in draws(dynamics):
-        (way,) = dynamics.ways(state[None], control[None], STEP_S)
+        (way,) = dynamics.curves(state[None], control[None], STEP_S)
         line, within = way.points_m()
         assert within <= 1e-6
         shape = shapely.LineString(line) if np.ptp(line) else shapely.Point(line[0])
@@ -129,7 +128,7 @@ def test_double_integrator_brakes_in_time() -> None:
         drive = rolled_out(DOUBLE, state, DOUBLE.braking(state, STEP_S, 6), STEP_S)
         assert np.hypot(*drive.states[-1, 2:]) <= 1e-9
         assert DOUBLE.excess_m(drive.states, drive.inputs, STEP_S) <= 1e-12
-        end = DOUBLE.stop_way(state, STEP_S).places_m[-1]
+        end = DOUBLE.stop_curve(state, STEP_S).places_m[-1]
         assert drive.positions_m[-1] == pytest.approx(end, abs=1e-9)
         (ahead,) = DOUBLE.stop_points(tuple(state), STEP_S)
         hull = shapely.LineString([state[:2], ahead]).buffer(1e-9)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from planopt.robots.casadi_map import runge_kutta
-from planopt.robots.unicycle import Unicycle, cosine, sine
+from planopt.robots.models import Unicycle, cosine, sine
 
 
 def wheels(state, control):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planopt.world.timed_motion import closest_approach_m, nearest_to_origin_m
+from planopt.world.motion import closest_approach_m, nearest_to_origin_m
 
 SHARES = np.linspace(0.0, 1.0, 20_001)[:, None]
 PLACE = st.tuples(*[st.floats(-1e3, 1e3, width=32)] * 2).map(np.array)

@@ -8,15 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt.world.timed_motion import (
+from planopt.world.motion import (
     CLOSE_M,
-    EvenWay,
+    Arc,
+    EvenCurve,
+    Parabola,
+    PointCurve,
     TimedMotion,
+    curve_distance_m,
     least_gap,
     step_distances_m,
-    way_distance_m,
 )
-from planopt.world.ways import Arc, Parabola, PointWay
 
 DENSE = np.linspace(0.0, 1.0, 40001)
 
@@ -31,14 +33,14 @@ def random_way(generator: np.random.Generator, kind: int):
     start = generator.uniform(-4.0, 4.0, 2)
     match kind:
         case 0:
-            return EvenWay(np.stack([start, generator.uniform(-4.0, 4.0, 2)]))
+            return EvenCurve(np.stack([start, generator.uniform(-4.0, 4.0, 2)]))
         case 1:
             return Parabola(start, *generator.uniform(-5.0, 5.0, (2, 2)))
         case 2:
             heading, length, turn = generator.uniform(-6.0, 6.0, 3).tolist()
             return Arc(start, heading, length, turn)
         case _:
-            return PointWay(start + generator.normal(size=(5, 2)).cumsum(axis=0), 0.0)
+            return PointCurve(start + generator.normal(size=(5, 2)).cumsum(axis=0), 0.0)
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -46,7 +48,7 @@ def test_never_above_dense_samples_and_hardly_below(seed: int) -> None:
     """Of any two kinds of ways."""
     generator = np.random.default_rng(seed)
     first, second = (random_way(generator, kind) for kind in divmod(seed % 16, 4))
-    found, sampled = way_distance_m(first, second), sampled_m(first, second)
+    found, sampled = curve_distance_m(first, second), sampled_m(first, second)
     assert found <= sampled + 1e-12
     # Between samples both move by no more than this.
     speed = sum(
@@ -70,7 +72,7 @@ def test_two_parabolas_in_closed_form() -> None:
         s = min(max(-linear / (2.0 * square), 0.0), 1.0)
         exact = math.sqrt(s + (1.0 + 0.25 * b * (1.0 - s)) ** 2)
         for one, two in ((first, second), moved):
-            assert exact - CLOSE_M <= way_distance_m(one, two) <= exact + 1e-12
+            assert exact - CLOSE_M <= curve_distance_m(one, two) <= exact + 1e-12
 
 
 def test_head_on_unicycles_in_closed_form() -> None:
@@ -80,15 +82,15 @@ def test_head_on_unicycles_in_closed_form() -> None:
         left = Arc(np.array([-radius - gap, 0.0]), 0.0, radius * quarter, quarter)
         right = Arc(np.array([radius + gap, 0.0]), math.pi, radius * quarter, -quarter)
         # At angle a each is r - r sin a + gap from the middle line.
-        assert 2.0 * gap - CLOSE_M <= way_distance_m(left, right) <= 2.0 * gap + 1e-12
+        assert 2.0 * gap - CLOSE_M <= curve_distance_m(left, right) <= 2.0 * gap + 1e-12
 
 
 def test_a_convoy_keeps_its_distance() -> None:
     """All the way equally far: nothing can be left out, and it is found all the same."""
     way = Arc(np.zeros(2), 0.3, 4.0, 1.0)
     other = replace(way, start_m=np.array([0.6, -0.8]))
-    assert way_distance_m(way, other) == pytest.approx(1.0, abs=1.1 * CLOSE_M)
-    assert way_distance_m(way, way) == 0.0
+    assert curve_distance_m(way, other) == pytest.approx(1.0, abs=1.1 * CLOSE_M)
+    assert curve_distance_m(way, way) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -96,7 +98,7 @@ def test_exchange_mirror_and_reversed_time_change_nothing(seed: int) -> None:
     """Within what is asked of the distance."""
     generator = np.random.default_rng(seed)
     one, two = (Parabola(*generator.uniform(-3.0, 3.0, (3, 2))) for _ in range(2))
-    found = way_distance_m(one, two)
+    found = curve_distance_m(one, two)
 
     def mirrored(way: Parabola) -> Parabola:
         flip = np.array([-1.0, 1.0])
@@ -106,27 +108,27 @@ def test_exchange_mirror_and_reversed_time_change_nothing(seed: int) -> None:
         end = way.start_m + way.along_m + way.bend_m
         return Parabola(end, -way.along_m - 2.0 * way.bend_m, way.bend_m)
 
-    assert way_distance_m(two, one) == pytest.approx(found, abs=2.0 * CLOSE_M)
+    assert curve_distance_m(two, one) == pytest.approx(found, abs=2.0 * CLOSE_M)
     for change in (mirrored, back):
-        assert way_distance_m(change(one), change(two)) == pytest.approx(found, abs=2.0 * CLOSE_M)
+        assert curve_distance_m(change(one), change(two)) == pytest.approx(found, abs=2.0 * CLOSE_M)
 
 
 def test_what_is_not_known_is_taken_off() -> None:
     """Of both ways, and no distance is negative."""
-    one = PointWay(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.25)
-    two = PointWay(np.array([[0.0, 2.0], [0.5, 2.0], [1.0, 2.0]]), 0.5)
-    assert way_distance_m(one, two) == pytest.approx(1.25)
-    assert way_distance_m(one, replace(two, within_m=5.0)) == 0.0
-    assert way_distance_m(one, replace(two, within_m=math.inf)) == 0.0
+    one = PointCurve(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.25)
+    two = PointCurve(np.array([[0.0, 2.0], [0.5, 2.0], [1.0, 2.0]]), 0.5)
+    assert curve_distance_m(one, two) == pytest.approx(1.25)
+    assert curve_distance_m(one, replace(two, within_m=5.0)) == 0.0
+    assert curve_distance_m(one, replace(two, within_m=math.inf)) == 0.0
 
 
 def test_ways_that_curve_without_end_are_not_looked_at_for_ever() -> None:
     """What cannot be known is not claimed."""
     far = Parabola(np.zeros(2), np.full(2, 1e12), np.full(2, 1e12))
     endless = Parabola(np.zeros(2), np.zeros(2), np.full(2, np.inf))
-    still = EvenWay(np.array([[5.0, 0.0], [5.0, 0.0]]))
-    assert way_distance_m(endless, still) == 0.0
-    assert way_distance_m(far, still) <= 5.0
+    still = EvenCurve(np.array([[5.0, 0.0], [5.0, 0.0]]))
+    assert curve_distance_m(endless, still) == 0.0
+    assert curve_distance_m(far, still) <= 5.0
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -151,7 +153,7 @@ def test_the_least_step_is_found(seed: int) -> None:
     later = [
         TimedMotion(
             np.vstack([each.places_m[:1], each.places_m]),
-            (EvenWay(each.places_m[:1].repeat(2, axis=0)), *each.ways),
+            (EvenCurve(each.places_m[:1].repeat(2, axis=0)), *each.curves),
         )
         for each in (one, two)
     ]
@@ -168,6 +170,6 @@ def test_what_is_left_after_some_steps() -> None:
     motion = TimedMotion(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]]), (way, two))
     rest = motion.after(1).lasting(3)
     assert rest.places_m.tolist() == [[1.0, 1.0], [2.0, 2.0], [2.0, 2.0], [2.0, 2.0]]
-    assert rest.way(0) is two
+    assert rest.curve(0) is two
     assert motion.bulges_m == pytest.approx([0.25, 0.25])
     assert rest.bulges_m == pytest.approx([0.25, 0.0, 0.0])

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from planopt.world.moving_obstacle import (
+from planopt.world.motion import closest_approach_m
+from planopt.world.moving_discs import (
     MovingDiscs,
     joined_discs,
     passing_gaps_m,
     path_distances_m,
-    ways_gap_m,
+    paths_gap_m,
 )
 from planopt.world.separation import moving_lines
-from planopt.world.timed_motion import closest_approach_m
 
 STEPS = 6
 
@@ -98,4 +98,4 @@ def test_many_ways_at_once():
         )
         for way in ways
     ]
-    np.testing.assert_allclose(ways_gap_m(discs, ways), expected)
+    np.testing.assert_allclose(paths_gap_m(discs, ways), expected)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt.world.moving_obstacle import MovingObstacle, centres_at, growth_m, predicted_discs
+from planopt.world.moving_discs import centres_at, growth_m, predicted_discs
+from planopt.world.workspace import MovingObstacle
 
 TURNING = MovingObstacle("cart", 1.5, (2.0, 3.3, 7.0), ((0.0, 0.0), (4.0, 1.0), (4.0, -6.0)))
 STRAIGHT = MovingObstacle("van", 2.0, (0.0,), ((3.0, 4.0),), (1.0, -0.5))

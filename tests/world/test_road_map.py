@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scenes import small_road_map
 
 from planopt.world.lattice import MOVES, Lattice, node_positions
-from planopt.world.road_map import build_road_map, lattice_paths, way_from
+from planopt.world.road_map import build_road_map, lattice_paths, route_from
 
 WALL = shapely.box(4.4, 0.0, 4.6, 6.2)
 BLOCK = shapely.Polygon([(6.5, 3.5), (8.4, 4.4), (7.4, 6.6)])
@@ -81,7 +81,7 @@ def test_round_a_wall():
     ways = lattice_paths(road_map, goal)
     np.testing.assert_allclose(ways.cost_m, costs_by_networkx(road_map, goal), atol=1e-9)
     start = int(road_map.number[2, 2])
-    way = way_from(road_map, ways, start, 100.0)
+    way = route_from(road_map, ways, start, 100.0)
     places = road_map.nodes_m[way]
     assert way[0] == start
     assert way[-1] == goal
@@ -162,7 +162,7 @@ def test_costs_avoid_dear_places():
     dear = (np.abs(road_map.nodes_m[:, 0] - 5.0) <= 1.0) & (road_map.nodes_m[:, 1] < 6.5)
     factor[dear] = 100.0
     start, goal = road_map.number[0, 0], int(road_map.number[0, -1])
-    way = way_from(road_map, lattice_paths(road_map, goal, factor), int(start), 100.0)
+    way = route_from(road_map, lattice_paths(road_map, goal, factor), int(start), 100.0)
     assert not dear[way].any()
 
 
@@ -171,13 +171,13 @@ def test_a_way_ends_once_it_is_long_enough():
     road_map = small_road_map()
     goal, start = int(road_map.number[0, 8]), int(road_map.number[0, 0])
     ways = lattice_paths(road_map, goal)
-    np.testing.assert_array_equal(way_from(road_map, ways, start, 0.0), [start])
+    np.testing.assert_array_equal(route_from(road_map, ways, start, 0.0), [start])
     for length in (0.5, 1.0, 3.0, 4.5, 7.9):
-        way = way_from(road_map, ways, start, length)
+        way = route_from(road_map, ways, start, length)
         steps = np.linalg.norm(np.diff(road_map.nodes_m[way], axis=0), axis=1)
         assert steps.sum() >= length > steps[:-1].sum()
-    assert way_from(road_map, ways, start, 1e6)[-1] == goal
-    np.testing.assert_array_equal(way_from(road_map, ways, goal, 5.0), [goal])
+    assert route_from(road_map, ways, start, 1e6)[-1] == goal
+    np.testing.assert_array_equal(route_from(road_map, ways, goal, 5.0), [goal])
 
 
 def test_an_island_has_no_way():
@@ -186,4 +186,4 @@ def test_an_island_has_no_way():
     ways = lattice_paths(road_map, int(road_map.number[3, 8]))
     here = int(road_map.number[3, 1])
     assert np.isinf(ways.cost_m[here])
-    np.testing.assert_array_equal(way_from(road_map, ways, here, 5.0), [here])
+    np.testing.assert_array_equal(route_from(road_map, ways, here, 5.0), [here])

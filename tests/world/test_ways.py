@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from planopt.world.clearance import index_obstacles
-from planopt.world.ways import Arc, Parabola, PointWay
+from planopt.world.motion import Arc, Parabola, PointCurve
 from planopt.world.workspace import Obstacle, Workspace
 
 BOUNDS = (-10.0, -10.0, 10.0, 10.0)
@@ -119,5 +119,5 @@ def test_points_with_a_bound() -> None:
     """The bound is taken off, never below zero."""
     index = index_of(shapely.box(1.0, -1.0, 2.0, 1.0))
     places = np.array([[0.0, 0.0], [0.5, 0.0]])
-    assert PointWay(places, 0.2).clearance_m(index) == pytest.approx(0.3)
-    assert PointWay(places, 0.7).clearance_m(index) == 0.0
+    assert PointCurve(places, 0.2).clearance_m(index) == pytest.approx(0.3)
+    assert PointCurve(places, 0.7).clearance_m(index) == 0.0

@@ -86,7 +86,7 @@ def require_foreseeable(problem: Problem) -> None:
         or several
         or problem.workspace.moving
         or problem.workspace.timed
-        or any(robot.dynamics is not None for robot in problem.robots)
+        or not all(robot.moves_freely for robot in problem.robots)
     ):
         raise InputError(
             f"is {problem.planner.name}, a bound on tracking for one station, by single "

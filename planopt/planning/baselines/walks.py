@@ -37,7 +37,7 @@ from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.exploration import learns
 from planopt.problems.problem import Problem
-from planopt.world.road_map import RoadMap, lattice_paths, way_from
+from planopt.world.road_map import RoadMap, lattice_paths, route_from
 
 RINGS, HEADINGS = 10, 48
 """Places within a step: on so many circles in so many directions, and the robot's own."""
@@ -256,5 +256,5 @@ def _way(road_map: RoadMap, here: int, there: int) -> list[int]:
     moves = road_map.edge_to[road_map.edge_start[here] : road_map.edge_start[here + 1]]
     if there in moves:
         return [there]
-    way = way_from(road_map, lattice_paths(road_map, there), here, math.inf)
+    way = route_from(road_map, lattice_paths(road_map, there), here, math.inf)
     return [int(node) for node in way[1:]] if way[-1] == there else []

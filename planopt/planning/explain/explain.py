@@ -28,7 +28,7 @@ from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solve import solve, solve_on
 from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.road_map import lattice_paths, way_from
+from planopt.world.road_map import lattice_paths, route_from
 
 
 @one_blas_thread()
@@ -215,5 +215,5 @@ def _way(
     nodes, lengths = first_moves(scene.ground, problem, start_m)
     first = int(np.argmin(lengths * (1.0 + surcharge[nodes]) + ways.cost_m[nodes]))
     cost_m = float(lengths[first] * (1.0 + surcharge[nodes[first]]) + ways.cost_m[nodes[first]])
-    rest = way_from(road_map, ways, int(nodes[first]), np.inf)
+    rest = route_from(road_map, ways, int(nodes[first]), np.inf)
     return cost_m, np.vstack([start_m, road_map.nodes_m[rest]])

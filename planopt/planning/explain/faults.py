@@ -29,8 +29,8 @@ from planopt.planning.values.rule_rows import common_level
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.robots.drive import braked_motion
 from planopt.world.clearance import index_obstacles
-from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.timed_motion import step_distances_m
+from planopt.world.motion import step_distances_m
+from planopt.world.moving_discs import MovingDiscs
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from planopt.planning.loop.log import StepLog, TargetLog
 from planopt.planning.plan import Plan
 from planopt.planning.results import Run, Solution
 from planopt.problems.problem import Problem
+from planopt.problems.robot import Robot
 from planopt.robots.drive import Drive
 from planopt.robots.dynamics import Dynamics
 
@@ -86,7 +87,12 @@ KNOWLEDGE_COLUMNS = (
 
 def step_columns(problem: Problem) -> tuple[Column, ...]:
     """Return the columns of ``steps.csv`` for the robots of a problem."""
-    names = [name for robot in problem.robots for name in drive_names(robot.dynamics)]
+    names = [
+        name
+        for robot in problem.robots
+        if not robot.moves_freely
+        for name in drive_names(robot.dynamics)
+    ]
     meaning = "state, or input of the step that ends here"
     return (*STEP_COLUMNS, *(Column(name, meaning) for name in dict.fromkeys(names)))
 
@@ -121,9 +127,9 @@ def target_columns(problem: Problem) -> tuple[Column, ...]:
     )
 
 
-def drive_names(dynamics: Dynamics | None) -> tuple[str, ...]:
+def drive_names(dynamics: Dynamics) -> tuple[str, ...]:
     """Return the names of a robot's states beyond the position, and of its inputs."""
-    return () if dynamics is None else (*dynamics.state_names[2:], *dynamics.input_names)
+    return (*dynamics.state_names[2:], *dynamics.input_names)
 
 
 def drive_table(drive: Drive | None) -> dict[str, NDArray[np.float64]]:
@@ -136,15 +142,16 @@ def drive_table(drive: Drive | None) -> dict[str, NDArray[np.float64]]:
 
 
 def drive_of(
-    dynamics: Dynamics | None,
+    robot: Robot,
     positions_m: NDArray[np.float64],  # (N + 1, 2)
     table: Mapping[str, Sequence[float | None]] | None,
     file: Path,
     key: str,
 ) -> Drive | None:
     """Return the drive of saved columns; None for a single integrator."""
-    if dynamics is None:
+    if robot.moves_freely:
         return None
+    dynamics = robot.dynamics
     columns: list[NDArray[np.float64]] = []
     for name in drive_names(dynamics):
         column = None if table is None else table.get(name)

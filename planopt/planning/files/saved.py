@@ -55,7 +55,7 @@ from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.robots.drive import Drive, braked_motion
-from planopt.world.timed_motion import TimedMotion
+from planopt.world.motion import TimedMotion
 
 PLAN_FILE, RUN_FILE = "plan.json", "run.json"
 
@@ -247,7 +247,7 @@ def _plan(
     if len(path_m) != horizon + 1:
         message = f"has {len(path_m) - 1} steps, planner.horizon is {horizon}"
         raise _damaged(file, key, message)
-    drive = drive_of(problem.robots[number].dynamics, path_m, record.drive, file, f"{key}.drive")
+    drive = drive_of(problem.robots[number], path_m, record.drive, file, f"{key}.drive")
     return SavedPlan(record, path_m, drive, braked_motion(path_m, drive, problem.planner.step_s))
 
 

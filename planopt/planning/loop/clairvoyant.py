@@ -21,7 +21,7 @@ from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.roads import node_at, nodes_in_reach
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
-from planopt.world.road_map import RoadMap, cheapest_ways, way_from
+from planopt.world.road_map import RoadMap, cheapest_paths, route_from
 
 SHORTCUT_NODES = 40
 """A straight stretch of the clairvoyant's path skips at most so many nodes of the lattice."""
@@ -93,12 +93,12 @@ def clairvoyant_path(
 
     nodes_m = road_map.nodes_m
     moves = cost_m(nodes_m[road_map.edge_from], nodes_m[road_map.edge_to])
-    ways = cheapest_ways(road_map, node_at(road_map, np.asarray(problem.goal_m)), moves)
+    ways = cheapest_paths(road_map, node_at(road_map, np.asarray(problem.goal_m)), moves)
     start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
     nodes, _ = nodes_in_reach(road_map, index, problem, start)
     joining = cost_m(np.broadcast_to(start, (len(nodes), 2)), nodes_m[nodes])
     first = int(nodes[np.argmin(joining + ways.cost_m[nodes])])
-    places = np.vstack([start, nodes_m[way_from(road_map, ways, first, np.inf)]])
+    places = np.vstack([start, nodes_m[route_from(road_map, ways, first, np.inf)]])
     return _straightened(problem, index, places, cost_m)
 
 

@@ -112,8 +112,7 @@ def standstill(
     alone: bool = True,
 ) -> str | None:
     """Return why a robot will stand or circle from now on; None if it may move on."""
-    dynamics = problem.robots[0].dynamics
-    unit = np.ones(2) if dynamics is None else np.array(dynamics.unit_m(problem.planner.step_s))
+    unit = np.array(problem.robots[0].dynamics.unit_m(problem.planner.step_s))
     stood = bool(np.linalg.norm((track[-1] - track[-2]) * unit) <= STANDSTILL_M)
     # A plan that drives on after waiting is another initial guess for the next one.
     waits = np.linalg.norm(plan.positions_m - plan.positions_m[0], axis=1).max() > STANDSTILL_M

@@ -74,9 +74,9 @@ def driven(robot: Robot, plans: Sequence[Plan]) -> Drive | None:
 
     A run of no step has the state that it starts in.
     """
-    dynamics = robot.dynamics
-    if dynamics is None:
+    if robot.moves_freely:
         return None
+    dynamics = robot.dynamics
     if not plans:
         return Drive(dynamics, robot.start_state[None], np.zeros((0, len(dynamics.input_names))))
     drives = [plan.drive for plan in plans if plan.drive is not None]

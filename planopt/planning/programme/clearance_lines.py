@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs, path_distances_m
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs, path_distances_m
 from planopt.world.separation import (
     PackedPieces,
     SeparatingLines,

@@ -147,7 +147,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
     if task.total_bound is not None:
         bound = np.append(bound, task.total_bound)
     slack_limit = np.zeros(shape.slacks) if task.slack_limit_db is None else task.slack_limit_db
-    pad = 0.0 if shape.motion is None else shape.motion.dynamics.way_pad_m(shape.motion.step_s)
+    pad = 0.0 if shape.motion is None else shape.motion.dynamics.hull_pad_m(shape.motion.step_s)
     kept = task.clearance_m + pad + CLEARANCE_PAD_M
     line = task.lines.rows(kept)
     stop = np.zeros((0, shape.lines, 4))

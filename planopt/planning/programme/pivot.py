@@ -19,7 +19,7 @@ from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, swept_clearance_m
-from planopt.world.road_map import lattice_paths, way_from
+from planopt.world.road_map import lattice_paths, route_from
 
 LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""
@@ -133,7 +133,7 @@ def find_pivot(
 ) -> Pivot:
     """Farthest point of the way that is seen from the start path's end, or one out of reach."""
     end = int(start.nodes[-1])
-    way = way_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
+    way = route_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
     places = scene.road_map.nodes_m[way]
     origin = places[0] if origin_m is None else origin_m
     chosen = 0

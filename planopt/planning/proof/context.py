@@ -18,7 +18,7 @@ from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid
 from planopt.planning.proof.predictions import stations_law, uncertain_law
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
-from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs, predicted_discs
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs, predicted_discs
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +100,8 @@ def verifier_context(
 def steps_ahead(problem: Problem) -> int:
     """Steps for which it counts where everything is: planned ones, then the longest braking."""
     settings = problem.planner
-    braking = [
-        robot.dynamics.longest_stop_steps(settings.step_s)
-        for robot in problem.robots
-        if robot.dynamics is not None
-    ]
-    return settings.horizon + max(braking, default=0)
+    braking = [robot.dynamics.longest_stop_steps(settings.step_s) for robot in problem.robots]
+    return settings.horizon + max(braking)
 
 
 def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:

@@ -21,9 +21,8 @@ from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, braked_motion, dynamics_defect_m
 from planopt.robots.dynamics import Dynamics
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
-from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.timed_motion import TimedMotion, least_gap
-from planopt.world.ways import Way
+from planopt.world.motion import Curve, TimedMotion, least_gap
+from planopt.world.moving_discs import MovingDiscs
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def swept_motion(
     objects to.
     """
     dynamics = problem.robots[0].dynamics
-    if dynamics is None or drive is None or drive_fault(dynamics, positions_m, drive):
+    if drive is None or drive_fault(dynamics, positions_m, drive):
         return TimedMotion(positions_m)
     own = Drive(dynamics, drive.states, drive.inputs)
     return braked_motion(positions_m, own, problem.planner.step_s)
@@ -121,9 +120,9 @@ def verify_motion(
     drive
         How the robot drives along it; None for the single integrator.
     """
-    dynamics = problem.robots[0].dynamics
-    if dynamics is None:
+    if problem.robots[0].moves_freely:
         return _straight(problem, index, start, positions_m)
+    dynamics = problem.robots[0].dynamics
     fault = drive_fault(dynamics, positions_m, drive)
     if drive is None or fault:
         return MotionFinding(0.0, np.inf, (fault,))
@@ -172,13 +171,13 @@ def _driven(
     step_s = problem.planner.step_s
     states = drive.states
     unit_m = np.array(dynamics.unit_m(step_s))
-    ways = dynamics.ways(states[:-1], drive.inputs, step_s)
-    each = np.array([way.clearance_m(index) for way in ways])
+    curves = dynamics.curves(states[:-1], drive.inputs, step_s)
+    each = np.array([curve.clearance_m(index) for curve in curves])
     clearance = float(np.min(each, initial=np.inf))
     reasons = _clearance_reasons(problem, each, "the swept path")
-    if not all(_within(problem, way) for way in ways):
+    if not all(_within(problem, curve) for curve in curves):
         reasons.append("the path leaves world.bounds_m")
-    stop = dynamics.stop_way(states[-1], step_s)
+    stop = dynamics.stop_curve(states[-1], step_s)
     if stop is not None:
         after = np.array([stop.clearance_m(index)])
         clearance = min(clearance, float(after[0]))
@@ -214,9 +213,9 @@ def _clearance_reasons(problem: Problem, swept: NDArray[np.float64], what: str) 
     ]
 
 
-def _within(problem: Problem, way: Way) -> bool:
-    """Return whether all of a way is in the workspace, to round-off."""
-    places, within = way.points_m()
+def _within(problem: Problem, curve: Curve) -> bool:
+    """Return whether all of a curve is in the workspace, to round-off."""
+    places, within = curve.points_m()
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     low = places.min(axis=0) - within + 2.0 * CLEARANCE_TOLERANCE_M
     high = places.max(axis=0) + within - 2.0 * CLEARANCE_TOLERANCE_M
@@ -230,13 +229,8 @@ def is_at_goal(problem: Problem, place_m: NDArray[np.float64]) -> bool:
 
 
 def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
-    """Return whether the first robot stands in a state (s,): braking does not move it.
-
-    The single integrator always does.
-    """
+    """Return whether the first robot stands in a state (s,): braking does not move it."""
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
-    if dynamics is None:
-        return True
     control = dynamics.braking(state, step_s, 1)[0]
     after = np.array(dynamics.step(tuple(state), tuple(control), step_s), dtype=np.float64)
     return float(np.linalg.norm(after[:2] - state[:2])) <= STANDSTILL_M
@@ -245,7 +239,7 @@ def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
 def stops_at_goal(problem: Problem, state: NDArray[np.float64]) -> bool:
     """Return whether a robot with dynamics is at the goal and comes to stand there if it brakes."""
     dynamics = problem.robots[0].dynamics
-    if dynamics is None or not is_at_goal(problem, state[:2]):
+    if not is_at_goal(problem, state[:2]):
         return False
-    way = dynamics.stop_way(state, problem.planner.step_s)
-    return stands(problem, state) if way is None else is_at_goal(problem, way.points_m()[0][-1])
+    stop = dynamics.stop_curve(state, problem.planner.step_s)
+    return stands(problem, state) if stop is None else is_at_goal(problem, stop.points_m()[0][-1])

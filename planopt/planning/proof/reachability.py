@@ -58,9 +58,9 @@ def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
     """Return where the first robot may be some steps after `state`; None if anywhere near."""
-    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
-    if dynamics is None:
+    if problem.robots[0].moves_freely:
         return None
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
 
     def may_reach(places_m: NDArray[np.float64], step: int, slack_m: float) -> NDArray[np.bool_]:
         return dynamics.may_reach(state, places_m, step * step_s, slack_m)

@@ -38,7 +38,7 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, 
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, clearance_m, inside_bounds, segments_clear
-from planopt.world.moving_obstacle import ways_gap_m
+from planopt.world.moving_discs import paths_gap_m
 
 CELLS_PER_STEP = 4.0
 """Cells of the raster along a longest step."""
@@ -342,4 +342,4 @@ class CoupledStarts:
         """Return whether ways (c, N, 2) keep from all that moves; ``(c,)``."""
         begin = np.broadcast_to(situation.position_m, (len(ways_m), 1, 2))
         whole = np.concatenate([begin, ways_m], axis=1)
-        return ways_gap_m(situation.moving, whole) >= -CLEARANCE_TOLERANCE_M
+        return paths_gap_m(situation.moving, whole) >= -CLEARANCE_TOLERANCE_M

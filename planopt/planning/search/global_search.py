@@ -35,8 +35,8 @@ from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_missing
 from planopt.planning.values.rule_rows import Guide, find_guided, step_rows
 from planopt.problems.problem import Problem
-from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.road_map import Ways, lattice_paths, way_from
+from planopt.world.moving_discs import MovingDiscs
+from planopt.world.road_map import CostToGo, lattice_paths, route_from
 
 FORBIDDEN = 1e6
 """A metre below the bound costs this many where it must not be driven: more than any path."""
@@ -67,7 +67,7 @@ class GlobalStart:
     # (b, 2) its beginning, as far as it keeps the bound and may be come to in N steps
     beyond_m: NDArray[np.float64]
     # Cost-to-go of the nodes, in metres; infinite at those that it was not looked for at
-    ways: Ways
+    ways: CostToGo
     metre_cost: NDArray[np.float64]  # (n,) what a metre costs at every node
     is_blocked: bool  # Whether path or route lead where driving is forbidden
     is_direct: bool = False  # Whether the robot is to drive this very path, having wandered enough
@@ -96,7 +96,7 @@ class GlobalSearch:
         self._is_alone = (
             rule.is_plain
             and not others
-            and not problem.robots[0].dynamics
+            and problem.robots[0].moves_freely
             and not problem.workspace.moving
         )
         self._here_m = np.inf
@@ -198,7 +198,7 @@ class GlobalSearch:
         allowed = (1.0 + self._problem.reach.outage_price) * self._direct_m
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
-    def _ways_from(self, position_m: NDArray[np.float64]) -> Ways:
+    def _ways_from(self, position_m: NDArray[np.float64]) -> CostToGo:
         """Cheapest paths to the goal from where the robot is and from where it may plan to be.
 
         How far to look is guessed from the cost-to-go a step ago. Where that was too little, all
@@ -222,7 +222,7 @@ class GlobalSearch:
         return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
     def _within_rule(
-        self, situation: StepContext, ways: Ways, cheapest: NDArray[np.intp]
+        self, situation: StepContext, ways: CostToGo, cheapest: NDArray[np.intp]
     ) -> NDArray[np.intp]:
         """The cheapest path that keeps the rule and comes near enough to the goal; else nearer.
 
@@ -254,12 +254,12 @@ class GlobalSearch:
                 return all_nodes[k]
         return cheapest
 
-    def _nearest_cost_m(self, situation: StepContext, ways: Ways) -> float:
+    def _nearest_cost_m(self, situation: StepContext, ways: CostToGo) -> float:
         """Cost-to-go from where the robot is."""
         nodes, lengths = first_moves(self._scene.ground, self._problem, situation.position_m)
         return float((lengths + ways.cost_m[nodes]).min())
 
-    def _cost_s(self, situation: StepContext, ways: Ways, nodes: NDArray[np.intp]) -> float:
+    def _cost_s(self, situation: StepContext, ways: CostToGo, nodes: NDArray[np.intp]) -> float:
         """Cost of a path and of the way on from its end."""
         problem, road_map = self._problem, self._scene.road_map
         places = np.vstack([situation.position_m, road_map.nodes_m[nodes]])
@@ -276,7 +276,7 @@ class GlobalSearch:
         charged = problem.reach.outage_price * charged_length_m(lengths, share)
         return cost + self._rate * (charged + float(ways.cost_m[nodes[-1]]))
 
-    def _shortest(self, situation: StepContext, ways: Ways) -> NDArray[np.intp] | None:
+    def _shortest(self, situation: StepContext, ways: CostToGo) -> NDArray[np.intp] | None:
         """Nodes (N,) of a shortest path: of the fastest one, if no path is shorter than it."""
         places, position = self._scene.road_map.nodes_m, situation.position_m
         fastest = self._cheapest(situation, ways, None, priced=False, effort_s2_m2=0.0)
@@ -288,7 +288,7 @@ class GlobalSearch:
         if float(legs.sum() + ways.cost_m[fastest[-1]]) <= float(ahead.min()) + STANDSTILL_M:
             return fastest
         first = int(np.argmin(ahead))
-        nodes = way_from(self._scene.road_map, ways, int(joined[first]), np.inf)
+        nodes = route_from(self._scene.road_map, ways, int(joined[first]), np.inf)
         if lengths[first] <= STANDSTILL_M and len(nodes) > 1:
             nodes = nodes[1:]
         horizon = self._problem.planner.horizon
@@ -304,7 +304,7 @@ class GlobalSearch:
     def _cheapest(
         self,
         situation: StepContext,
-        ways: Ways,
+        ways: CostToGo,
         guide: Guide | None,
         *,
         priced: bool,
@@ -366,12 +366,17 @@ class GlobalSearch:
         return penalty
 
     def _start(
-        self, situation: StepContext, ways: Ways, nodes: NDArray[np.intp], *, direct: bool = False
+        self,
+        situation: StepContext,
+        ways: CostToGo,
+        nodes: NDArray[np.intp],
+        *,
+        direct: bool = False,
     ) -> GlobalStart:
         """Return the initial guess of a path."""
         problem, road_map = self._problem, self._scene.road_map
-        route = way_from(road_map, ways, int(nodes[-1]), np.inf)
-        soon = way_from(
+        route = route_from(road_map, ways, int(nodes[-1]), np.inf)
+        soon = route_from(
             road_map, ways, int(nodes[-1]), problem.planner.horizon * problem.step_length_m
         )
         margin = self.margins.margin_db[nodes]

@@ -26,7 +26,7 @@ from planopt.planning.search.moving_moves import (
     without_margin,
 )
 from planopt.world.lattice import MOVES
-from planopt.world.moving_obstacle import MovingDiscs
+from planopt.world.moving_discs import MovingDiscs
 from planopt.world.road_map import RoadMap
 
 StageReward = Callable[[int, Window], NDArray[np.float64]]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES, Lattice
-from planopt.world.moving_obstacle import MovingDiscs, passing_gaps_m
+from planopt.world.moving_discs import MovingDiscs, passing_gaps_m
 from planopt.world.workspace import LONGEST_MOVE
 
 

@@ -39,7 +39,7 @@ from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.planning.values.rule_rows import Guide, find_guided
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
-from planopt.world.moving_obstacle import ways_gap_m
+from planopt.world.moving_discs import paths_gap_m
 from planopt.world.workspace import LONGEST_MOVE
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
@@ -264,7 +264,7 @@ class StartSearch:
         kept = [
             path
             for path in paths
-            if ways_gap_m(moving, np.vstack([situation.position_m, path])[None])[0]
+            if paths_gap_m(moving, np.vstack([situation.position_m, path])[None])[0]
             >= -CLEARANCE_TOLERANCE_M
         ]
         return kept or paths

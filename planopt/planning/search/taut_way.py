@@ -18,7 +18,7 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M
-from planopt.world.road_map import Ways, lattice_paths, way_from
+from planopt.world.road_map import CostToGo, lattice_paths, route_from
 
 STRAIGHT_SHARE = 1e-9
 """Legs turn where their directions differ by more than this."""
@@ -38,7 +38,7 @@ class WaysFrom:
         self._wanted_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
         nodes, lengths = first_moves(ground, problem, position_m)
         self.length_m = np.full(len(ground.road_map.nodes_m), np.inf)
-        self._ways: Ways | None = None
+        self._ways: CostToGo | None = None
         if len(nodes):
             nearest = int(np.argmin(lengths))
             self._ways = lattice_paths(ground.road_map, int(nodes[nearest]), limit_m=limit_m)
@@ -53,7 +53,7 @@ class WaysFrom:
         """Return turns of the way to a place (2,) beside `node`, its start and its end; (m, 2)."""
         if self._ways is None:
             raise AssertionError("there is no way to any node")
-        nodes = way_from(self._ground.road_map, self._ways, node, math.inf)[::-1]
+        nodes = route_from(self._ground.road_map, self._ways, node, math.inf)[::-1]
         corners = np.vstack([self._position_m, self._ground.road_map.nodes_m[nodes], end_m])
         turns, last = [corners[0]], 0
         while last < len(corners) - 1:

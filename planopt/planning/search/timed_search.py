@@ -17,9 +17,9 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
-from planopt.world.moving_obstacle import MovingDiscs
-from planopt.world.road_map import RoadMap, Ways, lattice_paths
-from planopt.world.timed_motion import closest_approach_m
+from planopt.world.motion import closest_approach_m
+from planopt.world.moving_discs import MovingDiscs
+from planopt.world.road_map import CostToGo, RoadMap, lattice_paths
 
 DELAYS_STEPS = (16, 64, 200)
 """Delays, in steps of waiting, that are looked at one after the other; the last is the longest."""
@@ -36,7 +36,7 @@ class TimedCosts:
     """Cost of driving over a lattice to a goal."""
 
     road_map: RoadMap  # The lattice, its cost-to-go without the others, and where it leads
-    ways: Ways
+    ways: CostToGo
     goal_node: int
     step_s: float  # Duration and longest way of a step, and the weight of effort
     step_m: float
@@ -46,7 +46,7 @@ class TimedCosts:
     surcharge_s_m: NDArray[np.float64]
 
 
-def route_nodes(ways: Ways, node: int) -> NDArray[np.intp]:
+def route_nodes(ways: CostToGo, node: int) -> NDArray[np.intp]:
     """Return the nodes of the shortest way from `node` on to the goal, both included."""
     nodes = [node]
     while (following := int(ways.next_node[nodes[-1]])) >= 0:
@@ -203,7 +203,7 @@ def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np
     return is_apart(discs, on, step)
 
 
-def _ways_beside_standing(costs: TimedCosts, discs: MovingDiscs) -> Ways:
+def _ways_beside_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
     """Return the cost-to-go where all discs stand as at the end.
 
     Nodes so near to a disc are closed that no move between others comes too near to it.

@@ -39,8 +39,8 @@ from planopt.planning.team.team_step import build_team, keep_apart, plan_togethe
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.moving_obstacle import MovingDiscs, joined_discs
-from planopt.world.timed_motion import TimedMotion
+from planopt.world.motion import TimedMotion
+from planopt.world.moving_discs import MovingDiscs, joined_discs
 
 STAYING = (Rung.SHIFTED, Rung.STOP, Rung.RESERVED, Rung.LEAVE)
 """Plans that fall back on what was planned before, or on standing."""
@@ -125,7 +125,7 @@ class Couriers:
         return {
             number: TimedMotion(course.places_m[: horizon + 1])
             for number, course in enumerate(courses)
-            if self._problem.robots[number].dynamics is None and course.outlook.start is not None
+            if self._problem.robots[number].moves_freely and course.outlook.start is not None
         }
 
     def _in_turn(

@@ -23,9 +23,9 @@ from planopt.planning.plan import Plan
 from planopt.planning.proof.context import obstacles_ahead, steps_ahead
 from planopt.planning.proof.motion import verify_apart
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, braked_motion, standing_motion
-from planopt.world.moving_obstacle import MovingDiscs, joined_discs, predicted_discs
-from planopt.world.timed_motion import TimedMotion, step_distances_m
+from planopt.robots.drive import Drive, braked_motion, stopping_motion
+from planopt.world.motion import TimedMotion, step_distances_m
+from planopt.world.moving_discs import MovingDiscs, joined_discs, predicted_discs
 
 
 def has_separation(problem: Problem) -> bool:
@@ -51,7 +51,7 @@ def reserved_motion(
     step_s, steps = problem.planner.step_s, steps_ahead(problem)
     if last is None:
         dynamics = problem.robots[number].dynamics
-        return standing_motion(dynamics, state, step_s).lasting(steps)
+        return stopping_motion(dynamics, state, step_s).lasting(steps)
     return planned_motion(problem, last).after(1).lasting(steps)
 
 
@@ -73,7 +73,7 @@ def beside(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> 
         np.zeros((count, steps)),
         np.full(count, problem.constraints.separation_m),
         np.ones(count, dtype=np.bool_),
-        tuple(motion.ways for motion in motions),
+        tuple(motion.curves for motion in motions),
     )
     return joined_discs(robots, obstacles)
 
@@ -128,8 +128,8 @@ def driven_motion(track_m: NDArray[np.float64], drive: Drive | None, step_s: flo
     """Return what was driven, or is planned, over the steps of a track (n + 1, 2) alone."""
     if drive is None:
         return TimedMotion(track_m)
-    ways = drive.dynamics.ways(drive.states[:-1], drive.inputs, step_s)
-    return TimedMotion(track_m, tuple(ways))
+    curves = drive.dynamics.curves(drive.states[:-1], drive.inputs, step_s)
+    return TimedMotion(track_m, tuple(curves))
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:

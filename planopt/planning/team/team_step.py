@@ -50,7 +50,7 @@ from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.steered_path import SteeringWay, steering_way
 from planopt.planning.values.steering import ConnectionSteering, GoalSteering, Steering
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 Steer = Callable[[StepContext], SteeringWay | None]
 

@@ -40,7 +40,7 @@ from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.steered_path import SteeringWay, steering_way
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
-from planopt.world.road_map import lattice_paths, way_from
+from planopt.world.road_map import lattice_paths, route_from
 
 TILE = 1
 """Places of the region are far apart: each has its own neighbours."""
@@ -191,7 +191,7 @@ class GoalSteering:
         first = int(nodes[cost.argmin()])
         if not np.isfinite(ways.cost_m[first]):
             return None
-        along = way_from(road_map, ways, first, math.inf)
+        along = route_from(road_map, ways, first, math.inf)
         corners = np.vstack([here, road_map.nodes_m[along], self._goal_m])
         # Beside the way's own nodes, the robot and the goal cost what the nearest nodes cost.
         at_corner = metre_cost[np.concatenate([[first], along, [self._goal_node]])]

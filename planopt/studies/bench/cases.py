@@ -163,7 +163,7 @@ def _allows(problem: Problem, planner: str) -> bool:
         with_overrides(problem, planner=planner)
     except InputError:
         return False
-    single = all(robot.dynamics is None for robot in problem.robots)
+    single = all(robot.moves_freely for robot in problem.robots)
     return single or kind.has_dynamics
 
 

@@ -27,7 +27,7 @@ from planopt.pursuit.records import SnapshotRecords, draw_lost_rounds
 from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene
 from planopt.pursuit.theorems import Distances, Theorem
-from planopt.robots.unicycle import Unicycle
+from planopt.robots.models import Unicycle
 from planopt.tasks.task import TaskFile
 from planopt.world.workspace import Obstacle, Workspace
 

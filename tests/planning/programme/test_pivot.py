@@ -14,7 +14,7 @@ from planopt.planning.programme.pivot import (
 from planopt.planning.scene import build_scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.world.road_map import lattice_paths, way_from
+from planopt.world.road_map import lattice_paths, route_from
 
 WALL = shapely.box(19.0, -1.0, 21.0, 22.0)
 BLOCK = shapely.Polygon([(26.0, 8.0), (31.0, 12.0), (27.0, 17.0)])
@@ -60,7 +60,7 @@ def test_from_every_node(polygons, horizon):
         if not np.isfinite(scene.ways.cost_m[node]):
             continue
         pivot = find_pivot(scene, start_at(scene, node, None, horizon), None, step, clearance)
-        way = way_from(scene.road_map, scene.ways, node, LOOKAHEAD_STEPS * step)
+        way = route_from(scene.road_map, scene.ways, node, LOOKAHEAD_STEPS * step)
         on_way = np.flatnonzero((places[way] == pivot.position_m).all(axis=1))
         assert len(on_way) == 1
         index = int(on_way[0])
@@ -233,7 +233,7 @@ def test_beyond_a_change_only_as_far_as_a_path_may_come():
     for horizon in (4, 40):
         start = start_at(scene, node, horizon=horizon)
         pivot = find_pivot(scene, start, margin, step, 0.5)
-        way = places[way_from(scene.road_map, scene.ways, node, LOOKAHEAD_STEPS * step)]
+        way = places[route_from(scene.road_map, scene.ways, node, LOOKAHEAD_STEPS * step)]
         ahead = np.linalg.norm(way - places[node], axis=1)
         first = way[np.argmax(ahead >= LATTICE_DETOUR * horizon * step)]
         np.testing.assert_array_equal(pivot.position_m, first)

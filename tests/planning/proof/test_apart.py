@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from planopt.planning.proof.motion import verify_apart
-from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
-from planopt.world.timed_motion import TimedMotion
+from planopt.world.motion import TimedMotion
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 STEPS = 4
 

@@ -13,17 +13,16 @@ import numpy as np
 import pytest
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.robots.double_integrator import DoubleIntegrator
 from planopt.robots.drive import braked_motion, rolled_out
-from planopt.robots.unicycle import Unicycle
-from planopt.world.ways import PointWay
+from planopt.robots.models import DoubleIntegrator, Unicycle
+from planopt.world.motion import PointCurve
 
 APART = "planopt.planning.proof.motion"
-DISCS = "planopt.world.moving_obstacle"
-CLOSEST = "planopt.world.timed_motion"
-LEAST = "planopt.world.timed_motion"
-TIMED = "planopt.world.timed_motion"
-OBSTACLE = "planopt.world.moving_obstacle"
+DISCS = "planopt.world.moving_discs"
+CLOSEST = "planopt.world.motion"
+LEAST = "planopt.world.motion"
+TIMED = "planopt.world.motion"
+OBSTACLE = "planopt.world.moving_discs"
 
 TURNS = np.array([[2.5, 1.2], [2.0, -1.4], [3.0, 0.0], [1.0, 1.5]])
 
@@ -37,8 +36,8 @@ MUTANTS = [
     (CLOSEST, "(1.0 - share[..., None]) * along", "share[..., None] * along"),
     (CLOSEST, "starts_m + share[..., None]", "starts_m - share[..., None]"),
     (DISCS, "self.radius_m + self.least_m", "self.radius_m - self.least_m"),
-    (DISCS, "self.ways[number] if self.ways else ()", "()"),
-    (DISCS, "self.ways[number] if", "self.ways[0] if"),
+    (DISCS, "self.curves[number] if self.curves else ()", "()"),
+    (DISCS, "self.curves[number] if", "self.curves[0] if"),
     (APART, "radius = discs.radius_m", "radius = 0.0 * discs.radius_m"),
     (APART, "discs.radius_m[number, :", "discs.radius_m[0, :"),
     (APART, "gaps[number] - discs.least_m", "gaps[number] + discs.least_m"),
@@ -79,20 +78,20 @@ MUTANTS = [
     (LEAST, "int(gaps.argmin())", "int(gaps.argmax())"),
     (
         LEAST,
-        "and not other.ways:\n        return float",
-        "or not other.ways:\n        return float",
+        "and not other.curves:\n        return float",
+        "or not other.curves:\n        return float",
     ),
     (LEAST, "gaps - one.bulges_m - other.bulges_m", "gaps + one.bulges_m + other.bulges_m"),
     (LEAST, "gaps - one.bulges_m - other.bulges_m", "gaps - other.bulges_m"),
     (LEAST, "if lower[k] >= best", "if lower[k] < best"),
-    (LEAST, "best + float(taken_m[k])) -", "best) -"),
-    (LEAST, "- float(taken_m[k])\n", "\n"),
+    (LEAST, "best + taken) -", "best) -"),
+    (LEAST, "- taken\n", "\n"),
     (LEAST, "if gap < best:", "if gap > best:"),
     (TIMED, "if step >= self.steps", "if step > self.steps"),
     (TIMED, "self.places_m[-1:].repeat(2", "self.places_m[:1].repeat(2"),
     (TIMED, "np.minimum(np.arange(steps + 1), self.steps)", "np.zeros(steps + 1, dtype=int)"),
-    (TIMED, "np.linalg.norm(way.at(breaks) - even, axis=1).max()", "0.0"),
-    (TIMED, "way.curving_m * float(part) ** 2 / 8.0 + ", ""),
+    (TIMED, "np.linalg.norm(curve.at(breaks) - even, axis=1).max()", "0.0"),
+    (TIMED, "curve.curving_m * float(part) ** 2 / 8.0 + ", ""),
     (APART, "if discs.is_robot[number]", "if not discs.is_robot[number]"),
     (APART, "float(away_m.min())", "float(away_m.max())"),
     (OBSTACLE, "times_s - known[-1]", "times_s"),
@@ -173,11 +172,11 @@ def driven(motion: type, moving: type) -> Iterator[tuple[Any, Any, int]]:
     turning = rolled_out(heavy, np.array([4.0, 5.0, 0.0, -2.0]), np.array([[0.6, 0.7]] * 4), 1.0)
     wheels = rolled_out(Unicycle(3.0, 1.5), np.array([-1.0, 4.0, -0.6]), TURNS, 1.0)
     loose = tuple(
-        PointWay(np.array([[k, -3.0], [k + 0.2, -2.6], [k + 1.0, -3.0]]), 0.1) for k in range(4)
+        PointCurve(np.array([[k, -3.0], [k + 0.2, -2.6], [k + 1.0, -3.0]]), 0.1) for k in range(4)
     )
     loosely = motion(np.array([[float(k), -3.0] for k in range(5)]), loose)
     motions = [braked_motion(one.positions_m, one, 1.0) for one in (coasting, turning, wheels)]
-    own = [motion(each.places_m, each.ways) for each in motions] + [loosely]
+    own = [motion(each.places_m, each.curves) for each in motions] + [loosely]
     place = np.array([[9.0, 3.0], [8.5, 2.5], [8.0, 2.0], [6.0, 1.5]])
     own.append(motion(place))
     for number, one in enumerate(own):
@@ -190,17 +189,17 @@ def driven(motion: type, moving: type) -> Iterator[tuple[Any, Any, int]]:
                     np.tile([[0.0], [0.3], [0.1], [0.2]], (1, 5)) + 0.01 * np.arange(5),
                     np.full(4, 1.3),
                     np.array([kind, kind, True, kind]),
-                    tuple(each.ways for each in others),
+                    tuple(each.curves for each in others),
                 ),
                 one,
                 2,
             )
     # The nearest step by its chord is not the nearest one: one bulges, the other does not.
     along = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0]])
-    straight = PointWay(along[:2], 0.0)
+    straight = PointCurve(along[:2], 0.0)
     for swing, size in ((-2.6, 0.0), (0.4, 0.0), (-0.7, 0.8)):
-        bump = PointWay(np.array([[4.0, 3.0], [6.0, 3.0 + swing], [8.0, 3.0]]), 0.0)
-        even = PointWay(np.array([[0.0, 2.5], [4.0, 3.0]]), 0.0)
+        bump = PointCurve(np.array([[4.0, 3.0], [6.0, 3.0 + swing], [8.0, 3.0]]), 0.0)
+        even = PointCurve(np.array([[0.0, 2.5], [4.0, 3.0]]), 0.0)
         other = motion(np.array([[0.0, 2.5], [4.0, 3.0], [8.0, 3.0]]), (even, bump))
         beside = moving(
             ("bumping",),
@@ -208,15 +207,15 @@ def driven(motion: type, moving: type) -> Iterator[tuple[Any, Any, int]]:
             np.array([[0.0, size]]),
             np.array([1.0]),
             np.array([False]),
-            (other.ways,),
+            (other.curves,),
         )
-        waved = motion(along, (straight, PointWay(along[1:], 0.0)))
+        waved = motion(along, (straight, PointCurve(along[1:], 0.0)))
         yield beside, waved, 2
         yield beside, motion(along), 2
     late = np.array([[8.0, 9.0], [8.0, 8.0], [8.0, 7.0], [9.0, 3.0], [7.0, 1.0]])
     coming = moving(("coming",), late[None], np.zeros((1, 4)), np.array([3.0]), np.array([True]))
     yield coming, waved, 2
-    still = motion(np.zeros((3, 2)), (PointWay(np.zeros((3, 2)), 0.0),) * 2)
+    still = motion(np.zeros((3, 2)), (PointCurve(np.zeros((3, 2)), 0.0),) * 2)
     for away in (2.5, 2.5 - 0.5 * CLEARANCE_TOLERANCE_M, 2.5 - 2.0 * CLEARANCE_TOLERANCE_M):
         beside = moving(
             ("near",),

@@ -13,12 +13,8 @@ from planopt.planning.search.lattice_search import LatticeSearch, MoveValues, se
 from planopt.planning.search.moving_moves import MovingMoves, move_table, steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES
-from planopt.world.moving_obstacle import (
-    NOTHING_MOVES,
-    MovingObstacle,
-    path_distances_m,
-    predicted_discs,
-)
+from planopt.world.moving_discs import NOTHING_MOVES, path_distances_m, predicted_discs
+from planopt.world.workspace import MovingObstacle
 
 CART = MovingObstacle("cart", 1.2, (0.0,), ((14.0, 13.0),), (-1.5, -1.0))
 VAN = MovingObstacle("van", 0.7, (0.0,), ((8.0, 12.0),), (1.0, 0.3))

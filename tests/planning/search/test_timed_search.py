@@ -9,7 +9,7 @@ from scenes import search_of, situation_of, small_problem
 
 from planopt.planning.scene import first_moves
 from planopt.planning.search.timed_search import is_apart, timed_places
-from planopt.world.moving_obstacle import NOTHING_MOVES, MovingDiscs
+from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 STREET = (shapely.box(8, 0, 32, 13), shapely.box(8, 17, 32, 30))
 LEAST_M = 4.0

@@ -13,7 +13,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.solve import solve
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.world.moving_obstacle import centres_at
+from planopt.world.moving_discs import centres_at
 
 SHARES = np.linspace(0.0, 1.0, 201)
 

@@ -1,9 +1,9 @@
-"""Moving obstacles: discs that are straight during each step, predicted between known places.
+"""Discs that move straight during each step: moving obstacles as predicted, and other robots.
 
-Uncertainty of its way may grow a disc. The error of the predicted centre, t seconds after
-the prediction was made, is ``e_0 + a t^2 / 2`` with e_0 and a Gaussian, independent, and of equal
-deviation along both axes. During a step it moves straight from its value at the begin to that at
-the end, so it stays within a disc if both do. An error of deviation sigma exceeds
+A disc grows with the uncertainty of its prediction. The error of the predicted centre, t seconds
+after the prediction was made, is ``e_0 + a t^2 / 2`` with e_0 and a Gaussian, independent, and of
+equal deviation along both axes. During a step it moves straight from its value at the begin to that
+at the end, so it stays within a disc if both do. An error of deviation sigma exceeds
 ``sigma sqrt(-2 log q)`` with probability q (Rayleigh's distribution); with q = (1 - P) / 2 at both
 ends the centre stays within the larger radius during the whole step with probability P at least.
 """
@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.world.timed_motion import TimedMotion, TimedWay, closest_approach_m
+from planopt.world.motion import TimedCurve, TimedMotion, closest_approach_m
+from planopt.world.workspace import MovingObstacle
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +29,8 @@ class MovingDiscs:
     radius_m: NDArray[np.float64]  # (m, T) during each step
     least_m: NDArray[np.float64]  # (m,) how far a robot must stay from the disc
     is_robot: NDArray[np.bool_]  # (m,) whether it is another robot; robots are points
-    # (m,) of each disc the ways of its T steps; none where it goes straight and evenly
-    ways: tuple[tuple[TimedWay, ...], ...] = ()
+    # (m,) of each disc the curves of its T steps; none where it moves straight and evenly
+    curves: tuple[tuple[TimedCurve, ...], ...] = ()
     bulges_m: NDArray[np.float64] = field(init=False)  # (m, T) how far each may be from that
 
     def __post_init__(self) -> None:
@@ -59,7 +60,7 @@ class MovingDiscs:
 
     def motion(self, number: int) -> TimedMotion:
         """Return the motion of disc number `number`."""
-        return TimedMotion(self.centres_m[number], self.ways[number] if self.ways else ())
+        return TimedMotion(self.centres_m[number], self.curves[number] if self.curves else ())
 
 
 NOTHING_MOVES = MovingDiscs(
@@ -69,17 +70,17 @@ NOTHING_MOVES = MovingDiscs(
 
 
 def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
-    """The discs of both, over as many steps."""
+    """Return the discs of both, over as many steps."""
     if not len(first) or not len(second):
         return first if len(first) else second
-    ways = [discs.ways or ((),) * len(discs) for discs in (first, second)]
+    curves = [discs.curves or ((),) * len(discs) for discs in (first, second)]
     return MovingDiscs(
         (*first.names, *second.names),
         np.concatenate([first.centres_m, second.centres_m]),
         np.concatenate([first.radius_m, second.radius_m]),
         np.concatenate([first.least_m, second.least_m]),
         np.concatenate([first.is_robot, second.is_robot]),
-        (*ways[0], *ways[1]),
+        (*curves[0], *curves[1]),
     )
 
 
@@ -89,7 +90,7 @@ def passing_gaps_m(
     starts_m: NDArray[np.float64],
     ends_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the spare distance of straight ways in one step from every disc; (m, ...)."""
+    """Return the spare distance of segments, driven in one step, from every disc; (m, ...)."""
     # Shapes: starts_m, ends_m (..., 2).
     shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
     before = discs.centres_m[:, step].reshape(shape)
@@ -99,65 +100,29 @@ def passing_gaps_m(
 
 
 def path_distances_m(discs: MovingDiscs, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least distance of a path (N + 1, 2) from each centre during each step; ``(m, N)``.
+    """Return the distance of a path (N + 1, 2) from each centre during each step; ``(m, N)``.
 
-    As if both went straight and evenly.
+    Both count as moving straight and evenly.
     """
     centres = discs.centres_m[:, : len(path_m)]
     return closest_approach_m(path_m[:-1], path_m[1:], centres[:, :-1], centres[:, 1:])
 
 
-def ways_gap_m(discs: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least of all gaps along each of many ways; infinite without discs."""
-    # Shapes: ways_m (c, N + 1, 2).
+def paths_gap_m(discs: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the least gap along each of many paths; infinite without discs."""
+    # Shapes: paths_m (c, N + 1, 2).
     if not len(discs):
-        return np.full(len(ways_m), np.inf)
-    places = int(ways_m.shape[1])
+        return np.full(len(paths_m), np.inf)
+    places = int(paths_m.shape[1])
     centres = discs.centres_m[:, :places]
     near = closest_approach_m(
-        ways_m[:, None, :-1], ways_m[:, None, 1:], centres[:, :-1], centres[:, 1:]
+        paths_m[:, None, :-1], paths_m[:, None, 1:], centres[:, :-1], centres[:, 1:]
     )
     return (near - discs.apart_m[:, : places - 1]).min(axis=(1, 2))
 
 
-@dataclass(frozen=True)
-class MovingObstacle:
-    """One moving disc.
-
-    Attributes
-    ----------
-    name
-        What messages call it.
-    radius_m
-        Of the disc.
-    times_s, positions_m
-        Where its centre is at these times, increasing; it stands before the first and moves
-        straight between.
-    velocity_m_s
-        How it moves after the last.
-    position_std_m, acceleration_std_m_s2
-        Deviations of the predicted centre along each axis: now, and of its acceleration.
-    probability
-        With which, at least, the centre keeps within what the disc is grown by, for each step.
-    """
-
-    name: str
-    radius_m: float
-    times_s: tuple[float, ...]
-    positions_m: tuple[tuple[float, float], ...]
-    velocity_m_s: tuple[float, float] = (0.0, 0.0)
-    position_std_m: float = 0.0
-    acceleration_std_m_s2: float = 0.0
-    probability: float = 0.99
-
-    @property
-    def is_uncertain(self) -> bool:
-        """Return whether its way is not known for sure: only then does the probability matter."""
-        return self.position_std_m > 0.0 or self.acceleration_std_m_s2 > 0.0
-
-
 def centres_at(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Predicted centres at times (n,); ``(n, 2)``."""
+    """Return the predicted centres at times (n,); ``(n, 2)``."""
     known = np.asarray(obstacle.times_s)
     places = np.asarray(obstacle.positions_m)
     after = np.maximum(times_s - known[-1], 0.0)
@@ -185,8 +150,8 @@ def predicted_discs(
 ) -> MovingDiscs:
     """Return the discs that move over the next steps.
 
-    A disc moves straight during a step. Where its way turns within one, the disc of that step is as
-    much larger as the turn leads away from the straight way, so that it covers the true one.
+    A disc moves straight during a step. Where its path turns within one, the disc of that step is
+    larger by the distance of the turn from the straight line, so that it covers the true one.
     """
     times = now_s + step_s * np.arange(steps + 1, dtype=np.float64)
     centres = np.array([centres_at(obstacle, times) for obstacle in obstacles])
@@ -206,7 +171,7 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the centre's largest distance from the straight way of each step; (n - 1,).
+    """Return the centre's largest distance from the straight line of each step; (n - 1,).
 
     Both are straight between turns, so that they are farthest apart at one.
     """

@@ -1,0 +1,492 @@
+"""The dynamics that problem files name: single integrator, double integrator and unicycle.
+
+Each step is integrated exactly. Formulas have no branches, so that they have derivatives
+everywhere, also at zero, and hold for NumPy arrays and CasADi expressions alike.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.robots.dynamics import BaseDynamics, Components, Disc, PurePursuit
+from planopt.world.motion import Arc, Parabola, PointCurve, StepCurve
+
+STOPPED_M_S = 1e-9
+"""A robot up to this speed stands still."""
+
+BRAKING_SHARE = 0.8
+"""Share of the acceleration that a robot uses to slow down for turns of a path and its end."""
+
+ROUNDED_SHARE = 1e-3
+"""Rounding of a speed at rest, and of a distance at its goal, as a share of the largest speed and
+of the turning circle."""
+
+SWING_SHARE = 0.25
+"""Largest deviation from a followed path at its turns, as a share of the longest step."""
+
+PIECE_TURN_RAD = math.pi / 4.0
+"""A step is cut into arcs that turn no more than this, so that their hulls are narrow."""
+
+HALVINGS = 3
+"""sin(z)/z is a product of cosines down to z / 8, and a series from there."""
+
+
+@dataclass(frozen=True)
+class SingleIntegrator(BaseDynamics):
+    """A holonomic robot: its velocity is the input.
+
+    q+ = q + h v with |v| <= v_max. Positions alone describe how it moves.
+
+    Attributes
+    ----------
+    speed_max_m_s
+        Largest speed; of a :class:`planopt.Robot`, that of the robot.
+    """
+
+    speed_max_m_s: float = math.inf
+
+    kind = "single_integrator"
+    state_names = ("x_m", "y_m")
+    input_names = ("velocity_x_m_s", "velocity_y_m_s")
+
+    @property
+    def discs(self) -> tuple[Disc, ...]:
+        """Return the disc of velocities."""
+        return (Disc(0, self.input_names, self.speed_max_m_s),)
+
+    def step(self, state: Components, control: Components, step_s: float) -> Components:
+        """Return the state after a step, exact."""
+        return tuple(x + step_s * v for x, v in zip(state, control, strict=True))
+
+    def limits(self, control: Components, after: Components) -> Components:
+        """Return the square of the speed over the largest, less 1."""
+        return ((control[0] ** 2 + control[1] ** 2) / self.speed_max_m_s**2 - 1.0,)
+
+    def control_points(
+        self, state: Components, control: Components, step_s: float
+    ) -> tuple[tuple[Any, Any], ...]:
+        """Return no points: the hull of both ends has the straight step."""
+        return ()
+
+    def following(
+        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Return the velocities of the path's own steps."""
+        return np.diff(np.vstack([state, path_m]), axis=0) / step_s
+
+    def straight(
+        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Return even steps."""
+        offset = end_m - state
+        steps = max(1, math.ceil(math.hypot(*offset) / (self.speed_max_m_s * step_s) - 1e-9))
+        return np.tile(offset / (steps * step_s), (steps, 1))
+
+    def curves(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[StepCurve]:
+        """Return the straight line of each step."""
+        ends = states + step_s * inputs
+        return [PointCurve(np.array(pair), 0.0) for pair in zip(states, ends, strict=True)]
+
+    def excess_m(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> float:
+        """Return the excess of speed, in metres a step; NaN where one is NaN."""
+        return float(np.max(step_s * (np.hypot(*inputs.T) - self.speed_max_m_s), initial=-np.inf))
+
+    def unit_m(self, step_s: float) -> tuple[float, ...]:
+        """Return ones: its state is its position."""
+        return (1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class DoubleIntegrator(BaseDynamics):
+    """A robot with inertia.
+
+    p+ = p + h v + h^2/2 a and v+ = v + h a with |a| <= a_max and |v| <= v_max. Speed is convex
+    along a step, so that both ends keep the limit for all of it. A step follows a parabola, which
+    is a Bezier curve with the middle point p + h/2 v.
+
+    Attributes
+    ----------
+    speed_max_m_s, acceleration_max_m_s2
+        Largest speed and acceleration.
+    """
+
+    speed_max_m_s: float
+    acceleration_max_m_s2: float
+
+    kind = "double_integrator"
+    state_names = ("x_m", "y_m", "velocity_x_m_s", "velocity_y_m_s")
+    input_names = ("acceleration_x_m_s2", "acceleration_y_m_s2")
+
+    @property
+    def discs(self) -> tuple[Disc, ...]:
+        """Return the discs of accelerations and velocities."""
+        return (
+            Disc(0, self.input_names, self.acceleration_max_m_s2),
+            Disc(1, self.state_names[2:], self.speed_max_m_s),
+        )
+
+    def step(self, state: Components, control: Components, step_s: float) -> Components:
+        """Return the state after a step of constant acceleration, exact."""
+        (x, y, vx, vy), (ax, ay) = state, control
+        half = 0.5 * step_s * step_s
+        return (
+            x + step_s * vx + half * ax,
+            y + step_s * vy + half * ay,
+            vx + step_s * ax,
+            vy + step_s * ay,
+        )
+
+    def limits(self, control: Components, after: Components) -> Components:
+        """Return the squares of acceleration and speed over the largest, less 1."""
+        (ax, ay), (_, _, vx, vy) = control, after
+        return (
+            (ax * ax + ay * ay) / self.acceleration_max_m_s2**2 - 1.0,
+            (vx * vx + vy * vy) / self.speed_max_m_s**2 - 1.0,
+        )
+
+    def control_points(
+        self, state: Components, control: Components, step_s: float
+    ) -> tuple[tuple[Any, Any], ...]:
+        """Return the middle Bezier point."""
+        x, y, vx, vy = state
+        return ((x + 0.5 * step_s * vx, y + 0.5 * step_s * vy),)
+
+    def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
+        """Return a point straight ahead, at or beyond where braking by whole steps ends.
+
+        n steps of deceleration v / (n h) <= a_max take v n h / 2 <= v (v / a_max + h) / 2 metres.
+        """
+        x, y, vx, vy = state
+        # The square root of v^2 has no derivative at rest: v <= (v^2 / v_max + v_max) / 2 is above.
+        square = (vx * vx + vy * vy) / self.speed_max_m_s**2
+        speed = 0.5 * self.speed_max_m_s * (1.0 + square)
+        ahead_s = 0.5 * (speed / self.acceleration_max_m_s2 + step_s)
+        return ((x + ahead_s * vx, y + ahead_s * vy),)
+
+    def stop_curve(self, state: NDArray[np.float64], step_s: float) -> PointCurve:
+        """Return the straight braking path by whole steps."""
+        stop_s = 0.5 * step_s * self.stop_steps(state, step_s)
+        return PointCurve(np.array([state[:2], state[:2] + stop_s * state[2:]]), 0.0)
+
+    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+        """Return the least number of steps to stop in."""
+        return self._braking_steps(float(np.hypot(state[2], state[3])), step_s)
+
+    def longest_stop_steps(self, step_s: float) -> int:
+        """Return the steps of braking from full speed."""
+        return self._braking_steps(self.speed_max_m_s, step_s)
+
+    def _braking_steps(self, speed_m_s: float, step_s: float) -> int:
+        if speed_m_s <= STOPPED_M_S:
+            return 0
+        # Round-off must not make it a step more than the last plan had left.
+        return max(1, math.ceil(speed_m_s / (self.acceleration_max_m_s2 * step_s) - 1e-6))
+
+    def resting_place(self, state: Components) -> tuple[Any, Any]:
+        """Return v^2 / (2 a_max) ahead; v is rounded, so that its derivative exists at rest."""
+        x, y, vx, vy = state
+        least = ROUNDED_SHARE * self.speed_max_m_s
+        ahead_s = 0.5 * (vx * vx + vy * vy + least**2) ** 0.5 / self.acceleration_max_m_s2
+        return x + ahead_s * vx, y + ahead_s * vy
+
+    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+        """Return an even deceleration straight ahead, over as few steps as possible."""
+        inputs = np.zeros((steps, 2))
+        needed = self.stop_steps(state, step_s)
+        if needed:
+            inputs[:needed] = -state[2:] / (needed * step_s)
+        return inputs
+
+    def following(
+        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Head for a point a little ahead on the path; slow down for turns and for its end."""
+        pursuit = PurePursuit(np.vstack([state[:2], path_m]))
+        lookahead_m = self.speed_max_m_s * step_s
+        deceleration = BRAKING_SHARE * self.acceleration_max_m_s2
+        here = tuple(state)
+        inputs = np.zeros((len(path_m), 2))
+        for k in range(len(path_m)):
+            place, velocity = np.array(here[:2]), np.array(here[2:])
+            target, left_m = pursuit.ahead_m(place, lookahead_m)
+            offset = target - place
+            length = float(np.hypot(*offset))
+            speed = min(
+                self.speed_max_m_s,
+                pursuit.speed_m_s(deceleration, SWING_SHARE * lookahead_m),
+                left_m / step_s,
+            )
+            desired = offset * (speed / length) if length > 0.0 else np.zeros(2)
+            control = (desired - velocity) / step_s
+            over = float(np.hypot(*control)) / self.acceleration_max_m_s2
+            inputs[k] = control / max(over, 1.0)
+            here = self.step(here, tuple(inputs[k]), step_s)
+        return inputs
+
+    def straight(
+        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Accelerate evenly for n steps and decelerate for as many: a (n h)^2 metres."""
+        offset = end_m - state[:2]
+        length = float(np.hypot(*offset))
+        by_speed = length / (self.speed_max_m_s * step_s)
+        by_acceleration = math.sqrt(length / self.acceleration_max_m_s2) / step_s
+        half = max(1, math.ceil(max(by_speed, by_acceleration) - 1e-9))
+        control = offset / (half * step_s) ** 2
+        return np.repeat([control, -control], half, axis=0)
+
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """Return which places lie in the disc of radius a t^2 / 2 about where it would coast."""
+        offset = places_m - (state[:2] + duration_s * state[2:])
+        radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
+        return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m
+
+    def curves(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[StepCurve]:
+        """Return the parabola of each step."""
+        half = 0.5 * step_s * step_s
+        return [
+            Parabola(state[:2], step_s * state[2:], half * control)
+            for state, control in zip(states, inputs, strict=True)
+        ]
+
+    def excess_m(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> float:
+        """Return the excess of acceleration and speed, in metres a step; NaN where one is NaN."""
+        acceleration = np.hypot(inputs[:, 0], inputs[:, 1]) - self.acceleration_max_m_s2
+        speed = np.hypot(states[:, 2], states[:, 3]) - self.speed_max_m_s
+        return float(np.max(np.concatenate([0.5 * step_s * step_s * acceleration, step_s * speed])))
+
+    def unit_m(self, step_s: float) -> tuple[float, ...]:
+        """Return the distance that each unit of a velocity makes in a step."""
+        return (1.0, 1.0, step_s, step_s)
+
+
+@dataclass(frozen=True)
+class Unicycle(BaseDynamics):
+    """A robot that drives in the direction of its heading, such as one with two driven wheels.
+
+    x' = v cos(heading), y' = v sin(heading), heading' = w. A step follows a circular arc: with the
+    half turn z = w h / 2 its chord is v h sin(z)/z long, in the direction heading + z. The arc lies
+    in the triangle of its ends and the point where the tangents at them meet, v h tan(z) / (2 z)
+    ahead.
+
+    Attributes
+    ----------
+    speed_max_m_s, speed_min_m_s
+        Largest and least forward speed; a negative one is backward. The least is at most 0, so that
+        the robot can stop.
+    turn_rate_max_rad_s
+        Largest turn rate, to either side.
+    """
+
+    speed_max_m_s: float
+    turn_rate_max_rad_s: float
+    speed_min_m_s: float = 0.0
+
+    kind = "unicycle"
+    state_names = ("x_m", "y_m", "heading_rad")
+    input_names = ("speed_m_s", "turn_rate_rad_s")
+
+    def step(self, state: Components, control: Components, step_s: float) -> Components:
+        """Return the state after a step, exact."""
+        (x, y, heading), (speed, rate) = state, control
+        half = 0.5 * step_s * rate
+        chord = step_s * speed * sinc(half)
+        return (
+            x + chord * cosine(heading + half),
+            y + chord * sine(heading + half),
+            heading + step_s * rate,
+        )
+
+    def limits(self, control: Components, after: Components) -> Components:
+        """Return both inputs over their intervals, scaled."""
+        speed, rate = control
+        return (
+            (speed - self.speed_max_m_s) / self.speed_max_m_s,
+            (self.speed_min_m_s - speed) / self.speed_max_m_s,
+            (rate - self.turn_rate_max_rad_s) / self.turn_rate_max_rad_s,
+            (-rate - self.turn_rate_max_rad_s) / self.turn_rate_max_rad_s,
+        )
+
+    def control_points(
+        self, state: Components, control: Components, step_s: float
+    ) -> tuple[tuple[Any, Any], ...]:
+        """Return where the tangents of each piece of the arc meet, and where pieces meet."""
+        pieces = self._pieces(step_s)
+        piece_s = step_s / pieces
+        speed, rate = control
+        half = 0.5 * piece_s * rate
+        ahead = 0.5 * piece_s * speed * sinc(half) / cosine(half)
+        points: list[tuple[Any, Any]] = []
+        for piece in range(pieces):
+            x, y, heading = state
+            points.append((x + ahead * cosine(heading), y + ahead * sine(heading)))
+            state = self.step(state, control, piece_s)
+            if piece + 1 < pieces:
+                points.append((state[0], state[1]))
+        return tuple(points)
+
+    def _pieces(self, step_s: float) -> int:
+        return max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
+
+    def timed_pad_m(self, step_s: float) -> float:
+        """Return the distance of a piece from its hull's Bezier curve at the same time.
+
+        With r the radius, z half the turn and time u from -1 to 1, the arc is at ``r sin(u z)``
+        along the chord and ``r (cos(u z) - cos z)`` across, the curve at ``r u sin(z)`` and
+        ``r (1 - u^2) sin^2(z) / (2 cos z)``. Along, they are farthest apart where
+        ``cos(u z) = sin(z) / z``; across, at u = 0; both the more the faster it drives and turns.
+        """
+        half = 0.5 * self.turn_rate_max_rad_s * step_s / self._pieces(step_s)
+        speed = max(self.speed_max_m_s, -self.speed_min_m_s)
+        farthest = math.acos(math.sin(half) / half)
+        along = math.sin(farthest) - farthest / half * math.sin(half)
+        across = 0.5 * math.sin(half) * math.tan(half) - (1.0 - math.cos(half))
+        return speed / self.turn_rate_max_rad_s * math.hypot(along, across)
+
+    def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
+        """Return pi / (2 w_max) (1 - cos b) d / (d + r), of bearing b and distance d.
+
+        That is the time of a half turn, and less within the turning circle, r = v_max / w_max.
+        """
+        x, y = place[0] - state[0], place[1] - state[1]
+        circle_m = self.speed_max_m_s / self.turn_rate_max_rad_s
+        distance = (x * x + y * y + (ROUNDED_SHARE * circle_m) ** 2) ** 0.5
+        ahead = x * cosine(state[2]) + y * sine(state[2])
+        half_turn_s = math.pi / self.turn_rate_max_rad_s
+        return 0.5 * half_turn_s * (distance - ahead) / (distance + circle_m)
+
+    def following(
+        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Drive on the arc to a point a little ahead on the path; turn first if it is behind."""
+        pursuit = PurePursuit(np.vstack([state[:2], path_m]))
+        here = tuple(state)
+        inputs = np.zeros((len(path_m), 2))
+        for k in range(len(path_m)):
+            place = np.array(here[:2])
+            target, left_m = pursuit.ahead_m(place, self.speed_max_m_s * step_s)
+            inputs[k] = self._inputs_towards(target - place, float(here[2]), left_m, step_s)
+            here = self.step(here, tuple(inputs[k]), step_s)
+        return inputs
+
+    def _inputs_towards(
+        self, offset_m: NDArray[np.float64], heading: float, left_m: float, step_s: float
+    ) -> tuple[float, float]:
+        """Return the inputs of the arc through a point that is tangent to the heading."""
+        distance = float(np.hypot(*offset_m))
+        if distance <= 1e-9 or left_m <= 0.0:
+            return 0.0, 0.0
+        bearing = math.remainder(math.atan2(offset_m[1], offset_m[0]) - heading, 2.0 * math.pi)
+        if abs(bearing) > math.pi / 3.0:
+            limit = self.turn_rate_max_rad_s
+            return 0.0, min(max(bearing / step_s, -limit), limit)
+        curvature = 2.0 * math.sin(bearing) / distance
+        speed = min(self.speed_max_m_s, left_m / step_s)
+        if abs(curvature) * speed > self.turn_rate_max_rad_s:
+            speed = self.turn_rate_max_rad_s / abs(curvature)
+        return speed, speed * curvature
+
+    def straight(
+        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Turn on the spot, then drive ahead."""
+        offset = end_m - state[:2]
+        bearing = math.atan2(offset[1], offset[0]) - float(state[2])
+        angle = math.remainder(bearing, 2.0 * math.pi)
+        turns = math.ceil(abs(angle) / (self.turn_rate_max_rad_s * step_s) - 1e-9)
+        length = float(np.hypot(*offset))
+        ahead = max(1, math.ceil(length / (self.speed_max_m_s * step_s) - 1e-9))
+        inputs = np.zeros((turns + ahead, 2))
+        inputs[:turns, 1] = angle / (max(turns, 1) * step_s)
+        inputs[turns:, 0] = length / (ahead * step_s)
+        return inputs
+
+    def may_reach(
+        self,
+        state: NDArray[np.float64],
+        places_m: NDArray[np.float64],
+        duration_s: float,
+        slack_m: float,
+    ) -> NDArray[np.bool_]:
+        """Return which places are no farther to the side than turning allows.
+
+        That is v (1 - cos w t) / w up to a quarter turn; until then a robot that cannot drive
+        backward reaches nothing behind it.
+        """
+        rate = self.turn_rate_max_rad_s
+        turning_s = min(duration_s, 0.5 * math.pi / rate)
+        speed = max(self.speed_max_m_s, -self.speed_min_m_s)
+        sideways = speed * ((1.0 - math.cos(rate * turning_s)) / rate + duration_s - turning_s)
+        ahead = np.array([math.cos(state[2]), math.sin(state[2])])
+        offset = places_m - state[:2]
+        across = np.abs(offset @ np.array([-ahead[1], ahead[0]]))
+        reached = across <= sideways + slack_m
+        if self.speed_min_m_s == 0.0 and turning_s == duration_s:
+            reached &= offset @ ahead >= -slack_m
+        return reached
+
+    def curves(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> list[StepCurve]:
+        """Return the arc of each step."""
+        return [
+            Arc(state[:2], float(state[2]), step_s * float(speed), step_s * float(rate))
+            for state, (speed, rate) in zip(states, inputs, strict=True)
+        ]
+
+    def excess_m(
+        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
+    ) -> float:
+        """Return the excess of speed and of turn rate, in metres a step; NaN where one is NaN."""
+        speed = np.maximum(inputs[:, 0] - self.speed_max_m_s, self.speed_min_m_s - inputs[:, 0])
+        rate = np.abs(inputs[:, 1]) - self.turn_rate_max_rad_s
+        sideways = 0.5 * step_s * step_s * self.speed_max_m_s * rate
+        return float(np.max(np.concatenate([step_s * speed, sideways])))
+
+    def unit_m(self, step_s: float) -> tuple[float, ...]:
+        """Return the error at full speed after a step, for each radian of heading."""
+        return (1.0, 1.0, self.speed_max_m_s * step_s)
+
+
+def sine(angle: Any) -> Any:
+    """Return the sine of an angle in rad."""
+    return angle.sin() if hasattr(angle, "sin") else np.sin(angle)
+
+
+def cosine(angle: Any) -> Any:
+    """Return the cosine of an angle in rad."""
+    return angle.cos() if hasattr(angle, "cos") else np.cos(angle)
+
+
+def sinc(angle: Any) -> Any:
+    """Return sin(z) / z, 1 at zero, to round-off for angles of up to about 3 rad.
+
+    From sin(z) = 2 sin(z/2) cos(z/2), applied three times, and the series of the rest.
+    """
+    rest = angle / 2.0**HALVINGS
+    square = rest * rest
+    series = 1.0 - square / 6.0 * (
+        1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0 * (1.0 - square / 110.0)))
+    )
+    for halving in range(1, HALVINGS + 1):
+        series = series * cosine(angle / 2.0**halving)
+    return series

@@ -1,0 +1,460 @@
+"""Curves and motions of robots: distances to obstacles, and of two motions at equal times.
+
+A curve is the path of one step, a motion that of several. Within a step times are shares of it. A
+curve bounds its second derivative, ``|p''| <= c`` by share, so that between two times that are d
+apart the position is nowhere farther than ``c d^2 / 8`` from even motion on the straight line
+between the positions at both.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.world.clearance import ObstacleIndex, clearance_m, containing_obstacle
+
+WHOLE_STEP = np.array([0.0, 1.0])
+"""Times at which a curve begins and ends."""
+
+
+class TimedCurve(Protocol):
+    """The path of one step as a function of time."""
+
+    @property
+    def breaks(self) -> NDArray[np.float64]:
+        """Return times (k,) from 0 to 1 between which it is smooth."""
+        ...
+
+    @property
+    def curving_m(self) -> float:
+        """Return a bound on the second derivative of :meth:`at` between them."""
+        ...
+
+    @property
+    def within_m(self) -> float:
+        """Return the largest distance of the robot from :meth:`at`."""
+        ...
+
+    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places (k, 2) at times (k,)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class EvenCurve:
+    """Even motion on a straight line."""
+
+    ends_m: NDArray[np.float64]  # (2, 2) where it begins and ends
+
+    @property
+    def breaks(self) -> NDArray[np.float64]:
+        """Return both ends: it is smooth."""
+        return WHOLE_STEP
+
+    @property
+    def curving_m(self) -> float:
+        """Return 0."""
+        return 0.0
+
+    @property
+    def within_m(self) -> float:
+        """Return 0: it is exact."""
+        return 0.0
+
+    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places on the line; at both ends exactly."""
+        late = share[:, None]
+        return (1.0 - late) * self.ends_m[0] + late * self.ends_m[1]
+
+
+SAG_M = 5e-7
+"""Largest distance of a curve from the lines between the points that stand for it."""
+
+
+class Curve(Protocol):
+    """The path of one step."""
+
+    def points_m(self) -> tuple[NDArray[np.float64], float]:
+        """Return points (k, 2) in order, and the distance of the curve from the lines between."""
+        ...
+
+    def clearance_m(self, index: ObstacleIndex) -> float:
+        """Return the distance to the nearest obstacle, or a lower bound; inf without obstacles."""
+        ...
+
+
+class StepCurve(Curve, TimedCurve, Protocol):
+    """The path of one step of a robot, as a place and in time."""
+
+
+@dataclass(frozen=True, eq=False)
+class PointCurve:
+    """A curve given by points, with a bound on the distance of the robot from the lines between."""
+
+    # (k, 2), k at least 1; of a timed curve at equal times, from begin to end
+    places_m: NDArray[np.float64]
+    # Largest distance from the straight lines between them; of a timed curve, from even motion
+    within_m: float
+
+    @property
+    def breaks(self) -> NDArray[np.float64]:
+        """Return the times of its points."""
+        return np.linspace(0.0, 1.0, len(self.places_m))
+
+    @property
+    def curving_m(self) -> float:
+        """Return 0: it is straight between them."""
+        return 0.0
+
+    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places on the lines between them."""
+        x, y = (np.interp(share, self.breaks, self.places_m[:, axis]) for axis in (0, 1))
+        return np.stack([x, y], axis=1)
+
+    def points_m(self) -> tuple[NDArray[np.float64], float]:
+        """Return its points."""
+        return self.places_m, self.within_m
+
+    def clearance_m(self, index: ObstacleIndex) -> float:
+        """Return a lower bound."""
+        return max(0.0, _polyline_m(index, self.places_m) - self.within_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Parabola:
+    """p(t) = start + t along + t^2 bend for t from 0 to 1."""
+
+    start_m: NDArray[np.float64]  # (2,) each
+    along_m: NDArray[np.float64]
+    bend_m: NDArray[np.float64]
+
+    @property
+    def breaks(self) -> NDArray[np.float64]:
+        """Return both ends: it is smooth."""
+        return WHOLE_STEP
+
+    @property
+    def curving_m(self) -> float:
+        """Return its second derivative, which is constant."""
+        return 2.0 * float(np.hypot(*self.bend_m))
+
+    @property
+    def within_m(self) -> float:
+        """Return 0: it is exact."""
+        return 0.0
+
+    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places by the formula."""
+        t = share[:, None]
+        return self.start_m + t * self.along_m + t * t * self.bend_m
+
+    def points_m(self) -> tuple[NDArray[np.float64], float]:
+        """Return points whose lines are off by at most |bend| / (4 n^2)."""
+        bend = float(np.hypot(*self.bend_m))
+        count = max(1, math.ceil(math.sqrt(bend / (4.0 * SAG_M))))
+        t = np.linspace(0.0, 1.0, count + 1)[:, None]
+        places = self.start_m + t * self.along_m + t * t * self.bend_m
+        return places, bend / (4.0 * count * count)
+
+    def clearance_m(self, index: ObstacleIndex) -> float:
+        """Return a lower bound, less than a micrometre off."""
+        places, within = self.points_m()
+        return max(0.0, _polyline_m(index, places) - within)
+
+
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """A circular arc, a straight line where it does not turn."""
+
+    start_m: NDArray[np.float64]  # (2,)
+    heading_rad: float  # Direction of the tangent at the start
+    length_m: float  # Negative where it is driven backward
+    turn_rad: float  # By how much the tangent turns from start to end
+
+    @property
+    def bulge_m(self) -> float:
+        """Return about how far the middle is from the chord, a bound above."""
+        return self.curving_m / 8.0
+
+    @property
+    def breaks(self) -> NDArray[np.float64]:
+        """Return both ends: it is smooth."""
+        return WHOLE_STEP
+
+    @property
+    def curving_m(self) -> float:
+        """Return its second derivative, towards the centre: speed is constant."""
+        return abs(self.length_m * self.turn_rad)
+
+    @property
+    def within_m(self) -> float:
+        """Return 0: it is exact."""
+        return 0.0
+
+    def points_m(self) -> tuple[NDArray[np.float64], float]:
+        """Return points whose lines are off by at most length turn / (8 n^2)."""
+        count = max(1, math.ceil(math.sqrt(self.bulge_m / SAG_M)))
+        return self.at(np.linspace(0.0, 1.0, count + 1)), self.bulge_m / (count * count)
+
+    def clearance_m(self, index: ObstacleIndex) -> float:
+        """Return the exact distance, but for arcs as straight as round-off."""
+        ends = self.at(np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
+        if self.bulge_m <= 1e-9:
+            return max(0.0, _polyline_m(index, ends[[0, -1]]) - self.bulge_m)
+        if not index.obstacles:
+            return math.inf
+        if containing_obstacle(index, self.start_m) is not None:
+            return 0.0
+        at_most = float(clearance_m(index, ends).min())
+        # The nearest obstacle is no farther from the lines between these than this.
+        reach = at_most + 2.0 * self.bulge_m
+        near = index.tree.query(shapely.LineString(ends), predicate="dwithin", distance=reach)
+        edges = [_edges(polygon) for polygon in index.polygons[near]]
+        starts, stops = (np.concatenate([edge[end] for edge in edges]) for end in (0, 1))
+        distances = arc_segment_distances_m(
+            self.start_m, self.heading_rad, self.length_m, self.turn_rad, starts, stops
+        )
+        return float(distances.min())
+
+    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places (k, 2) at shares (k,) of the arc."""
+        half = 0.5 * share * self.turn_rad
+        # NumPy's sinc is that of pi times its argument.
+        chord = share * self.length_m * np.sinc(half / math.pi)
+        direction = self.heading_rad + half
+        offsets = np.column_stack([chord * np.cos(direction), chord * np.sin(direction)])
+        return self.start_m + offsets
+
+
+def _polyline_m(index: ObstacleIndex, places_m: NDArray[np.float64]) -> float:
+    """Return the distance of the lines through places (k, 2) to the nearest obstacle."""
+    if not index.obstacles:
+        return math.inf
+    moved = np.concatenate([[True], (np.diff(places_m, axis=0) ** 2).sum(axis=1) > 0.0])
+    places = places_m[moved]
+    shape = shapely.Point(places[0]) if len(places) == 1 else shapely.LineString(places)
+    _, distance = index.tree.query_nearest(shape, return_distance=True, all_matches=False)
+    return float(distance.min())
+
+
+def _edges(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the starts and ends of all edges, those of holes included."""
+    rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon)]
+    return (
+        np.concatenate([ring[:-1] for ring in rings]),
+        np.concatenate([ring[1:] for ring in rings]),
+    )
+
+
+def arc_segment_distances_m(
+    start_m: NDArray[np.float64],  # (2,) where the arc begins
+    heading_rad: float,
+    length_m: float,
+    turn_rad: float,
+    from_m: NDArray[np.float64],
+    to_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the distance of an arc from each of n segments; (n,).
+
+    The nearest two points of an arc and a segment are a crossing, or an end of either, or where the
+    segment's foot from the centre is seen along a ray that meets the arc.
+    """
+    # Shapes: from_m, to_m (n, 2).
+    signed = length_m / turn_rad
+    radius = abs(signed)
+    centre = start_m + signed * np.array([-math.sin(heading_rad), math.cos(heading_rad)])
+    first = math.atan2(start_m[1] - centre[1], start_m[0] - centre[0])
+
+    def on_arc(angles: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether the arc passes through these directions from its centre."""
+        gone = (angles - first) if turn_rad > 0.0 else (first - angles)
+        return np.mod(gone, 2.0 * math.pi) <= abs(turn_rad)
+
+    last = first + turn_rad
+    end = centre + radius * np.array([math.cos(last), math.sin(last)])
+    along = to_m - from_m
+    square = np.maximum((along**2).sum(axis=1), np.finfo(np.float64).tiny)
+
+    def foot(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the foot of a place on each segment's line, and its distance."""
+        t = ((place - from_m) * along).sum(axis=1) / square
+        near = from_m + np.clip(t, 0.0, 1.0)[:, None] * along
+        return t, np.linalg.norm(place - near, axis=1)
+
+    def radial(places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distance to the arc along a ray from its centre; inf where that misses it."""
+        offset = places - centre
+        away = np.abs(np.hypot(offset[:, 0], offset[:, 1]) - radius)
+        return np.where(on_arc(np.arctan2(offset[:, 1], offset[:, 0])), away, math.inf)
+
+    t, _ = foot(centre)
+    feet = from_m + t[:, None] * along
+    inside = (t >= 0.0) & (t <= 1.0)
+    best = np.minimum.reduce([foot(start_m)[1], foot(end)[1], radial(from_m), radial(to_m)])
+    best = np.where(inside, np.minimum(best, radial(feet)), best)
+    # Crossings: at the feet, half a chord to either side.
+    apart = ((feet - centre) ** 2).sum(axis=1)
+    half = np.sqrt(np.maximum(radius * radius - apart, 0.0) / square)
+    for side in (-half, half):
+        crossing = from_m + (t + side)[:, None] * along
+        offset = crossing - centre
+        hit = (apart <= radius * radius) & (t + side >= 0.0) & (t + side <= 1.0)
+        hit &= on_arc(np.arctan2(offset[:, 1], offset[:, 0]))
+        best = np.where(hit, 0.0, best)
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class TimedMotion:
+    """A motion over n steps, after which it stands."""
+
+    places_m: NDArray[np.float64]  # (n + 1, 2) now and at each step's end
+    curves: tuple[TimedCurve, ...] = ()  # Of each step; none where all are straight and even
+
+    @property
+    def steps(self) -> int:
+        """Return the number of steps, n."""
+        return len(self.places_m) - 1
+
+    def curve(self, step: int) -> TimedCurve:
+        """Return the curve of step number `step`, 0 the first; standing after the last."""
+        if step >= self.steps:
+            return EvenCurve(self.places_m[-1:].repeat(2, axis=0))
+        return self.curves[step] if self.curves else EvenCurve(self.places_m[step : step + 2])
+
+    def lasting(self, steps: int) -> TimedMotion:
+        """Return the same motion over `steps` steps, standing where it has fewer."""
+        places = self.places_m[np.minimum(np.arange(steps + 1), self.steps)]
+        return TimedMotion(places, tuple(map(self.curve, range(steps))) if self.curves else ())
+
+    def after(self, steps: int) -> TimedMotion:
+        """Return the rest of the motion after some steps, at most all."""
+        return TimedMotion(self.places_m[steps:], self.curves[steps:])
+
+    @property
+    def bulges_m(self) -> NDArray[np.float64]:
+        """Return the largest distance from even motion on each step's line; ``(n,)``."""
+        if not self.curves:
+            return np.zeros(self.steps)
+        ends = zip(self.curves, self.places_m[:-1], self.places_m[1:], strict=True)
+        return np.array([_bulge_m(curve, begin, end) for curve, begin, end in ends])
+
+
+def _bulge_m(curve: TimedCurve, begin_m: NDArray[np.float64], end_m: NDArray[np.float64]) -> float:
+    breaks = curve.breaks
+    even = begin_m + breaks[:, None] * (end_m - begin_m)
+    off = np.linalg.norm(curve.at(breaks) - even, axis=1).max()
+    part = np.diff(breaks).max()
+    return float(off) + curve.curving_m * float(part) ** 2 / 8.0 + curve.within_m
+
+
+def closest_approach_m(
+    first_starts_m: NDArray[np.float64],
+    first_ends_m: NDArray[np.float64],
+    second_starts_m: NDArray[np.float64],
+    second_ends_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the least distance of two points that move straight and evenly over the same time.
+
+    Seen from the second point the first one moves straight, from r to r + d; it is nearest at the
+    share ``t = clip(-r . d / d . d, 0, 1)`` of the time, at the distance ``|r + t d|``.
+    """
+    # Shapes: first_starts_m, first_ends_m, second_starts_m, second_ends_m (..., 2).
+    return np.asarray(
+        np.linalg.norm(
+            nearest_to_origin_m(first_starts_m - second_starts_m, first_ends_m - second_ends_m),
+            axis=-1,
+        )
+    )
+
+
+def nearest_to_origin_m(
+    starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the point of each segment (..., 2) that is nearest to the origin; ``(..., 2)``."""
+    along = ends_m - starts_m
+    square = (along * along).sum(axis=-1)
+    share = -(starts_m * along).sum(axis=-1) / np.where(square > 0.0, square, 1.0)
+    share = np.clip(np.where(square > 0.0, share, 0.0), 0.0, 1.0)
+    # Counted from the nearer end, so that an end comes out exactly.
+    late = share[..., None] > 0.5
+    return np.where(
+        late, ends_m - (1.0 - share[..., None]) * along, starts_m + share[..., None] * along
+    )
+
+
+CLOSE_M = 1e-7
+"""Largest error below the least distance: a tenth of the verifier's tolerance. A smaller one would
+be expensive where two motions keep one distance throughout."""
+
+CLOSE_SHARE = 1e-9
+"""The same as a share of the curvature, for curves of kilometres."""
+
+
+def curve_distance_m(first: TimedCurve, second: TimedCurve, at_most_m: float = math.inf) -> float:
+    """Return the least distance of two curves of one step at equal times, never too large."""
+    unknown = first.within_m + second.within_m
+    curving = first.curving_m + second.curving_m
+    if not math.isfinite(curving + unknown):
+        return 0.0
+    close = max(CLOSE_M, CLOSE_SHARE * curving)
+    breaks = np.union1d(first.breaks, second.breaks)
+    begin, end = breaks[:-1], breaks[1:]
+    least, settled = at_most_m + unknown, math.inf
+    while len(begin):
+        chord = closest_approach_m(first.at(begin), first.at(end), second.at(begin), second.at(end))
+        off = curving * (end - begin) ** 2 / 8.0
+        least = min(least, float((chord + off).min()))
+        lower = chord - off
+        open_ = lower < least - close
+        settled = min(settled, float(lower[~open_].min(initial=math.inf)))
+        begin, end = begin[open_], end[open_]
+        middle = 0.5 * (begin + end)
+        begin, end = np.concatenate([begin, middle]), np.concatenate([middle, end])
+    return max(0.0, settled - unknown)
+
+
+def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> NDArray[np.float64]:
+    """Return the least distance during each of `steps` steps, never too large; ``(steps,)``.
+
+    Either stands after its own last step.
+    """
+    one, other = first.lasting(steps), second.lasting(steps)
+    if not one.curves and not other.curves:
+        return chord_distances_m(one, other)
+    return np.array([curve_distance_m(one.curve(k), other.curve(k)) for k in range(steps)])
+
+
+def chord_distances_m(first: TimedMotion, second: TimedMotion) -> NDArray[np.float64]:
+    """Return the least distance as if both moved straight and evenly; ``(n,)``."""
+    a, b = first.places_m, second.places_m
+    return closest_approach_m(a[:-1], a[1:], b[:-1], b[1:])
+
+
+def least_gap(
+    first: TimedMotion, second: TimedMotion, taken_m: NDArray[np.float64]
+) -> tuple[float, int]:
+    """Return the least of distance less `taken_m` (n,) over n steps, and the step that has it.
+
+    Steps are computed in the order of their lower bounds.
+    """
+    steps = len(taken_m)
+    one, other = first.lasting(steps), second.lasting(steps)
+    gaps = chord_distances_m(one, other) - taken_m
+    if not one.curves and not other.curves:
+        return float(gaps.min()), int(gaps.argmin())
+    lower = gaps - one.bulges_m - other.bulges_m
+    best, at = math.inf, 0
+    for k in np.argsort(lower, kind="stable").tolist():
+        if lower[k] >= best:
+            break
+        taken = float(taken_m[k])
+        gap = curve_distance_m(one.curve(k), other.curve(k), best + taken) - taken
+        if gap < best:
+            best, at = gap, k
+    return best, at

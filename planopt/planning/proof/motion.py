@@ -1,8 +1,8 @@
 """Verify a motion: its sweep, whether it can be driven, how far it keeps from others, arrival.
 
-For the single integrator the way is straight from place to place. Any other robot says by states
-and inputs how it drives: from them every step is computed again by the robot's dynamics, and the
-way of stopping after the last step counts as swept, so that no next step is without a way.
+A single integrator drives straight from position to position. The drive of any other robot has
+states and inputs: every step is computed again by the robot's dynamics, and the braking path after
+the last step counts as swept, so that the next step can always be planned.
 
 Distances at equal times need the times as well. A robot with dynamics brakes after the last step,
 which counts at its own times. So do the other robots, until all stand; moving obstacles count until

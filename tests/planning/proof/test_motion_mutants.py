@@ -22,13 +22,16 @@ SOURCE = Path(motion.__file__).read_text()
 
 MUTANTS = {
     "clearance of all but the last step": (
-        "ways(states[:-1], drive.inputs,",
-        "ways(states[:-2], drive.inputs[:-1],",
+        "curves(states[:-1], drive.inputs,",
+        "curves(states[:-2], drive.inputs[:-1],",
     ),
     "largest clearance": ("np.min(each, initial=np.inf)", "np.max(each, initial=0.0)"),
     "any step clear": ("CLEARANCE_TOLERANCE_M).all()", "CLEARANCE_TOLERANCE_M).any()"),
     "any way within": ("if not all(_within", "if not any(_within"),
-    "bounds not looked at": ("if not all(_within(problem, way) for way in ways)", "if False"),
+    "bounds not looked at": (
+        "if not all(_within(problem, curve) for curve in curves)",
+        "if False",
+    ),
     "stopping not looked at": ("if stop is not None", "if False"),
     "stopping out of bounds": ("if not _within(problem, stop)", "if False"),
     "clearance of stopping lost": ("clearance = min(clearance, float(after[0]))", "pass"),

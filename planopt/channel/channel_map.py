@@ -118,8 +118,18 @@ def posterior_map(
     Raises
     ------
     InputError
-        The posterior is none, the bounds are not ordered, the cell is not positive, there would be
-        too many cells, or the threshold is not finite.
+        The posterior is not a ChannelPosterior, the bounds are not ordered, the cell is not
+        positive, there would be too many cells, or the threshold is not finite.
+
+    Examples
+    --------
+    >>> from planopt.channel import ChannelParameters, Measurements, Station
+    >>> from planopt.channel import condition, posterior_map
+    >>> channel = ChannelParameters(-40.0, 2.0, 4.0, 10.0, 1.0, Station((0.0, 0.0)))
+    >>> measured = Measurements([[10.0, 5.0], [20.0, 9.0]], [-61.0, -70.0])
+    >>> found = posterior_map(condition(channel, measured), (0, 0, 40, 20), 1.0, -65.0)
+    >>> found.mean_db.values.shape
+    (20, 40)
     """
     remedy = "give a ChannelPosterior, such as run.belief.posterior"
     part_of("posterior", posterior, ChannelPosterior, remedy)

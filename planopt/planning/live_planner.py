@@ -150,45 +150,53 @@ class Planner:
         target_m: ArrayLike | None = None,
         obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> Plan:
-        """Plan from where the only robot is now.
+        """Plan from the current state of the only robot.
 
         Parameters
         ----------
         state
-            ``(2,)`` its position in metres, or ``(s,)`` its state where it has dynamics, in the
-            order of ``state_names``.
+            ``(2,)`` position in metres, or ``(s,)`` state of a robot with dynamics in the order of
+            ``state_names``.
         measurements
-            Measurements since the last call, as for :func:`planopt.solve`; those nearer than
-            ``channel.measure_spacing_m`` to an earlier one are left out.
+            Measurements since the last call, as for :func:`planopt.solve`. Measurements within
+            ``channel.measure_spacing_m`` of an earlier one are ignored.
         connected
-            Whether it is connected now: constraints over a whole run count it, and what it sees of
-            a target reaches the station then. Left out, the last measurement says, and without one
-            the prediction.
+            Whether the robot is connected now. Constraints over a whole run count it, and an
+            observation of the target reaches the station only then. The default is the last
+            measurement or, without one, the prediction.
         target_m
-            ``(2,)`` where it sees the target now; left out if it does not. The first call takes
-            none in: it plans from the problem's first estimate.
+            ``(2,)`` observed position of the target, if it is observed. The first call ignores it
+            and uses the initial estimate of the problem.
         obstacles
-            Obstacles that have become known since the last call; ``until_s`` says if they go again.
-            Everything that they touch is planned anew. A robot inside one is led out.
+            Obstacles that have become known since the last call; ``until_s`` ends an obstacle. A
+            robot inside a new obstacle is led out of it.
 
         Returns
         -------
         Plan
-            ``plan.next_position_m`` is where to drive during the step, ``plan.next_input`` how.
+            ``plan.next_position_m`` is the position to drive to, ``plan.next_input`` the input.
 
         Raises
         ------
         InputError
-            There are several robots (:meth:`step_all`), the robot cannot be in this state,
-            measurements cannot be used, or another thread is within a step of this planner. The
-            planner is unchanged.
+            There are several robots (use :meth:`step_all`), the state or a measurement is invalid,
+            or another thread uses this planner. The planner is unchanged.
         NoPlanError
-            There is provably no plan from here.
+            It is proved that there is no plan from this state.
 
         Warns
         -----
         UserWarning
-            Powers are implausible, or the robot is many steps from where its plan led.
+            Powers are implausible, or the robot is many steps away from its plan.
+
+        Examples
+        --------
+        >>> import planopt
+        >>> planner = planopt.Planner(planopt.load("open_field"), horizon=5)
+        >>> plan = planner.step((32.0, 30.0))
+        >>> reading = {"x_m": [32.5], "y_m": [30.5], "power_dbm": [-52.0]}
+        >>> planner.step(plan.next_position_m, reading).verdict.value
+        'verified'
         """
         if len(self.problem.robots) > 1:
             raise InputError(

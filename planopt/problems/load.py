@@ -87,15 +87,21 @@ def load(path_or_name: Path | str) -> Any:
     Returns
     -------
     Problem or TaskProblem
-        Validated; file names in it are absolute, relative ones starting at the problem file.
         :class:`planopt.Problem` for motion planning, else a :class:`planopt.problems.TaskProblem`.
+        Relative file names are resolved from the folder of the problem file.
 
     Raises
     ------
     InputError
-        There is no such file or problem, it does not parse, a key is unknown or has a value that
-        is not allowed, an obstacle is no polygon, a named file is missing, or a start or goal is
-        not free.
+        The file or problem does not exist or does not parse, a key is unknown or out of range, an
+        obstacle is not a polygon, a named file is missing, or a start or goal is not free.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> problem = planopt.load("munich_courier")
+    >>> problem.task, problem.robots[0].goal_m
+    ('reach', (-183.0, 89.0))
     """
     path = find_problem(path_or_name)
     require_text(str(path.absolute()), "the path")

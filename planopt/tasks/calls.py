@@ -43,24 +43,23 @@ def solve(
     seed: int = 0,
     measurements: UserMeasurements | None = None,
 ) -> Solution | TaskResult:
-    """Plan once: `horizon` steps ahead from the start for each robot, or what the task asks.
+    """Plan once from the start: `horizon` steps for each robot, or a design or deployment.
 
-    A target is expected where its first estimate takes it. The plans are those that a run of the
-    same seed begins with.
+    The plans are those of the first step of a simulation with the same seed.
 
     Parameters
     ----------
     problem
-        From :func:`planopt.load` or made in Python.
+        A problem from :func:`planopt.load` or built in Python.
     horizon, planner, cost_to_go
-        Override the problem's planner settings; a cost-to-go only where there is a goal.
+        Override the planner settings of the problem. Only goals have a cost-to-go.
     seed
-        Of the ground truth's fading, the measured places, the first estimate of a target, and of
-        planners that draw.
+        Seed of the simulated fading, the positions of the initial measurements, the initial
+        estimate of a target, and random planners.
     measurements
-        First measurements in place of those that the problem names: :class:`planopt.Measurements`
-        or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
-        stations a sequence with one for each.
+        Replace the initial measurements of the problem: :class:`planopt.Measurements` or a table
+        (dictionary or DataFrame) with ``x_m``, ``y_m`` in metres and ``power_dbm``. For several
+        stations give a sequence with one entry per station.
 
     Returns
     -------
@@ -70,10 +69,16 @@ def solve(
     Raises
     ------
     InputError
-        The task has nothing to solve or no such setting, or a setting or a file that the problem
-        names cannot be used.
+        The task cannot be solved or lacks the setting, or a setting or file is invalid.
     NoPlanError
-        There is no plan, for instance because obstacles cut the goal off.
+        There is no plan, for instance because obstacles block the goal.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> solution = planopt.solve(planopt.load("open_field"), horizon=5)
+    >>> solution.verdict.value, solution.plan.positions_m.shape
+    ('verified', (6, 2))
     """
     return perform(
         "solve",
@@ -118,18 +123,18 @@ def simulate(
     on_start: Callable[[Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run | TaskResult:
-    """Simulate the closed loop of a problem, robots in the true channel for instance.
+    """Simulate the closed loop: plan, move, measure in the simulated channel, update the belief.
 
     Parameters
     ----------
     problem
-        The problem; one of motion planning must have a ground truth.
+        The problem. Motion planning needs a ground truth, ``channel.truth``.
     horizon, planner, cost_to_go, measurements
         As for :func:`planopt.solve`.
     seed
-        Of everything that happens.
+        Seed of the whole simulation.
     on_start
-        Called with the first plan of each robot, before the first step; motion planning only.
+        Called with the first plan of each robot before the first step; motion planning only.
     on_step
         Called after every step with its number, for progress display.
 
@@ -141,10 +146,17 @@ def simulate(
     Raises
     ------
     InputError
-        The task has nothing to simulate or no such setting, a setting or a file that the problem
-        names cannot be used, or there is no ground truth.
+        The task cannot be simulated or lacks the setting, a setting or file is invalid, or there
+        is no ground truth.
     NoPlanError
-        There is no plan, for instance because obstacles cut the goal off.
+        There is no plan, for instance because obstacles block the goal.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> run = planopt.simulate(planopt.load("open_field"), horizon=5, seed=1)
+    >>> run.outcome.value, run.verified_rate
+    ('reached', 1.0)
     """
     return perform(
         "simulate",
@@ -160,7 +172,7 @@ def simulate(
 
 
 def check(path: Path | str) -> CheckResult:
-    """Check a saved result from its files: it is computed again and compared.
+    """Compute a saved result again from its files, verify it, and compare all values.
 
     Parameters
     ----------

@@ -366,8 +366,19 @@ def fit_channel(
     Raises
     ------
     InputError
-        See :func:`planopt.channel.estimation.least_squares.examine`; or `forgetting_s` is not
-        positive; or there is no such method or loss, or the method has none to choose.
+        There are too few measurements or positions for the parameters, `forgetting_s` is not
+        positive, or the method or loss does not exist.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from planopt.channel import Station, fit_channel
+    >>> rng = np.random.default_rng(1)
+    >>> x, y = rng.uniform(5.0, 100.0, (2, 200))
+    >>> power = -40.0 - 20.0 * np.log10(np.hypot(x, y)) + rng.normal(0.0, 1.0, 200)
+    >>> found = fit_channel({"x_m": x, "y_m": y, "power_dbm": power}, Station((0.0, 0.0)))
+    >>> print(round(found.parameters.n_pl, 1))
+    2.0
     """
     given = _given(measurements, station, forgetting_s)
     chosen = _chosen(method, loss)

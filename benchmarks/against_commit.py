@@ -133,7 +133,7 @@ def _answer(run: subprocess.Popen[str], question: str | None) -> Any:
 def out_m(file: Path, seed: int, track_m: list[Any]) -> tuple[float, float]:
     """Length of a track, and how many metres of it are truly out of contact."""
     from planopt import load
-    from planopt.planning.learn import prepare
+    from planopt.planning.initial_data import prepare
     from planopt.planning.loop.clairvoyant import realised_cost_m
 
     problem, track = load(file), np.array(track_m)

@@ -22,8 +22,8 @@ from information_scene import WORTHS, Worth, information_step
 from planopt import Verdict
 from planopt.channel.cholesky import one_blas_thread
 from planopt.extend import Rung
+from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.judge import Judge
 from planopt.planning.search.coupled_starts import driven_ways, rough_clearance
 from planopt.planning.search.start_search import Start
 from planopt.planning.values.context import StepContext

@@ -24,7 +24,7 @@ from scipy.spatial.distance import cdist
 from planopt import Problem, load
 from planopt.channel import ChannelParameters
 from planopt.channel.calibration import FEWEST_GROUPS
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.studies.comparison_rows import mean_interval
 from planopt.world.clearance import clearance_m, index_obstacles

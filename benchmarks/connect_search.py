@@ -26,7 +26,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from planopt import Problem, load
 from planopt.channel import measure
 from planopt.channel.posterior import extend
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.scene import Ground, build_ground

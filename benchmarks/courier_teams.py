@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt import Problem, Robot, load, simulate
-from planopt.planning.roads import build_roads, node_at
+from planopt.planning.free_space import build_roads, node_at
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 from planopt.world.road_map import lattice_paths
 

@@ -11,7 +11,7 @@ from tracking_scene import FIELD_C, Scene, scene, situation_in
 from planopt.channel import condition
 from planopt.extend import Term
 from planopt.objectives import LearningTerm, MappingTerm, TermsObjective
-from planopt.planning.judge import Judge
+from planopt.planning.candidates import Judge
 from planopt.planning.scene import build_ground
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import ObjectiveValue

@@ -22,7 +22,7 @@ from plain_courier import drive_plain
 
 from planopt import NoPlanError, load
 from planopt.objectives import ReachObjective
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.scene import build_scene

@@ -17,8 +17,8 @@ from tracking_scene import STEP_M, single_step
 
 from planopt import Verdict
 from planopt.extend import Rung
+from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.judge import Judge
 from planopt.planning.search.start_search import StartSearch
 from planopt.planning.values.context import StepContext
 

@@ -20,13 +20,10 @@ from planopt.channel import Belief, ChannelParameters, Truth, condition, measure
 from planopt.channel.belief import update
 from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.moments import Region
-from planopt.planning.drawn_places import free_places
+from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.initial_data import draw_truth
-from planopt.planning.judge import Judge
-from planopt.planning.learn import learn
-from planopt.planning.proof.context import verifier_context
-from planopt.planning.proof.predictions import search_power
+from planopt.planning.initial_data import draw_truth, free_places, learn
+from planopt.planning.proof.context import search_power, verifier_context
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from planopt import load
 from planopt.files.writing import write_text
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 
 
 def main(name: str, log: str, seed: str = "0") -> None:

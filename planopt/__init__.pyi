@@ -9,11 +9,11 @@ from planopt.errors import NoPlanError as NoPlanError
 from planopt.errors import OutputError as OutputError
 from planopt.errors import PlanoptError as PlanoptError
 from planopt.planning.explain.explain import explain as explain
-from planopt.planning.live_planner import Planner as Planner
 from planopt.planning.plan import Plan as Plan
 from planopt.planning.plan import Verdict as Verdict
 from planopt.planning.results import Run as Run
 from planopt.planning.results import Solution as Solution
+from planopt.planning.solve import Planner as Planner
 from planopt.problems.base_station import BaseStation as BaseStation
 from planopt.problems.channel_setup import ChannelSetup as ChannelSetup
 from planopt.problems.constraints import ConnectivityRule as ConnectivityRule

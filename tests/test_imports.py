@@ -13,7 +13,7 @@ import planopt
 
 HEAVY = {"casadi", "cvxpy", "matplotlib", "networkx", "sklearn"}
 SOLVING = (
-    "planopt.planning.judge",
+    "planopt.planning.candidates",
     "planopt.planning.programme",
     "planopt.planning.reach_planner",
     "planopt.planning.refine",
@@ -57,7 +57,7 @@ def test_list_is_light() -> None:
     assert not loaded & {"numpy", "shapely", "planopt.problems.schema", *HEAVY}
 
 
-@pytest.mark.parametrize("module", ["proof.verify", "proof.reachability"])
+@pytest.mark.parametrize("module", ["proof.verify", "proof.searches"])
 def test_verifier_stands_alone(module: str) -> None:
     """Loading the verifier loads no solver and nothing of the transcription or the search."""
     loaded = modules_after(f"import planopt.planning.{module}")

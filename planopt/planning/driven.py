@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.fallbacks import drive_candidate
-from planopt.planning.judge import Judge
+from planopt.planning.candidates import Judge, drive_candidate
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.clearance_lines import LINE_REACH_STEPS
 from planopt.planning.programme.motion_rows import MotionShape

@@ -1,4 +1,4 @@
-"""Free space: whether it joins start and goal, and which places and ways are outside it."""
+"""Free space: the lattice graph, whether start and goal are joined, and paths out of obstacles."""
 
 from __future__ import annotations
 
@@ -8,16 +8,62 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M
+from planopt.errors import InputError
+from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import (
     ObstacleIndex,
+    clearance_m,
     containing_obstacle,
+    distances_m,
     is_clear,
+    segment_clearance_m,
     segment_lines,
     swept_clearance_m,
 )
-from planopt.world.workspace import Obstacle
+from planopt.world.lattice import build_lattice, moves_from, nearest_node
+from planopt.world.moving_discs import MovingDiscs, paths_gap_m
+from planopt.world.road_map import RoadMap, build_road_map
+from planopt.world.workspace import Obstacle, Workspace
+
+
+def build_roads(problem: Problem, anchor_m: NDArray[np.float64]) -> RoadMap:
+    """Build the graph, with a node at `anchor_m` (2,)."""
+    try:
+        lattice = build_lattice(
+            problem.workspace,
+            anchor_m,
+            problem.step_length_m - STEP_PAD_M,
+            problem.constraints.clearance_m + CLEARANCE_PAD_M,
+        )
+    except InputError as error:
+        raise InputError(
+            error.message, file=problem.file, key="planner.step_s", remedy=error.remedy
+        ) from None
+    return build_road_map(lattice)
+
+
+def node_at(road_map: RoadMap, place_m: NDArray[np.float64]) -> int:
+    """Return the number of the node nearest to `place_m` (2,); negative if that is not free."""
+    row, column = nearest_node(road_map.lattice, place_m)
+    return int(road_map.number[row, column])
+
+
+def nodes_in_reach(
+    road_map: RoadMap, index: ObstacleIndex, problem: Problem, position_m: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Nodes that one step from an off-lattice place can end at, and how long it is to each."""
+    rows, columns, clear = moves_from(
+        index,
+        road_map.lattice,
+        position_m,
+        problem.step_length_m - STEP_PAD_M,
+        problem.constraints.clearance_m,
+    )
+    nodes = road_map.number[rows[clear], columns[clear]]
+    nodes = nodes[nodes >= 0]
+    return nodes, np.linalg.norm(road_map.nodes_m[nodes] - position_m, axis=1)
+
 
 BISECTIONS = 16
 """The widest clearance is found to this many bits."""
@@ -87,3 +133,92 @@ def obstacles_met(
             f"obstacle {nearest.name}"
         )
     return reasons
+
+
+DIRECTIONS, LENGTHS = 48, 8
+"""Moves that are tried: directions all around, and lengths up to the longest step."""
+
+NEARER_M = 1e-9
+"""A move comes no nearer to anything than the robot is by more than this."""
+
+
+def leaving_path(
+    problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Return the places (N, 2) of a robot that moves out of its way in one step and stands there.
+
+    Of the moves that come no nearer to anything than the robot is now, the shortest of those that
+    lack least at their end. Out of obstacles that it is in they may lead through these.
+    """
+    # Shapes: position_m (2,).
+    horizon = problem.planner.horizon
+    lengths = (problem.step_length_m - STEP_PAD_M) * np.arange(1, LENGTHS + 1) / LENGTHS
+    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    moves = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    ends = np.vstack([position_m, (position_m + lengths[:, None, None] * moves).reshape(-1, 2)])
+    wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    away = clearance_m(index, ends)
+    outside = _outside_m(problem.workspace, ends)
+    ways = np.repeat(ends[:, None], horizon + 1, axis=1)
+    ways[:, 0] = position_m
+    gap = paths_gap_m(moving, ways)
+    deep, others = _inside_m(index, ends)
+    static = np.maximum(wanted - away, 0.0) + outside + deep
+    if static[0] + _too_near_now_m(moving, position_m) == 0.0:
+        return None
+    lacks = static + _too_near_m(moving, ways)
+    swept = segment_clearance_m(others, np.broadcast_to(position_m, ends.shape), ends)
+    allowed = swept >= min(float(clearance_m(others, ends[:1])[0]), wanted) - NEARER_M
+    allowed &= (swept > 0.0) & (outside <= outside[0] + NEARER_M)
+    allowed &= gap >= min(float(gap[0]), 0.0) - NEARER_M
+    allowed[0] = True
+    rows = np.flatnonzero(allowed)
+    # Rows are in order of length: of equal ones the first is the shortest.
+    best = int(rows[np.argmin(np.round(lacks[rows], 6))])
+    return None if best == 0 else ways[best, 1:]
+
+
+def _inside_m(
+    index: ObstacleIndex, places_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], ObstacleIndex]:
+    """Return how deep places (n, 2) are in the first one's obstacles; all other obstacles.
+
+    Obstacles that meet these count to them. None where the first place is on a border at most.
+    """
+    points = np.asarray(shapely.points(places_m), np.object_)
+    about = index.tree.query(points[0], predicate="within")
+    if not len(about):
+        return np.zeros(len(places_m)), index
+    about = np.unique(index.tree.query(index.polygons[about], predicate="intersects")[1])
+    area = shapely.union_all(index.polygons[about])
+    rest = np.delete(np.arange(len(index.obstacles)), about)
+    others = tuple(index.obstacles[number] for number in rest)
+    polygons = index.polygons[rest]
+    border = np.full(len(points), area.boundary, dtype=np.object_)
+    deep = np.where(shapely.within(points, area), distances_m(points, border), 0.0)
+    return deep, ObstacleIndex(others, polygons, shapely.STRtree(polygons))
+
+
+def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> float:
+    """Return by how much a place (2,) is too near to what moves, before the first step."""
+    if not len(moving):
+        return 0.0
+    away = np.linalg.norm(position_m - moving.centres_m[:, 0], axis=-1)
+    return float(np.maximum(moving.apart_m[:, 0] - away, 0.0).max())
+
+
+def _too_near_m(moving: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by how much ways (c, N + 1, 2) are too near to discs after the first step; (c,)."""
+    if not len(moving):
+        return np.zeros(len(ways_m))
+    places = int(ways_m.shape[1])
+    centres, apart = moving.centres_m[:, 1:places], moving.apart_m[:, : places - 1]
+    away = np.linalg.norm(ways_m[:, None, 1:] - centres, axis=-1)
+    return np.maximum(apart - away, 0.0).max(axis=(1, 2))
+
+
+def _outside_m(workspace: Workspace, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far each place (n, 2) is out of bounds; (n,)."""
+    bounds = np.reshape(workspace.bounds_m, (2, 2))
+    beyond = np.maximum(np.maximum(bounds[0] - places_m, places_m - bounds[1]), 0.0)
+    return np.linalg.norm(beyond, axis=1)

@@ -11,10 +11,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.budget import Budget, solve_limit_s
+from planopt.planning.candidates import Budget, Candidate, Judge, solve_limit_s
 from planopt.planning.certificate import RuleResult
 from planopt.planning.driven import motion_shape, motion_task, refined_drive, standstill_m
-from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Rung, Termination
 from planopt.planning.programme.clearance_lines import (
     LINE_REACH_STEPS,
@@ -28,7 +27,7 @@ from planopt.planning.programme.path_nlp import METHODS, PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_shape import PathShape
 from planopt.planning.proof.context import obstacles_ahead
-from planopt.planning.proof.rules.rule import rule_of
+from planopt.planning.proof.rule import rule_of
 from planopt.planning.rule_bounds import lacks, moved, recentred, with_bounds
 from planopt.planning.scene import Ground
 from planopt.planning.search.start_search import Start

@@ -14,11 +14,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.budget import Budget, budget_from
+from planopt.planning.candidates import Budget, Candidate, Judge, best_of, budget_from, verified_of
 from planopt.planning.driven import driven_starts
-from planopt.planning.fallbacks import best_of, verified_of
 from planopt.planning.guess_refinement import GuessRefinement
-from planopt.planning.judge import Candidate, Judge
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.path_nlp import METHODS
 from planopt.planning.scene import Ground

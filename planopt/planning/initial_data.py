@@ -1,18 +1,21 @@
-"""Initial data of a run: ground truth and first measurements.
+"""Initial data of a run, drawn from problem and seed, and the beliefs fitted to measurements.
 
-Both follow from the problem and the seed, each from a random stream of its own.
+Ground truth, first measurements, starts and targets each have a random stream of their own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.belief import Belief, update
+from planopt.channel.cholesky import one_blas_thread
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.ground_truth import (
     Truth,
@@ -29,25 +32,162 @@ from planopt.channel.measurements import (
     Table,
     as_received,
 )
-from planopt.channel.parameters import ChannelParameters
-from planopt.channel.posterior import EXACT_LIMIT, condition
+from planopt.channel.parameters import PRIOR_N_PL, ChannelParameters
+from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
 from planopt.channel.power_log import LogFormat, read_log
 from planopt.errors import InputError
+from planopt.objectives.measuring import MeasuringRule
 from planopt.parts import calling
-from planopt.planning.drawn_places import free_places
 from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
     FittedTruth,
     FunctionTruth,
+    GivenParameters,
     LoggedMeasurements,
     ModelTruth,
     RasterTruth,
     SampledMeasurements,
 )
 from planopt.problems.problem import Problem
+from planopt.problems.robot import Robot
+from planopt.problems.target import Target
+from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles, inside_bounds
 from planopt.world.raster import Raster, cell_centres_m
 from planopt.world.raster_files import read_raster
+
+DRAWN_STREAM = 3
+"""Random stream of starts; ground truth, measurements and robots have others."""
+
+MOST_DRAWS = 10_000
+"""Limit of the number of draws of a place or path."""
+
+
+def with_drawn_starts(problem: Problem, seed: int) -> Problem:
+    """Return the problem with drawn starts of robots and target, if it asks for them."""
+    spread = any(robot.start_spread_m > 0.0 for robot in problem.robots)
+    moved = any(target.start_distance_m is not None for target in problem.targets)
+    if not spread and not moved:
+        return problem
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(DRAWN_STREAM,)))
+    index = index_obstacles(problem.workspace)
+    robots: list[Robot] = []
+    for number in range(len(problem.robots)):
+        robots.append(_drawn_robot(problem, index, number, robots, generator))
+    targets = tuple(_drawn_target(problem, index, each, generator) for each in problem.targets)
+    return replace(problem, robots=tuple(robots), targets=targets)
+
+
+def _drawn_robot(
+    problem: Problem,
+    index: ObstacleIndex,
+    number: int,
+    before: Sequence[Robot],
+    generator: np.random.Generator,
+) -> Robot:
+    robot, constraints = problem.robots[number], problem.constraints
+    if robot.start_spread_m == 0.0:
+        return robot
+    fixed = [each for each in problem.robots[number + 1 :] if each.start_spread_m == 0.0]
+    others = np.array([each.start_m for each in (*before, *fixed)]).reshape(-1, 2)
+    for _ in range(MOST_DRAWS):
+        angle, share = generator.uniform(0.0, 2.0 * np.pi), np.sqrt(generator.uniform())
+        away = robot.start_spread_m * share * np.array([np.cos(angle), np.sin(angle)])
+        place = np.asarray(robot.start_m) + away
+        apart = np.linalg.norm(others - place, axis=1)
+        if _is_free(problem, index, place[None], constraints.clearance_m) and (
+            not len(apart) or apart.min() >= constraints.separation_m
+        ):
+            return replace(robot, start_m=(float(place[0]), float(place[1])), start_spread_m=0.0)
+    raise InputError(
+        f"leaves no free place within {robot.start_spread_m:g} m of {list(robot.start_m)}",
+        file=problem.file,
+        key=f"robots[{number}].start_spread_m",
+        remedy="widen it, or lessen constraints.separation_m",
+    )
+
+
+def _drawn_target(
+    problem: Problem, index: ObstacleIndex, target: Target, generator: np.random.Generator
+) -> Target:
+    if target.start_distance_m is None:
+        return target
+    speed = float(np.hypot(*target.velocity_m_s))
+    ahead_s = problem.planner.step_s * np.arange(problem.planner.max_steps + 1)
+    for _ in range(MOST_DRAWS):
+        angle = generator.uniform(0.0, 2.0 * np.pi)
+        heading = angle + target.heading_spread_rad * generator.uniform(-1.0, 1.0)
+        away = target.start_distance_m * np.array([np.cos(angle), np.sin(angle)])
+        place = np.asarray(target.start_m) + away
+        velocity = speed * np.array([np.cos(heading), np.sin(heading)])
+        path = place + ahead_s[:, None] * velocity
+        if not target.stays_free or _is_free(problem, index, path, 0.0):
+            return replace(
+                target,
+                start_m=(float(place[0]), float(place[1])),
+                velocity_m_s=(float(velocity[0]), float(velocity[1])),
+                start_distance_m=None,
+                heading_spread_rad=0.0,
+            )
+    raise InputError(
+        "finds no straight path that stays within the bounds and out of obstacles for "
+        f"{problem.planner.max_steps} steps",
+        file=problem.file,
+        key="targets[0].stays_free",
+        remedy="lessen the target's speed or planner.max_steps, or widen world.bounds_m",
+    )
+
+
+def _is_free(
+    problem: Problem, index: ObstacleIndex, places_m: NDArray[np.float64], clearance: float
+) -> bool:
+    """Return whether all places (n, 2) are in the workspace, with this clearance."""
+    if not inside_bounds(problem.workspace, places_m).all():
+        return False
+    away = clearance_m(index, places_m)
+    return bool((away >= clearance).all() and (away > 0.0).all())
+
+
+def free_target_path(
+    problem: Problem, draw_path: Callable[[], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Draw a target's states (n + 1, 4), again until they are free if the problem asks for it."""
+    if not problem.targets[0].stays_free:
+        return draw_path()
+    index = index_obstacles(problem.workspace)
+    for _ in range(MOST_DRAWS):
+        states = draw_path()
+        if _is_free(problem, index, states[:, :2], 0.0):
+            return states
+    raise InputError(
+        f"finds none in {MOST_DRAWS:,} paths that stays within the bounds and out of obstacles",
+        file=problem.file,
+        key="targets[0].stays_free",
+        remedy="let it start elsewhere or slower, or leave the key out",
+    )
+
+
+def free_places(
+    problem: Problem, count: int, generator: np.random.Generator
+) -> NDArray[np.float64]:
+    """Draw `count` places uniformly from the workspace outside obstacles; (count, 2)."""
+    index = index_obstacles(problem.workspace)
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    kept: list[NDArray[np.float64]] = []
+    found = 0
+    for _ in range(1000):
+        drawn = generator.uniform((x_min, y_min), (x_max, y_max), (max(2 * count, 64), 2))
+        free = drawn[clearance_m(index, drawn) > 0.0]
+        kept.append(free)
+        found += len(free)
+        if found >= count:
+            return np.concatenate(kept)[:count]
+    raise InputError(
+        "the obstacles leave no place to measure at",
+        file=problem.file,
+        key="world.obstacles",
+        remedy="remove some, or widen world.bounds_m",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,3 +460,84 @@ def measurements_by_station(
             remedy="give a sequence with one table for each station, in the problem's order",
         )
     return tuple(as_received(table) for table in tables)
+
+
+def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Belief:
+    """Fit the channel of one of the problem's stations to measurements and condition on them."""
+    site = problem.stations[station].site
+    if problem.channel.given is not None:
+        fit, posterior = _given(problem, problem.channel.given, measurements, station)
+    else:
+        fit = fit_channel(measurements, site, problem.channel.fit_method)
+        posterior = condition(fit.parameters, measurements)
+    return Belief(fit, posterior)
+
+
+def _given(
+    problem: Problem, known: GivenParameters, measurements: Measurements, station: int
+) -> tuple[ChannelFit, ChannelPosterior]:
+    """Condition on measurements with known parameters; unknown path loss is estimated."""
+    radio = problem.stations[station]
+    path_loss_known = known.k_pl_db is not None
+    parameters = ChannelParameters(
+        k_pl_db=(known.k_pl_db or 0.0) + radio.transmit_power_dbm,
+        n_pl=PRIOR_N_PL if known.n_pl is None else known.n_pl,
+        shadow_std_db=known.shadow_std_db,
+        decorrelation_m=known.decorrelation_m,
+        multipath_std_db=known.multipath_std_db,
+        station=radio.site,
+    )
+    posterior = condition(
+        parameters, measurements, theta="known" if path_loss_known else "estimated"
+    )
+    if not path_loss_known:
+        theta = posterior.theta
+        parameters = replace(parameters, k_pl_db=float(theta[0]), n_pl=float(theta[1]))
+        posterior = condition(parameters, measurements)
+    errors = dict.fromkeys((each.name for each in fields(known)), 0.0)
+    deviation = np.sqrt(np.diag(posterior.theta_covariance))
+    errors |= {"k_pl_db": float(deviation[0]), "n_pl": float(deviation[1])}
+    fit = ChannelFit(
+        method="given",
+        status="ok",
+        parameters=parameters,
+        standard_errors=errors,
+        theta_covariance=posterior.theta_covariance,
+        measurements=len(measurements),
+        censored=int(measurements.censored.sum()),
+        warnings=(),
+        log_likelihood=None,
+    )
+    return fit, posterior
+
+
+def learn_stations(problem: Problem, measurements: Sequence[Measurements]) -> Belief:
+    """Fit the channel of every station to its first measurements."""
+    beliefs = [learn(problem, own, station) for station, own in enumerate(measurements)]
+    return replace(beliefs[0], further=tuple(beliefs[1:]))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Ground truth by station, and the initial belief, of one seed."""
+
+    truths: tuple[Truth, ...]  # Empty if the problem has none
+    belief: Belief
+
+
+@one_blas_thread()
+def prepare(
+    problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
+) -> Prepared:
+    """Draw the initial data and fit the channel to the first measurements."""
+    data = draw_initial_data(problem, seed, measurements)
+    return Prepared(data.truths, learn_stations(problem, data.measurements))
+
+
+def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
+    """Add measurements of each station to a belief, except those nearer than the spacing."""
+    if not any(len(each) for each in measured):
+        return belief
+    rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)
+    taken = [each.take(rule.takes(each.positions_m)) for each in measured]
+    return update(belief, *taken) if any(map(len, taken)) else belief

@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.certificate import Certificate
-from planopt.planning.holes import Hole
+from planopt.planning.certificate import Certificate, Hole
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, dynamics_defect_m, rolled_out

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from planopt.channel.prediction import Prediction, bound_quantile
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.objectives.stage_power import scores_of
-from planopt.planning.budget import Budget
-from planopt.planning.judge import Candidate, Judge
+from planopt.planning.candidates import Budget, Candidate, Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.clearance_lines import REPAIRS, lines_about, lines_with_violated
 from planopt.planning.programme.goal_value import GoalValue, OutagePrice

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction
 from planopt.planning.programme.path_polish import PathTask, RefinedPath
-from planopt.planning.proof.predictions import SEARCH_ERROR_DB, is_search_exact
+from planopt.planning.proof.context import SEARCH_ERROR_DB, is_search_exact
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.local_value import local_value

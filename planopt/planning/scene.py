@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import NoPlanError
-from planopt.planning.free_space import is_joined
-from planopt.planning.roads import build_roads, nodes_in_reach
+from planopt.errors import InputError, NoPlanError
+from planopt.planning.free_space import build_roads, is_joined, nodes_in_reach
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.clearance import ObstacleIndex, index_obstacles
+from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bounds, segments_clear
 from planopt.world.lattice import nearest_node, node_positions
 from planopt.world.road_map import CostToGo, RoadMap, lattice_paths
 from planopt.world.separation import PackedPieces, pack_pieces
@@ -148,3 +147,23 @@ def _why_no_way(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]
             "robots[0].speed_max_m_s makes the lattice finer"
         )
     return f"obstacles cut off {between}: no way keeps constraints.clearance_m {clearance:g} m"
+
+
+def free_ends(
+    problem: Problem, ground: Ground, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return whether the straight way from a place (2,) to each of `ends_m` (n, 2) is free; (n,).
+
+    Raises
+    ------
+    InputError
+        `ends_m` has another shape.
+    """
+    if np.ndim(ends_m) != 2 or np.shape(ends_m)[1] != 2:
+        raise InputError(
+            f"has the shape {np.shape(ends_m)}", key="ends_m", remedy="give places (n, 2)"
+        )
+    starts = np.broadcast_to(position_m, ends_m.shape)
+    wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    clear = segments_clear(ground.index, starts, ends_m, wanted)
+    return inside_bounds(problem.workspace, ends_m) & clear

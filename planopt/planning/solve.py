@@ -1,21 +1,43 @@
-"""Solve a problem once: a plan for each robot from its start, on the first measurements."""
+"""Solve a problem once, and the planner for a robot's own loop."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NoReturn, Self, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.belief import Belief
 from planopt.channel.cholesky import one_blas_thread
-from planopt.planning.drawn_places import with_drawn_starts
-from planopt.planning.initial_data import UserMeasurements, team_seeds, with_measurements
-from planopt.planning.learn import prepare
-from planopt.planning.loop.target_watch import watch_target
+from planopt.channel.measurements import Measurements
+from planopt.errors import InputError
+from planopt.parts import parts_of
+from planopt.planning.initial_data import (
+    UserMeasurements,
+    measurements_by_station,
+    prepare,
+    team_seeds,
+    with_drawn_starts,
+    with_measurements,
+)
+from planopt.planning.loop.target_watch import expected_target, watch_target
+from planopt.planning.plan import Plan
 from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper
 from planopt.planning.team.couriers import planning
-from planopt.problems.overrides import with_overrides
+from planopt.problems.overrides import require_motion, with_overrides
+from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem
+from planopt.problems.tasks import TaskProblem, task_of
+from planopt.problems.world_tables import check_obstacle
+from planopt.short_repr import wrapped
+from planopt.world.clearance import containing_obstacle, index_obstacles
+from planopt.world.workspace import Obstacle
 
 
 @one_blas_thread()
@@ -77,3 +99,333 @@ def _solved(
     robots = Stepper(problem, belief, planning(problem, scenes, seeds), watch)
     plans = robots.plan()
     return Solution(problem, seed, belief, tuple(plans), tuple(aim for (aim,) in robots.aims))
+
+
+class Planner:
+    """Plans the next steps of robots that a loop of one's own drives.
+
+    Belief, track and last plan are kept between calls. Each call of :meth:`step` stands for one
+    step of ``problem.planner.step_s`` seconds. Several planners may run in several threads;
+    a planner that is called while it plans in another thread raises an InputError.
+
+    Parameters
+    ----------
+    problem
+        From :func:`planopt.load` or made in Python. For a problem of another task than motion
+        planning, the object made is the controller of that task, with a method ``step`` of its own:
+        :class:`planopt.problems.NetworkController` or :class:`planopt.problems.PursuitController`.
+    measurements
+        First measurements, as for :func:`planopt.solve`. Without them they are taken as the problem
+        says, and all that a simulation draws is drawn as :func:`planopt.simulate` draws it: a loop
+        in the same ground truth then repeats its run. With them a target's table is its first
+        estimate.
+    horizon, planner, cost_to_go
+        Override the problem's planner settings.
+    budget_s
+        Seconds that the plan of a robot should take at most, in each round of a team.
+    seed
+        Of everything that is drawn.
+
+    Raises
+    ------
+    InputError
+        Something that was given cannot be used.
+    NoPlanError
+        Obstacles cut the goal off.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> problem = planopt.load("open_field")
+    >>> planner = planopt.Planner(problem, horizon=2)
+    >>> plan = planner.step(problem.robots[0].start_m)
+    >>> plan.verdict.value
+    'verified'
+    >>> here = plan.next_position_m
+    >>> heard = planopt.Measurements([here], [-61.5])
+    >>> plan = planner.step(here, heard)
+    """
+
+    @overload
+    def __new__(cls, problem: TaskProblem, **settings: Any) -> Any: ...
+    @overload
+    def __new__(cls, problem: Problem, **settings: Any) -> Self: ...
+    def __new__(cls, problem: Any, **settings: Any) -> Any:
+        """Return the controller of the problem's task."""
+        if isinstance(problem, TaskProblem):
+            return task_of(problem).control(problem, **settings)
+        return super().__new__(cls)
+
+    @one_blas_thread()
+    def __init__(  # pyright: ignore[reportInconsistentConstructor]
+        self,
+        problem: Problem,
+        *,
+        measurements: UserMeasurements | None = None,
+        horizon: int | None = None,
+        planner: str | None = None,
+        cost_to_go: str | None = None,
+        budget_s: float | None = None,
+        seed: int = 0,
+    ) -> None:
+        problem, given = with_measurements(problem, measurements)
+        require_motion(problem)
+        if budget_s is not None:
+            problem = replace(problem, planner=replace(problem.planner, budget_s=budget_s))
+        problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
+        problem = with_drawn_starts(problem, seed)
+        scenes = build_scenes(problem)
+        belief = prepare(problem, seed, given).belief
+        seeds = team_seeds(problem, seed)
+        watch = watch_target(problem, seeds.target) if given is None else expected_target(problem)
+        self.problem = problem
+        lasting = replace(problem.workspace, obstacles=problem.workspace.lasting)
+        self._index = index_obstacles(lasting)
+        self._robots = Stepper(problem, belief, planning(problem, scenes, seeds), watch)
+        self._is_placed = False
+        self._busy = threading.Lock()
+
+    def __repr__(self) -> str:
+        """Return the problem, and how much has happened."""
+        steps = len(self._robots.connected)
+        counts = [len(belief.posterior.measurements) for belief in self.beliefs]
+        return wrapped(f"Planner({self.problem!r}, steps driven: {steps}, measurements: {counts})")
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled: solvers and locks belong to one process."""
+        raise InputError(
+            "a Planner cannot be pickled",
+            remedy="send its problem, and make a Planner in each process",
+        )
+
+    @property
+    def beliefs(self) -> tuple[Belief, ...]:
+        """The channel as each robot believes it to be now."""
+        return tuple(self._robots.beliefs)
+
+    def step(
+        self,
+        state: ArrayLike,
+        measurements: UserMeasurements | None = None,
+        *,
+        connected: bool | None = None,
+        target_m: ArrayLike | None = None,
+        obstacles: Obstacle | Sequence[Obstacle] = (),
+    ) -> Plan:
+        """Plan from the current state of the only robot.
+
+        Parameters
+        ----------
+        state
+            ``(2,)`` position in metres, or ``(s,)`` state of a robot with dynamics in the order of
+            ``state_names``.
+        measurements
+            Measurements since the last call, as for :func:`planopt.solve`. Measurements within
+            ``channel.measure_spacing_m`` of an earlier one are ignored.
+        connected
+            Whether the robot is connected now. Constraints over a whole run count it, and an
+            observation of the target reaches the station only then. The default is the last
+            measurement or, without one, the prediction.
+        target_m
+            ``(2,)`` observed position of the target, if it is observed. The first call ignores it
+            and uses the initial estimate of the problem.
+        obstacles
+            Obstacles that have become known since the last call; ``until_s`` ends an obstacle. A
+            robot inside a new obstacle is led out of it.
+
+        Returns
+        -------
+        Plan
+            ``plan.next_position_m`` is the position to drive to, ``plan.next_input`` the input.
+
+        Raises
+        ------
+        InputError
+            There are several robots (use :meth:`step_all`), the state or a measurement is invalid,
+            or another thread uses this planner. The planner is unchanged.
+        NoPlanError
+            It is proved that there is no plan from this state.
+
+        Warns
+        -----
+        UserWarning
+            Powers are implausible, or the robot is many steps away from its plan.
+
+        Examples
+        --------
+        >>> import planopt
+        >>> planner = planopt.Planner(planopt.load("open_field"), horizon=5)
+        >>> plan = planner.step((32.0, 30.0))
+        >>> reading = {"x_m": [32.5], "y_m": [30.5], "power_dbm": [-52.0]}
+        >>> planner.step(plan.next_position_m, reading).verdict.value
+        'verified'
+        """
+        if len(self.problem.robots) > 1:
+            raise InputError(
+                f"the problem has {len(self.problem.robots)} robots", remedy="call step_all"
+            )
+        (plan,) = self.step_all(
+            [state],
+            [measurements],
+            connected=None if connected is None else [connected],
+            target_m=None if target_m is None else [target_m],
+            obstacles=obstacles,
+        )
+        return plan
+
+    def step_all(
+        self,
+        states: Sequence[ArrayLike],
+        measurements: Sequence[UserMeasurements | None] | None = None,
+        *,
+        connected: Sequence[bool] | NDArray[np.bool_] | None = None,
+        target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None = None,
+        obstacles: Obstacle | Sequence[Obstacle] = (),
+    ) -> tuple[Plan, ...]:
+        """Plan from the states of all robots; as :meth:`step`, with an entry for each robot."""
+        if not self._busy.acquire(blocking=False):
+            raise InputError(
+                "a planner was called while it plans in another thread",
+                remedy="use one Planner for each thread, or wait for the first call to return",
+            )
+        try:
+            return self._step_all(states, measurements, connected, target_m, obstacles)
+        finally:
+            self._busy.release()
+
+    @one_blas_thread()
+    def _step_all(
+        self,
+        states: Sequence[ArrayLike],
+        measurements: Sequence[UserMeasurements | None] | None,
+        connected: Sequence[bool] | NDArray[np.bool_] | None,
+        target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None,
+        obstacles: Obstacle | Sequence[Obstacle],
+    ) -> tuple[Plan, ...]:
+        """Check all arguments, record what happened, and plan."""
+        count = len(self.problem.robots)
+        for key, given in (
+            ("states", states),
+            ("measurements", measurements),
+            ("connected", connected),
+            ("target_m", target_m),
+        ):
+            if given is not None and len(given) != count:
+                raise InputError(
+                    f"has {len(given)} entries, the problem has {count} robots",
+                    key=key,
+                    remedy="give one for each robot, in the problem's order",
+                )
+        remedy = "planopt.obstacles_from makes obstacles of polygons, tables and grids"
+        later = parts_of("obstacles", obstacles, Obstacle, remedy)
+        for obstacle in later:
+            check_obstacle(obstacle)
+        said = None if connected is None else _links(connected)
+        now = [self._state(number, state) for number, state in enumerate(states)]
+        measured = [
+            () if each is None else measurements_by_station(self.problem, each)
+            for each in ([None] * count if measurements is None else measurements)
+        ]
+        for words in self._implausible(now, measured):
+            warnings.warn(words, UserWarning, stacklevel=4)
+        places = [None] * count if target_m is None else target_m
+        seen = np.array([self._seen(place) for place in places])
+        if self._is_placed:
+            links = (
+                [self._was_connected(*both) for both in enumerate(measured)]
+                if said is None
+                else said
+            )
+            self._robots.observe(now, measured, links, seen)
+        else:
+            self._robots.place(now, measured)
+            self._is_placed = True
+        if later:
+            self._robots.add_obstacles(later)
+        return tuple(self._robots.plan())
+
+    def _state(self, number: int, given: ArrayLike) -> NDArray[np.float64]:
+        """Return the state of a robot, which must be a place where it can be."""
+        robot = self.problem.robots[number]
+        key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
+        names = robot.dynamics.state_names
+        state = _numbers(key, given, (len(names),), ", ".join(names))
+        # Drift may carry a robot out of bounds; it is led back. A step out is another frame.
+        nearest = np.clip(state[:2], *np.reshape(self.problem.workspace.bounds_m, (2, 2)))
+        reach = self._robots.owns[number].step_length_m if robot.moves_freely else 0.0
+        if float(np.linalg.norm(state[:2] - nearest)) > reach:
+            raise InputError(
+                f"is {state.tolist()}, outside the bounds {list(self.problem.workspace.bounds_m)}",
+                key=key,
+                remedy="give metres in the frame of the problem, or widen world.bounds_m",
+            )
+        around = containing_obstacle(self._index, state[:2])
+        if around is not None:
+            raise InputError(
+                f"is {state.tolist()}, inside the obstacle {around.name}",
+                key=key,
+                remedy="correct the place, or the map",
+            )
+        return state
+
+    def _implausible(
+        self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
+    ) -> Iterator[str]:
+        """Yield warnings about powers, and about robots far from their plans."""
+        for taken in (each for stations in measured for each in stations):
+            yield from measured_warnings(taken)
+        for number, (state, plans) in enumerate(zip(states, self._robots.plans, strict=True)):
+            if not plans or not self._is_placed:
+                continue
+            off_m = float(np.linalg.norm(state[:2] - plans[-1].next_position_m))
+            step_m = self._robots.owns[number].step_length_m
+            if off_m > JUMP_STEPS * step_m:
+                yield (
+                    f"robot {number} is {off_m:.4g} m from where its plan led, and drives "
+                    f"{step_m:.4g} m in a step (check frame and unit of its position)"
+                )
+
+    def _seen(self, place: ArrayLike | None) -> NDArray[np.float64]:
+        """Return where a robot sees the target, NaN where it does not."""
+        if place is None:
+            return np.full(2, np.nan)
+        if not self.problem.targets:
+            raise InputError("the problem has no target", key="target_m", remedy="leave it out")
+        return _numbers("target_m", place, (2,), "x_m, y_m")
+
+    def _was_connected(self, number: int, measured: Sequence[Measurements]) -> bool:
+        """Return whether a robot is connected now, by its last measurements or by its last plan."""
+        stations = self.problem.stations
+        heard = [
+            bool(taken.power_dbm[-1] >= station.threshold_dbm and not taken.censored[-1])
+            for station, taken in zip(stations, measured, strict=False)
+            if len(taken)
+        ]
+        if heard:
+            return any(heard)
+        plans = self._robots.plans[number]
+        return bool(plans and plans[-1].connectivity[1] >= 0.5)
+
+
+def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
+    """Return which robots are connected, from truth values alone."""
+    values: Sequence[object] = list(given)
+    for number, value in enumerate(values):
+        if not isinstance(value, bool | np.bool_):
+            raise InputError(
+                f"is {value!r}", key=f"connected[{number}]", remedy="give True or False"
+            )
+    return [bool(value) for value in values]
+
+
+def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> NDArray[np.float64]:
+    """Return finite numbers of a shape."""
+    try:
+        found = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.shape != shape or not np.isfinite(found).all():
+        raise InputError(
+            f"is {given!r}, should be {shape[0]} finite numbers", key=key, remedy=f"give {names}"
+        )
+    return found

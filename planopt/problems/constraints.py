@@ -1,7 +1,7 @@
 """The constraints on every plan of a problem: clearance, and a rule of connectivity.
 
 Rules are those of planopt, and those of programs, each one class
-(:class:`planopt.planning.proof.rules.rule.Rule`).
+(:class:`planopt.planning.proof.rule.Rule`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from planopt.errors import InputError, listed
 from planopt.parts import calling, part_of, require_name
 from planopt.problems.tables import Part, ValidatedAs, table_of
 
-_RULES = "planopt.planning.proof.rules"
+_RULES = "planopt.planning.proof.connectivity_rules"
 
 OWN = {
-    "each_step": f"{_RULES}.each_step:EachStep",
-    "average": f"{_RULES}.average:Average",
-    "joint": f"{_RULES}.joint:Joint",
-    "outage": f"{_RULES}.outage:Outage",
-    "data": f"{_RULES}.data:Data",
+    "each_step": f"{_RULES}:EachStep",
+    "average": f"{_RULES}:Average",
+    "joint": f"{_RULES}:Joint",
+    "outage": f"{_RULES}:Outage",
+    "data": f"{_RULES}:Data",
 }
 """Where the classes of planopt's own rules are, imported when they are needed."""
 

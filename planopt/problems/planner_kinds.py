@@ -21,7 +21,7 @@ GROUP = "planopt.planners"
 """Entry points of planners from outside."""
 
 _HOME = "planopt.planning.planners"
-_BOUNDS = "planopt.planning.baselines.foresight"
+_BOUNDS = "planopt.planning.foresight"
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planopt.channel.belief import Belief
-from planopt.planning.certificate import Certificate
-from planopt.planning.holes import BlockedWay
+from planopt.planning.certificate import BlockedWay, Certificate
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.results import Run, Solution
 from planopt.problems.constraints import Constraints

@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.planning.holes import BlockedWay, Hole
+from planopt.planning.certificate import BlockedWay, Hole
 from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
 from planopt.planning.loop.robot_run import true_serving_dbm
 from planopt.planning.plan import Plan

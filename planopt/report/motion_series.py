@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from planopt.planning.loop.log import StepLog
 from planopt.planning.plan import Plan, Rung, Verdict
-from planopt.planning.results import Run
-from planopt.planning.team.reservations import (
+from planopt.planning.reservations import (
     driven_motion,
     least_moving_clearances_m,
     least_separations_m,
 )
+from planopt.planning.results import Run
 from planopt.problems.problem import Problem
 from planopt.report.panel import Panel
 from planopt.report.style import (

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planopt.errors import NoPlanError
+from planopt.planning.certificate import BlockedError
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, save_no_plan
-from planopt.planning.holes import BlockedError
 from planopt.planning.results import Solution
 from planopt.planning.run_summary import RunSummary, summary_of
 from planopt.problems.overrides import with_overrides
@@ -113,7 +113,7 @@ class NoMotionReport:
         if self.action == "simulate" or not isinstance(error, BlockedError) or not error.blocked:
             return
         if self.problem.report.figures:
-            from planopt.planning.learn import prepare
+            from planopt.planning.initial_data import prepare
             from planopt.report import draw_no_plan, save_figure
 
             belief = prepare(self.problem, self.seed).belief
@@ -153,7 +153,7 @@ class MotionTask(Task):
 
     def validated(self, problem: Problem) -> dict[str, Any]:
         """Read maps and logs, fit the channel, and return what is implausible or unreachable."""
-        from planopt.planning.learn import prepare
+        from planopt.planning.initial_data import prepare
         from planopt.planning.scene import build_scenes
         from planopt.problems.plausibility import measured_warnings
         from planopt.studies.variants import default_seeds, settings_of
@@ -187,7 +187,7 @@ class MotionTask(Task):
 
     def shared(self, problem: Problem, seed: int) -> Any:
         """Return ground truth, first belief, and the geometry of robots with a goal."""
-        from planopt.planning.learn import prepare
+        from planopt.planning.initial_data import prepare
         from planopt.planning.scene import build_scenes
 
         return {"prepared": prepare(problem, seed), "scenes": build_scenes(problem)}
@@ -242,7 +242,7 @@ TASK = MotionTask(
     solve="planopt.planning.solve:solve",
     simulate="planopt.planning.loop.closed_loop:simulate",
     override=with_overrides,
-    controller="planopt.planning.live_planner:Planner",
+    controller="planopt.planning.solve:Planner",
     animate=_animate,
     steps=lambda problem: problem.planner.max_steps,
 )

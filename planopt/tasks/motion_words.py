@@ -6,9 +6,13 @@ from collections.abc import Iterator, Sequence
 from math import isnan
 from typing import TYPE_CHECKING
 
-from planopt.planning.certificate import excused_in_words, excused_steps
+from planopt.planning.certificate import (
+    excused_in_words,
+    excused_steps,
+    goal_in_words,
+    holes_in_words,
+)
 from planopt.planning.explain.explanation import Crossing
-from planopt.planning.holes import goal_in_words, holes_in_words
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Verdict
 from planopt.problems.problem import Problem, problem_of_robot

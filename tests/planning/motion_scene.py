@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from terms_scene import judge_of, situation_of, terms_problem
 
+from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.judge import Judge
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Dynamics
 from planopt.robots.models import DoubleIntegrator, Unicycle

@@ -23,9 +23,13 @@ from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition
 from planopt.objectives import ReachObjective
 from planopt.planning.history import BEGINNING, History
-from planopt.planning.learn import Prepared
-from planopt.planning.proof.context import VerifierContext, obstacles_ahead, verifier_context
-from planopt.planning.proof.predictions import stations_law
+from planopt.planning.initial_data import Prepared
+from planopt.planning.proof.context import (
+    VerifierContext,
+    obstacles_ahead,
+    stations_law,
+    verifier_context,
+)
 from planopt.planning.proof.verify import Judgement, verify
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch

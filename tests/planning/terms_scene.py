@@ -13,10 +13,9 @@ from sending_term import SendingTerm
 
 from planopt.channel.belief import Belief
 from planopt.extend import casadi_term
-from planopt.planning.judge import Judge
-from planopt.planning.learn import prepare
-from planopt.planning.proof.context import VerifierContext
-from planopt.planning.proof.predictions import uncertain_law
+from planopt.planning.candidates import Judge
+from planopt.planning.initial_data import prepare
+from planopt.planning.proof.context import VerifierContext, uncertain_law
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region

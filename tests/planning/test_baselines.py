@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.planning.baselines.walks import (
+from planopt.planning.plan import Rung, Verdict
+from planopt.planning.planners import (
     RINGS,
     LawnmowerPlanner,
     OneStepPlanner,
     RandomPlanner,
     lane_rows,
     lawn_tour,
+    planner_for,
 )
-from planopt.planning.plan import Rung, Verdict
-from planopt.planning.planners import planner_for
 from planopt.planning.search.taut_way import stops_along
 
 INFORMATION = {"kind": "mapping", "form": "information"}

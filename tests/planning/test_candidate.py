@@ -19,7 +19,7 @@ from scenes import (
 )
 from scipy.stats import norm
 
-from planopt.planning.judge import Candidate, Judge
+from planopt.planning.candidates import Candidate, Judge
 from planopt.planning.plan import Pivot, Rung, Termination, Verdict
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.scene import build_scene

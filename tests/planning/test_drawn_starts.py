@@ -10,8 +10,7 @@ import shapely
 
 from planopt import InputError, check, load, simulate, solve
 from planopt.channel.posterior import condition, estimate_theta
-from planopt.planning.drawn_places import with_drawn_starts
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare, with_drawn_starts
 from planopt.problems.channel_setup import GivenParameters, SampledMeasurements
 from planopt.problems.load import check_files
 from planopt.problems.save import problem_from_dict, problem_to_dict

@@ -12,8 +12,8 @@ from scenes import bad_band, belief_of, small_problem
 
 import planopt
 from planopt.errors import NoPlanError
+from planopt.planning.certificate import goal_in_words, holes_along, holes_in_words
 from planopt.planning.explain.explain import explain_crossing
-from planopt.planning.holes import goal_in_words, holes_along, holes_in_words
 from planopt.planning.plan import Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene

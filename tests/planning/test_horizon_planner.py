@@ -23,9 +23,8 @@ from planopt.channel.posterior import condition, predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.errors import InputError
 from planopt.planning import guess_refinement
-from planopt.planning.drawn_places import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import free_places, prepare
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.programme import ipopt
 from planopt.planning.programme.nlp_functions import NlpPoint

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from planopt import load, simulate
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 
 
 def test_the_first_step_has_the_largest_deviation() -> None:
@@ -22,8 +22,7 @@ def test_the_first_step_has_the_largest_deviation() -> None:
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     reach = problem.step_length_m * np.linspace(0.05, 0.999, 20)
     places = start + (reach[:, None, None] * circle).reshape(-1, 2)
-    from planopt.planning.baselines.baseline import free_ends
-    from planopt.planning.scene import build_ground
+    from planopt.planning.scene import build_ground, free_ends
 
     free = free_ends(problem, build_ground(problem, start), start, places)
     best = posterior.predict(places[free]).deviation_db.max()

@@ -10,8 +10,8 @@ from terms_scene import TRACKING, situation_of, terms_problem
 
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.programme.path_polish import RefinedPath
-from planopt.planning.proof import predictions
-from planopt.planning.proof.predictions import SEARCH_ERROR_DB
+from planopt.planning.proof import context as predictions
+from planopt.planning.proof.context import SEARCH_ERROR_DB
 from planopt.planning.rule_bounds import lacks
 from planopt.planning.solve import solve
 from planopt.planning.values.rule_rows import rule_rows

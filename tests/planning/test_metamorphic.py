@@ -13,9 +13,9 @@ from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, term
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
 from planopt.objectives import MotionEnergyTerm, TrackingTerm
-from planopt.planning.baselines.walks import OneStepPlanner
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Verdict
+from planopt.planning.planners import OneStepPlanner
 from planopt.planning.programme import path_nlp
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.values.context import Aim, StepContext, step_context

@@ -11,8 +11,8 @@ import pytest
 
 from planopt import check, load, solve
 from planopt.errors import InputError
-from planopt.planning.baselines.baseline import held, released
-from planopt.planning.baselines.walks import LawnmowerPlanner
+from planopt.planning.candidates import held, released
+from planopt.planning.planners import LawnmowerPlanner
 from planopt.problems import planner_kinds
 from planopt.problems.planner_kinds import (
     OWN,

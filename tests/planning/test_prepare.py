@@ -13,9 +13,7 @@ from planopt import load
 from planopt.channel.ground_truth import Nakagami, true_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.errors import InputError
-from planopt.planning.drawn_places import free_places
-from planopt.planning.initial_data import draw_truth
-from planopt.planning.learn import learn, prepare
+from planopt.planning.initial_data import draw_truth, free_places, learn, prepare
 from planopt.problems.channel_setup import RasterTruth, SampledMeasurements
 from planopt.world.raster import Raster
 from planopt.world.raster_files import write_rasters

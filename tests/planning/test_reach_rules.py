@@ -16,7 +16,7 @@ from planopt.planning.explain.no_way import explain_blocked
 from planopt.planning.history import History
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.predictions import stations_law
+from planopt.planning.proof.context import stations_law
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins

@@ -20,8 +20,7 @@ from scenes import (
 )
 
 import planopt.planning.refine as refine
-from planopt.planning.budget import Budget
-from planopt.planning.judge import Judge
+from planopt.planning.candidates import Budget, Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.pivot import Ahead
 from planopt.planning.proof.context import VerifierContext

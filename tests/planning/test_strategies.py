@@ -14,11 +14,10 @@ from planopt.channel.ground_truth import true_power_dbm
 from planopt.channel.local_channel import LocalChannel
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
-from planopt.planning.baselines.foresight import best_nodes, clairvoyant_paths, oracle_paths
-from planopt.planning.baselines.strategies import StrategyPlanner
-from planopt.planning.learn import prepare
+from planopt.planning.foresight import best_nodes, clairvoyant_paths, oracle_paths
+from planopt.planning.initial_data import prepare
 from planopt.planning.plan import Verdict
-from planopt.planning.planners import planner_for
+from planopt.planning.planners import StrategyPlanner, planner_for
 from planopt.planning.scene import build_ground
 from planopt.targets.sensor import sensing_information
 

@@ -13,7 +13,7 @@ from terms_scene import LEARNING, terms_problem
 
 import planopt
 from planopt import InputError, Obstacle, Planner, Workspace, check
-from planopt.planning.leaving import leaving_path
+from planopt.planning.free_space import leaving_path
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Verdict

@@ -13,7 +13,7 @@ import planopt
 from planopt import InputError, Measurements, Problem
 from planopt.channel import true_power_dbm
 from planopt.cli import main
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 from planopt.problems import (
     FittedTruth,
     LoggedMeasurements,

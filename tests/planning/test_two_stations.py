@@ -13,7 +13,7 @@ from planopt import check
 from planopt.errors import NoPlanError
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.saved import RUN_FILE
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.reach_planner import ReachPlanner

@@ -1,9 +1,8 @@
 """The verifier's own proof: every small falsification of its source changes a judgement.
 
-Each mutant is a change of a few characters in `verify.py`, `single_steps.py`, `goal_paths.py`,
-`reachability.py`, `detours.py`, `shortest_paths.py` or `motion.py`. Good and bad plans
-are judged by the source as it is, which must say what stands beside each plan, and by each mutant,
-which must say something else of at least one of them. A mutant that survives is a hole here.
+Each mutant is a change of a few characters in `verify.py`, `searches.py`, `motion.py` or
+`shortest_paths.py`. The unchanged source must give the expected verdict for every plan of a table,
+and each mutant another one for at least one of them.
 """
 
 from __future__ import annotations
@@ -423,12 +422,9 @@ CASES: dict[str, Case] = {
     "courtyard": Case(along(18, 20, 22), problem=small_problem(RING), clearance_m=4.0),
 }
 
-VERIFY, REACHABILITY = "planopt.planning.proof.verify", "planopt.planning.proof.reachability"
-GRID, PATHS = "planopt.planning.proof.reachability", "planopt.planning.proof.goal_paths"
-STEPS = "planopt.planning.proof.single_steps"
-MOTION = "planopt.planning.proof.motion"
-DETOURS, ROUND = "planopt.planning.proof.reachability", "planopt.world.shortest_paths"
-MODULES = (VERIFY, STEPS, REACHABILITY, DETOURS, ROUND, PATHS, GRID, MOTION)
+VERIFY, MOTION = "planopt.planning.proof.verify", "planopt.planning.proof.motion"
+SEARCHES, ROUND = "planopt.planning.proof.searches", "planopt.world.shortest_paths"
+MODULES = (VERIFY, SEARCHES, ROUND, MOTION)
 
 
 def source_of(module: str) -> str:
@@ -451,14 +447,9 @@ def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:
     """The verifier of the texts, by module."""
     modules = {module: module_of(module, sources[module]) for module in MODULES}
     for user, used, names in (
-        (REACHABILITY, GRID, ("grid_of", "parts_of")),
-        (PATHS, GRID, ("grid_of",)),
-        (DETOURS, ROUND, ("is_near_joined", "shortest_paths", "path_lengths_m")),
-        (REACHABILITY, DETOURS, ("best_by_ways",)),
-        (STEPS, REACHABILITY, ("best_margins_by_step",)),
-        (STEPS, PATHS, ("build_goal_grid", "goal_costs", "price_path")),
+        (SEARCHES, ROUND, ("is_near_joined", "shortest_paths", "path_lengths_m")),
+        (VERIFY, SEARCHES, ("best_margins_by_step", "build_goal_grid", "goal_costs", "price_path")),
         (VERIFY, MOTION, ("verify_motion",)),
-        (VERIFY, STEPS, ("verify_single_steps",)),
     ):
         for name in names:
             setattr(modules[user], name, getattr(modules[used], name))
@@ -612,167 +603,183 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "dynamics_defect_m(positions_m[:-1], start_m,",
     ),
     "connectivity of all but the last step": (
-        STEPS,
-        "power.mean_db[1:], power.deviation_db[1:]",
-        "power.mean_db[:-1], power.deviation_db[:-1]",
+        VERIFY,
+        "mean, deviation = power.mean_db[1:], power.deviation_db[1:]",
+        "mean, deviation = power.mean_db[:-1], power.deviation_db[:-1]",
     ),
     "connectivity bound for half": (
-        STEPS,
+        VERIFY,
         "margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)",
         "margins = bound_margin_db(mean, deviation, radio.threshold_dbm, 0.5)",
     ),
     "deviation not counted": (
-        STEPS,
+        VERIFY,
         "margins = bound_margin_db(mean, deviation,",
         "margins = bound_margin_db(mean, 0.0 * deviation,",
     ),
     "margin tolerance times a million": (
-        STEPS,
+        VERIFY,
         "margins < -MARGIN_TOLERANCE_DB",
         "margins < -1e6 * MARGIN_TOLERANCE_DB",
     ),
     "margins the wrong way round": (
-        STEPS,
+        VERIFY,
         "margins < -MARGIN_TOLERANCE_DB",
         "margins > MARGIN_TOLERANCE_DB",
     ),
     "missed steps one too early": (
-        STEPS,
+        VERIFY,
         "& asked)[0] + 1",
         "& asked)[0]",
     ),
     "below the bound only where nothing is in reach": (
-        STEPS,
+        VERIFY,
         "        if margin >= 0.0\n",
         "        if margin < 0.0\n",
     ),
-    "bound that is met at no step accepted": (STEPS, "if len(missed) == count:", "if False:"),
-    "any objection taken back": (STEPS, "        if margin >= 0.0\n    ][:1]", "    ][:0]"),
-    "outage never priced": (STEPS, "if is_priced(problem):", "if False:"),
-    "outage always priced": (STEPS, "if is_priced(problem):", "if True:"),
+    "bound that is met at no step accepted": (VERIFY, "if len(missed) == count:", "if False:"),
+    "any objection taken back": (VERIFY, "        if margin >= 0.0\n    ][:1]", "    ][:0]"),
+    "outage never priced": (VERIFY, "if is_priced(problem):", "if False:"),
+    "outage always priced": (VERIFY, "if is_priced(problem):", "if True:"),
     "any price will do": (
-        STEPS,
+        VERIFY,
         "reasons=tuple(_too_dear(problem, context.history, priced, best_margin_db)),",
         "reasons=(),",
     ),
     "nowhere turned round": (
-        STEPS,
+        VERIFY,
         "if best_margin_db < -MARGIN_TOLERANCE_DB:",
         "if best_margin_db > MARGIN_TOLERANCE_DB:",
     ),
-    "nowhere is somewhere": (STEPS, "if best_margin_db < -MARGIN_TOLERANCE_DB:", "if False:"),
-    "a run's waste forgotten": (STEPS, "spent = history.crossing_excess_m +", "spent ="),
+    "nowhere is somewhere": (VERIFY, "if best_margin_db < -MARGIN_TOLERANCE_DB:", "if False:"),
+    "a run's waste forgotten": (VERIFY, "spent = history.crossing_excess_m +", "spent ="),
     "this step's waste forgotten": (
-        STEPS,
+        VERIFY,
         "spent = history.crossing_excess_m + priced.excess_m",
         "spent = history.crossing_excess_m",
     ),
     "a long run allowed no more": (
-        STEPS,
+        VERIFY,
         "COST_TOLERANCE * (history.crossing_cost_m + priced.step_m)",
         "COST_TOLERANCE * priced.step_m",
     ),
-    "waste turned round": (STEPS, "if spent > allowed:", "if spent < allowed:"),
+    "waste turned round": (VERIFY, "if spent > allowed:", "if spent < allowed:"),
     "excess without the step": (
-        PATHS,
+        SEARCHES,
         "excess = step + after - best if",
         "excess = after - best if",
     ),
     "excess of no rest": (
-        PATHS,
+        SEARCHES,
         "after = rest_m(min(1, len(lengths)))",
         "after = rest_m(0)",
     ),
-    "cost turned round": (STEPS, "within = priced.cost_m <= (1.0", "within = priced.cost_m > (1.0"),
-    "cost below the best": (STEPS, "(1.0 + COST_TOLERANCE)", "(0.5 + COST_TOLERANCE)"),
-    "no tolerance": (STEPS, "(1.0 + COST_TOLERANCE)", "(1.0 + 0.0 * COST_TOLERANCE)"),
-    "ten times the tolerance": (STEPS, "(1.0 + COST_TOLERANCE)", "(1.0 + 50.0 * COST_TOLERANCE)"),
-    "no leeway": (STEPS, "leeway = COST_LEEWAY_STEPS", "leeway = 0.0"),
-    "leeway of half": (STEPS, "leeway = COST_LEEWAY_STEPS", "leeway = 0.5 * COST_LEEWAY_STEPS"),
-    "twice the leeway": (STEPS, "leeway = COST_LEEWAY_STEPS", "leeway = 2.0 * COST_LEEWAY_STEPS"),
-    "leeway at no price": (STEPS, "problem.step_length_m * (1.0 + price)", "problem.step_length_m"),
+    "cost turned round": (
+        VERIFY,
+        "within = priced.cost_m <= (1.0",
+        "within = priced.cost_m > (1.0",
+    ),
+    "cost below the best": (VERIFY, "(1.0 + COST_TOLERANCE)", "(0.5 + COST_TOLERANCE)"),
+    "no tolerance": (VERIFY, "(1.0 + COST_TOLERANCE)", "(1.0 + 0.0 * COST_TOLERANCE)"),
+    "ten times the tolerance": (VERIFY, "(1.0 + COST_TOLERANCE)", "(1.0 + 50.0 * COST_TOLERANCE)"),
+    "no leeway": (VERIFY, "leeway = COST_LEEWAY_STEPS", "leeway = 0.0"),
+    "leeway of half": (VERIFY, "leeway = COST_LEEWAY_STEPS", "leeway = 0.5 * COST_LEEWAY_STEPS"),
+    "twice the leeway": (VERIFY, "leeway = COST_LEEWAY_STEPS", "leeway = 2.0 * COST_LEEWAY_STEPS"),
+    "leeway at no price": (
+        VERIFY,
+        "problem.step_length_m * (1.0 + price)",
+        "problem.step_length_m",
+    ),
     "chance of half a bound": (
-        STEPS,
+        VERIFY,
         "return outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere), margin",
         "return outage_share(0.5 * chance, margin < -MARGIN_TOLERANCE_DB, everywhere), margin",
     ),
     "charged within the bound": (
-        STEPS,
+        VERIFY,
         "outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere)",
         "outage_share(chance, margin > -MARGIN_TOLERANCE_DB, everywhere)",
     ),
     "charged everywhere": (
-        STEPS,
+        VERIFY,
         "outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere)",
         "outage_share(chance, margin < np.inf, everywhere)",
     ),
     "never charged everywhere": (
-        STEPS,
+        VERIFY,
         "outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere)",
         "outage_share(chance, margin < -MARGIN_TOLERANCE_DB)",
     ),
-    "no path cost said": (STEPS, "path_cost_m=priced.cost_m,", "path_cost_m=None,"),
-    "costs exchanged": (STEPS, "path_cost_m=priced.cost_m,", "path_cost_m=priced.best_m,"),
+    "no path cost said": (VERIFY, "path_cost_m=priced.cost_m,", "path_cost_m=None,"),
+    "costs exchanged": (VERIFY, "path_cost_m=priced.cost_m,", "path_cost_m=priced.best_m,"),
     "the path without its price": (
-        PATHS,
+        SEARCHES,
         "+ price * charged_length_m(lengths, share)",
         "+ 0.0 * charged_length_m(lengths, share)",
     ),
-    "the price without the path": (PATHS, "driven = float(lengths.sum()) +", "driven ="),
-    "no rest": (PATHS, "PricedPath(driven + rest_m(len(positions_m) - 1),", "PricedPath(driven,"),
+    "the price without the path": (SEARCHES, "driven = float(lengths.sum()) +", "driven ="),
+    "no rest": (
+        SEARCHES,
+        "PricedPath(driven + rest_m(len(positions_m) - 1),",
+        "PricedPath(driven,",
+    ),
     "rest from the beginning": (
-        PATHS,
+        SEARCHES,
         "PricedPath(driven + rest_m(len(positions_m) - 1),",
         "PricedPath(driven + rest_m(0),",
     ),
     "best from the end": (
-        PATHS,
+        SEARCHES,
         "    best = rest_m(0)\n",
         "    best = rest_m(len(positions_m) - 1)\n",
     ),
-    "joined through walls": (PATHS, "grid.nodes_m[near]) > 0.0]", "grid.nodes_m[near]) > -1.0]"),
-    "joined to nothing": (PATHS, "grid.nodes_m[near]) > 0.0]", "grid.nodes_m[near]) > np.inf]"),
+    "joined through walls": (SEARCHES, "grid.nodes_m[near]) > 0.0]", "grid.nodes_m[near]) > -1.0]"),
+    "joined to nothing": (SEARCHES, "grid.nodes_m[near]) > 0.0]", "grid.nodes_m[near]) > np.inf]"),
     "joined for nothing": (
-        PATHS,
+        SEARCHES,
         "joining = away[near] * (1.0 +",
         "joining = 0.0 * away[near] * (1.0 +",
     ),
-    "joined far off": (PATHS, "<= JOINING_SPACINGS *", "<= 9.0 * JOINING_SPACINGS *"),
+    "joined far off": (SEARCHES, "<= JOINING_SPACINGS *", "<= 9.0 * JOINING_SPACINGS *"),
     "joining not priced": (
-        PATHS,
+        SEARCHES,
         "0.5 * price * (costs.share[near] + share[k])",
         "0.0 * price * (costs.share[near] + share[k])",
     ),
     "moves not priced": (
-        PATHS,
+        SEARCHES,
         "0.5 * price * (share[one] + share[other])",
         "0.0 * price * (share[one] + share[other])",
     ),
     "moves at twice the price": (
-        PATHS,
+        SEARCHES,
         "0.5 * price * (share[one] + share[other])",
         "1.0 * price * (share[one] + share[other])",
     ),
-    "one-way moves": (PATHS, "dijkstra(graph, directed=False,", "dijkstra(graph, directed=True,"),
-    "costs from another place": (PATHS, "indices=grid.goal", "indices=0"),
-    "another goal": (PATHS, "at_goal = int(np.argmin(", "at_goal = int(np.argmax("),
-    "moves through obstacles": (PATHS, "kept[doubtful] = is_clear(swept, clearance)", "pass"),
+    "one-way moves": (
+        SEARCHES,
+        "dijkstra(graph, directed=False,",
+        "dijkstra(graph, directed=True,",
+    ),
+    "costs from another place": (SEARCHES, "indices=grid.goal", "indices=0"),
+    "another goal": (SEARCHES, "at_goal = int(np.argmin(", "at_goal = int(np.argmax("),
+    "moves through obstacles": (SEARCHES, "kept[doubtful] = is_clear(swept, clearance)", "pass"),
     "no move near obstacles": (
-        PATHS,
+        SEARCHES,
         "kept[doubtful] = is_clear(swept, clearance)",
         "kept[doubtful] = False",
     ),
-    "only moves that seem clear": (PATHS, "least < clearance +", "least < -9.0 +"),
+    "only moves that seem clear": (SEARCHES, "least < clearance +", "least < -9.0 +"),
     "straight moves only": (
-        PATHS,
+        SEARCHES,
         "(1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))",
         "(1, 0))",
     ),
-    "no slanted moves": (PATHS, ", (1, 2), (2, 1), (1, -2), (2, -1))", ")"),
-    "coarse places mixed up": (PATHS, "rows // COARSE + down", "rows // COARSE + right"),
-    "weights mixed up": (PATHS, "by_y = share_y if down", "by_y = share_y if right"),
+    "no slanted moves": (SEARCHES, ", (1, 2), (2, 1), (1, -2), (2, -1))", ")"),
+    "coarse places mixed up": (SEARCHES, "rows // COARSE + down", "rows // COARSE + right"),
+    "weights mixed up": (SEARCHES, "by_y = share_y if down", "by_y = share_y if right"),
     "nodes not looked at one by one": (
-        PATHS,
+        SEARCHES,
         "best = max(best, float(contact_at(grid.nodes_m)[1].max()))",
         "pass",
     ),
@@ -800,29 +807,29 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "        kkt_residual=None,\n",
     ),
     "reach of one step less": (
-        REACHABILITY,
+        SEARCHES,
         "reach = float(step) * step_length_m",
         "reach = (float(step) - 1.0) * step_length_m",
     ),
     "reach of one step more": (
-        REACHABILITY,
+        SEARCHES,
         "reach = float(step) * step_length_m",
         "reach = (float(step) + 1.0) * step_length_m",
     ),
     "reach of one step": (
-        REACHABILITY,
+        SEARCHES,
         "reach = float(step) * step_length_m",
         "reach = step_length_m",
     ),
-    "flood that does not turn corners": (GRID, "np.ones((3, 3)", "np.eye(3"),
+    "flood that does not turn corners": (SEARCHES, "np.ones((3, 3)", "np.eye(3"),
     "grid mirrored": (
-        GRID,
+        SEARCHES,
         "grid[..., 1] = anchor_m[1] + rows[:, None]",
         "grid[..., 1] = anchor_m[1] - rows[:, None]",
     ),
-    "reach through walls": (DETOURS, "reached = chunk[length[chunk] <= reach]", "reached = chunk"),
+    "reach through walls": (SEARCHES, "reached = chunk[length[chunk] <= reach]", "reached = chunk"),
     "reach round no wall": (
-        DETOURS,
+        SEARCHES,
         "reached = chunk[length[chunk] <= reach]",
         "reached = chunk[:0]",
     ),
@@ -835,12 +842,12 @@ MUTANTS: dict[str, tuple[str, str, str]] = {
         "through = _away(corners_m, here)",
     ),
     "reach beyond the disc": (
-        REACHABILITY,
+        SEARCHES,
         "np.searchsorted(distance, reach,",
         "np.searchsorted(distance, 9.0 * reach,",
     ),
     "only the rim is in reach": (
-        REACHABILITY,
+        SEARCHES,
         "(from_start <= radius)\n",
         "(from_start > radius)\n",
     ),
@@ -857,9 +864,7 @@ def test_mutant_is_found_out(name):
     verifier = verifier_of(sources)
 
     # The cases that are about the changed text first.
-    cases = sorted(
-        CASES.values(), key=lambda case: (case.cost_m is None) == (changed in (PATHS, STEPS))
-    )
+    cases = sorted(CASES.values(), key=lambda case: (case.cost_m is None) == (changed == SEARCHES))
 
     def is_judged_right(case: Case) -> bool:
         try:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from planopt.channel.belief import Belief
-from planopt.planning.learn import Prepared
+from planopt.planning.initial_data import Prepared
 from planopt.problems.base_station import BaseStation
 from planopt.problems.problem import Problem
 from tests.planning.scenes import (

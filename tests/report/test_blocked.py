@@ -25,7 +25,7 @@ from planopt import (
 )
 from planopt.cli import main
 from planopt.extend import BlockedError
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 from planopt.problems.library import library_folder
 from planopt.report import draw_no_plan, draw_run, save_figure
 

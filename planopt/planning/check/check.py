@@ -22,7 +22,6 @@ from planopt.files.tables import REMEDY, comparable
 from planopt.planning.certificate import Certificate, worst_of
 from planopt.planning.check.replay import plan_reasons, replayed, start_of
 from planopt.planning.check.replay_belief import belief_reasons
-from planopt.planning.drawn_places import with_drawn_starts
 from planopt.planning.files.result_json import (
     NoPlanRecord,
     RunRecord,
@@ -37,9 +36,10 @@ from planopt.planning.files.saved import (
     contents,
     saved_from,
 )
+from planopt.planning.initial_data import with_drawn_starts
 from planopt.planning.plan import Plan, Verdict
+from planopt.planning.reservations import worst_of_robots
 from planopt.planning.results import Run, Solution
-from planopt.planning.team.reservations import worst_of_robots
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load_motion
 from planopt.problems.problem import Problem, problem_at, problem_of_robot

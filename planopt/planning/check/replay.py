@@ -21,28 +21,25 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.objectives.moments import Region
-from planopt.planning.certificate import plan_message
+from planopt.planning.certificate import BlockedError, holes_on, plan_message
 from planopt.planning.check.replay_belief import initial_belief
 from planopt.planning.files.belief_file import SavedBelief
 from planopt.planning.files.result_json import PlanRecord, RobotPlan, RunRecord
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
 from planopt.planning.files.saved import Saved, SavedPlan
-from planopt.planning.free_space import is_joined, obstacles_met
-from planopt.planning.holes import BlockedError, holes_on
+from planopt.planning.free_space import build_roads, is_joined, obstacles_met
 from planopt.planning.initial_data import InitialData, draw_initial_data, team_seeds
 from planopt.planning.loop.drive import World, drive, true_world
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Pivot, Plan, Rung, Verdict
-from planopt.planning.proof.context import VerifierContext, verifier_context
-from planopt.planning.proof.goal_paths import GoalGrid
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
+from planopt.planning.proof.searches import GoalGrid
 from planopt.planning.proof.verify import verify
+from planopt.planning.reservations import beside, others_of
 from planopt.planning.results import Run, Solution
-from planopt.planning.roads import build_roads
 from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
-from planopt.planning.team.reservations import beside, others_of
 from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue

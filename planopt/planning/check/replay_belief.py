@@ -13,7 +13,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition
 from planopt.files.compare import differences, in_words
 from planopt.planning.files.belief_file import Arrays, SavedBelief, station_prefix
-from planopt.planning.learn import learn_stations
+from planopt.planning.initial_data import learn_stations
 from planopt.problems.problem import Problem
 
 VALUES, NOISE = "values_db", "noise_variance_db2"

@@ -19,14 +19,14 @@ from planopt.planning.explain.keys import Trials, deadline_s
 from planopt.planning.explain.no_way import explain_blocked, explain_no_way, is_open
 from planopt.planning.explain.violated import explain_violated
 from planopt.planning.free_space import is_joined
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.proof.predictions import connectivity_law
+from planopt.planning.proof.context import connectivity_law
+from planopt.planning.reservations import beside, others_of, planned_motion
 from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solve import solve, solve_on
-from planopt.planning.team.reservations import beside, others_of, planned_motion
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.road_map import lattice_paths, route_from
 

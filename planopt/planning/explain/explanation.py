@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from planopt.planning.holes import SHORTEST_IN_WORDS_M, Hole
+from planopt.planning.certificate import SHORTEST_IN_WORDS_M, Hole
 
 LIMITS = ("robots[", "planner.", "world.")
 """Prefixes of keys that state means rather than requirements."""

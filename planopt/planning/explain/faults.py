@@ -14,12 +14,11 @@ from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.explain.keys import Missed
 from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan
-from planopt.planning.proof.goal_paths import build_goal_grid
-from planopt.planning.proof.predictions import connectivity_law, search_prediction
-from planopt.planning.proof.reachability import best_margins_by_step, may_reach_from
-from planopt.planning.proof.rules.each_step import counted_steps
-from planopt.planning.proof.rules.rule import rule_of
-from planopt.planning.proof.single_steps import is_priced
+from planopt.planning.proof.connectivity_rules import counted_steps
+from planopt.planning.proof.context import connectivity_law, search_prediction
+from planopt.planning.proof.rule import rule_of
+from planopt.planning.proof.searches import best_margins_by_step, build_goal_grid, may_reach_from
+from planopt.planning.proof.verify import is_priced
 from planopt.planning.tolerances import (
     CLEARANCE_TOLERANCE_M,
     MARGIN_TOLERANCE_DB,

@@ -18,9 +18,8 @@ from planopt.planning.explain.faults import (
     met_nowhere,
 )
 from planopt.planning.explain.keys import MOST_DB, Key, Trials, least_amount, violated_keys
-from planopt.planning.proof.context import VerifierContext
-from planopt.planning.proof.predictions import certified_prediction, stations_law
-from planopt.planning.proof.rules.rule import PathCase, whole_plan_result
+from planopt.planning.proof.context import VerifierContext, certified_prediction, stations_law
+from planopt.planning.proof.rule import PathCase, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.problems.problem import problem_of_robot
 from planopt.world.clearance import index_obstacles

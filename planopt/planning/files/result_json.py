@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, TypeAdapter
 
 from planopt.channel.calibration import ReliabilityBin
-from planopt.planning.certificate import Certificate, excused_steps
+from planopt.planning.certificate import BlockedWay, Certificate, Hole, excused_steps
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.record import (
     OMITTED,
@@ -31,13 +31,12 @@ from planopt.planning.files.record import (
     xy,
 )
 from planopt.planning.files.run_tables import drive_table
-from planopt.planning.holes import BlockedWay, Hole
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import COSTS, run_holes, run_reliability
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
+from planopt.planning.reservations import worst_of_robots
 from planopt.planning.results import Run, Solution
 from planopt.planning.run_summary import RunSummary, summary_of
-from planopt.planning.team.reservations import worst_of_robots
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 

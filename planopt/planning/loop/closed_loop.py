@@ -14,9 +14,14 @@ import numpy as np
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError
 from planopt.parts import calling
-from planopt.planning.drawn_places import with_drawn_starts
-from planopt.planning.initial_data import UserMeasurements, team_seeds, with_measurements
-from planopt.planning.learn import Prepared, prepare
+from planopt.planning.initial_data import (
+    Prepared,
+    UserMeasurements,
+    prepare,
+    team_seeds,
+    with_drawn_starts,
+    with_measurements,
+)
 from planopt.planning.loop.drive import drive, true_world
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan

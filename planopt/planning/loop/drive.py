@@ -16,7 +16,7 @@ from planopt.channel.ground_truth import Truth, measure
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import NoPlanError
-from planopt.planning.holes import BlockedError, BlockedWay
+from planopt.planning.certificate import BlockedError, BlockedWay
 from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import Progress, run_ending
 from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log

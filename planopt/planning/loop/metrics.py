@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.calibration import ReliabilityBin, reliability
-from planopt.planning.holes import Hole, holes_along
+from planopt.planning.certificate import Hole, holes_along
 from planopt.planning.loop.log import (
     ChannelLog,
     Metrics,
@@ -19,9 +19,9 @@ from planopt.planning.loop.log import (
     TargetLog,
 )
 from planopt.planning.plan import Plan
-from planopt.planning.proof.rules.outage import longest_run
-from planopt.planning.proof.rules.rule import rule_of
-from planopt.planning.team.reservations import (
+from planopt.planning.proof.connectivity_rules import longest_run
+from planopt.planning.proof.rule import rule_of
+from planopt.planning.reservations import (
     driven_motion,
     least_moving_clearances_m,
     least_separations_m,

@@ -1,31 +1,233 @@
-"""Verify a plan: clearance, motion, connectivity, from the problem and the belief alone.
-
-Imports nothing of the transcription or the solvers. A plan is verified when the whole swept path
-keeps the clearance, the workspace and its distance from all that moves, every step keeps the speed,
-and the rule of connectivity holds by the exact posterior and today's deviation. Single steps may
-miss it where nothing keeps it, on the way to a goal where no path is cheaper at the outage price
-(:mod:`planopt.planning.proof.single_steps`). A threshold that is met nowhere is an answer,
-not a plan.
-"""
+"""Verify a plan: clearance, motion and connectivity, from the problem and the belief alone."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.certificate import Certificate
+from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
+from planopt.objectives.reach import outage_share
+from planopt.planning.certificate import Certificate, RuleResult
+from planopt.planning.history import History
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.connectivity_rules import counted_steps
+from planopt.planning.proof.context import (
+    VerifierContext,
+    certified_prediction,
+    search_power,
+    search_prediction,
+)
 from planopt.planning.proof.motion import is_at_goal, swept_motion, verify_apart, verify_motion
-from planopt.planning.proof.predictions import certified_prediction
-from planopt.planning.proof.rules.rule import PathCase, rule_reasons, whole_plan_result
-from planopt.planning.proof.single_steps import StepsFinding, verify_single_steps
-from planopt.planning.tolerances import STANDSTILL_M
+from planopt.planning.proof.rule import PathCase, rule_reasons, whole_plan_result
+from planopt.planning.proof.searches import (
+    PricedPath,
+    best_margins_by_step,
+    build_goal_grid,
+    goal_costs,
+    may_reach_from,
+    price_path,
+)
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, STANDSTILL_M
+from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive
+
+MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""From positions (n, 2) to margins (n,) in dB."""
+
+COST_TOLERANCE = 0.05
+"""By what share a plan may cost more than the cheapest path that the verifier finds; and all steps
+of a run, each by what was known then."""
+COST_LEEWAY_STEPS = 2.0
+"""And by so many longest steps out of contact, once for a plan and once for a run: steps end where
+they end, the grid is as it is."""
+
+
+@dataclass(frozen=True)
+class StepsFinding:
+    """The findings on the bound on single steps; fields as in the certificate."""
+
+    relaxed_steps: tuple[int, ...] = ()  # As in :class:`planopt.planning.certificate.Certificate`
+    relaxation_db: tuple[float, ...] = ()
+    best_margin_db: tuple[float, ...] = ()
+    path_cost_m: float | None = None
+    best_cost_m: float | None = None
+    step_cost_m: float | None = None  # As in :class:`planopt.planning.certificate.Certificate`
+    step_excess_m: float | None = None
+    reasons: tuple[str, ...] = ()
+    rule: RuleResult | None = None  # None for the plain rule: at each step where possible
+    # Whether what it costs to miss the bound could be compared with anything
+    is_compared: bool = True
+
+
+def is_priced(problem: Problem) -> bool:
+    """Return whether single steps may miss the bound at a price, on the way to a goal.
+
+    A stated time is required by itself: the price is of metres, and a robot may wait in contact.
+    """
+    return problem.task == "reach" and problem.constraints.rule.is_plain
+
+
+def verify_single_steps(
+    context: VerifierContext, positions_m: NDArray[np.float64], power: Prediction
+) -> StepsFinding:
+    """Verify the bound at those steps of a path (N + 1, 2) that it applies to."""
+    problem = context.problem
+    constraints, radio = problem.constraints, problem.stations[0]
+    mean, deviation = power.mean_db[1:], power.deviation_db[1:]
+    # Without a bound every margin is infinite.
+    margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
+    asked = counted_steps(problem, context.history, len(margins))
+    missed = np.nonzero((margins < -MARGIN_TOLERANCE_DB) & asked)[0] + 1
+    steps = tuple(missed.tolist())
+    relaxation = tuple(float(-margins[step - 1]) for step in missed)
+    result = _result(problem, asked, relaxation)
+    if constraints.rule.slack_max_db is not None:
+        reasons = _beyond_slack(problem, missed, relaxation)
+        return StepsFinding(steps, relaxation, reasons=tuple(reasons), rule=result)
+    if missed.size == 0:
+        return StepsFinding(rule=result)
+    if is_priced(problem):
+        priced, best_margin_db = _priced(context, positions_m)
+        return StepsFinding(
+            steps,
+            relaxation,
+            path_cost_m=priced.cost_m,
+            best_cost_m=priced.best_m,
+            step_cost_m=priced.step_m,
+            step_excess_m=priced.excess_m,
+            reasons=tuple(_too_dear(problem, context.history, priced, best_margin_db)),
+            is_compared=priced.is_compared,
+            rule=result,
+        )
+    best = context.best_margins(
+        steps,
+        lambda: best_margins_by_step(
+            context.index,
+            problem.workspace.bounds_m,
+            _margins_of(context),
+            context.position_m,
+            problem.step_length_m,
+            missed,
+            constraints.clearance_m,
+            may_reach_from(problem, context.state),
+        ),
+    )
+    reasons = [
+        f"connectivity at step {step} is below constraints.p_min {constraints.p_min:g}, "
+        f"although a place with {margin:.2f} dB to spare is within reach"
+        for step, margin in zip(missed, best, strict=True)
+        if margin >= 0.0
+    ][:1]
+    count = int(asked.sum())
+    if len(missed) == count:
+        reasons.append(
+            f"constraints.p_min {constraints.p_min:g} is met at none of the {count} steps"
+            f"{'' if count == len(margins) else ' that it is asked of'}, "
+            f"the best place found within reach has a margin of {max(best):.2f} dB"
+        )
+    return StepsFinding(steps, relaxation, best, reasons=tuple(reasons), rule=result)
+
+
+def _result(
+    problem: Problem,
+    asked: NDArray[np.bool_],
+    relaxation_db: tuple[float, ...],
+) -> RuleResult | None:
+    """Return how many of the steps asked for keep the bound; None for the plain rule."""
+    rule = problem.constraints.rule
+    if rule.is_plain:
+        return None
+    kept = int(asked.sum()) - len(relaxation_db)
+    return RuleResult(
+        rule.connectivity,
+        float(kept),
+        float(asked.sum()),
+        "steps",
+        "p_min at each step asked for",
+        # What is missed where nothing keeps the bound is not slack, which was not allowed.
+        0.0 if rule.slack_max_db is None else max(relaxation_db, default=0.0),
+    )
+
+
+def _beyond_slack(
+    problem: Problem, missed: NDArray[np.intp], relaxation_db: tuple[float, ...]
+) -> list[str]:
+    """Object to steps that miss the bound by more than the slack."""
+    limit = problem.constraints.rule.slack_max_db or 0.0
+    return [
+        f"connectivity at step {step} misses constraints.p_min {problem.constraints.p_min:g} by "
+        f"{missing:.4g} dB, constraints.slack_max_db is {limit:g}"
+        for step, missing in zip(missed.tolist(), relaxation_db, strict=True)
+        if missing > limit + MARGIN_TOLERANCE_DB
+    ]
+
+
+def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple[PricedPath, float]:
+    """Return the cost of a path (N + 1, 2) with the rest of the way, and the cheapest found.
+
+    And the largest connectivity margin found in the workspace.
+    """
+    problem = context.problem
+    threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
+
+    def contact_at(
+        places_m: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        power = search_prediction(context.law, places_m)
+        margin = bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
+        chance = connection_probability(power.mean_db, power.deviation_db, threshold)
+        everywhere = problem.reach.charges_everywhere
+        return outage_share(chance, margin < -MARGIN_TOLERANCE_DB, everywhere), margin
+
+    price = problem.reach.outage_price
+    grid, costs = context.goal_costs(
+        lambda: build_goal_grid(problem, context.index),
+        lambda grid: goal_costs(grid, contact_at, price),
+    )
+    share = contact_at(positions_m)[0]
+    priced = price_path(grid, context.index, costs, price, positions_m, share)
+    return priced, costs.best_margin_db
+
+
+def _too_dear(
+    problem: Problem, history: History, priced: PricedPath, best_margin_db: float
+) -> list[str]:
+    """Object to a path that costs too much, a run that has, or a bound that is met nowhere."""
+    p_min, price = problem.constraints.p_min, problem.reach.outage_price
+    if best_margin_db < -MARGIN_TOLERANCE_DB:
+        return [
+            f"constraints.p_min {p_min:g} is met nowhere in the workspace, "
+            f"the best place found misses it by {-best_margin_db:.2f} dB"
+        ]
+    leeway = COST_LEEWAY_STEPS * problem.step_length_m * (1.0 + price)
+    spent = history.crossing_excess_m + priced.excess_m
+    allowed = COST_TOLERANCE * (history.crossing_cost_m + priced.step_m) + leeway
+    if spent > allowed:
+        return [
+            f"steps are below constraints.p_min {p_min:g}, and those of the run so far have cost "
+            f"{spent:.1f} m more than the cheapest paths found at objective.outage_price "
+            f"{price:g}, {allowed:.1f} m are allowed"
+        ]
+    # Where the grid has no path to compare with, nothing is objected to, and nothing proven.
+    within = priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway
+    if within or not priced.is_compared:
+        return []
+    return [
+        f"steps are below constraints.p_min {p_min:g}, and the plan costs {priced.cost_m:.1f} m to "
+        f"the goal at objective.outage_price {price:g}, although a path of {priced.best_m:.1f} m "
+        "was found"
+    ]
+
+
+def _margins_of(context: VerifierContext) -> MarginAt:
+    """Connectivity margin by position, as searches look at it."""
+    return partial(context.law.margin_db, predict=search_power)
+
 
 UNCOMPARED = (
     "steps are below constraints.p_min, and the verifier's grid, half a step wide, has no path "

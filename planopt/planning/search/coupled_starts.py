@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.budget import UNLIMITED, Budget
+from planopt.planning.candidates import UNLIMITED, Budget
 from planopt.planning.scene import Ground
 from planopt.planning.search.local_ranking import LocalRanking, can_climb
 from planopt.planning.search.moving_moves import steps_apart

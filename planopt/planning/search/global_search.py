@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
+from planopt.planning.free_space import node_at
 from planopt.planning.history import History
-from planopt.planning.roads import node_at
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.lattice_search import search_cheapest
 from planopt.planning.search.moving_moves import first_steps_apart, move_table

@@ -16,7 +16,7 @@ from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.channel.tile_map import TileMap
 from planopt.objectives.reach import outage_share
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.context import search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.values.context import StepContext
 from planopt.world.lattice import Lattice, node_positions

@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.baselines.baseline import free_ends, held
-from planopt.planning.judge import Candidate, Judge
-from planopt.planning.proof.predictions import search_prediction
-from planopt.planning.scene import Ground
+from planopt.planning.candidates import Candidate, Judge, held
+from planopt.planning.proof.context import search_prediction
+from planopt.planning.scene import Ground, free_ends
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.node_margins import NodeField
 from planopt.planning.search.taut_way import WaysFrom, retime, stops_along

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.parts import calling
-from planopt.planning.budget import UNLIMITED, Budget
+from planopt.planning.candidates import UNLIMITED, Budget
 from planopt.planning.programme.goal_value import GoalCharge
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.coupled_starts import CoupledStarts

@@ -20,7 +20,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.budget import UNLIMITED, Budget
+from planopt.planning.candidates import UNLIMITED, Budget
 
 ELITE = 8
 """Ways that are bent in a round."""

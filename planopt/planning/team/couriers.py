@@ -9,7 +9,7 @@ So a robot that stands at its goal steps aside for one that must pass, and comes
 The first steps of the courses keep apart, so that each can be released whatever the others do with
 theirs: each robot plans beside the plans already made and the courses of the robots that have not
 planned yet. Where no courses are found, or a robot with dynamics cannot drive its own, robots plan
-beside what the others have reserved (:mod:`planopt.planning.team.reservations`).
+beside what the others have reserved (:mod:`planopt.planning.reservations`).
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.reach_planner import Outlook, ReachPlanner
-from planopt.planning.scene import Scene, build_scenes
-from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_places
-from planopt.planning.stepping import Planning, PlanStep, TeamMoment
-from planopt.planning.team.reservations import (
+from planopt.planning.reservations import (
     beside,
     beside_each_other,
     has_separation,
     planned_motion,
     reserved_motion,
 )
+from planopt.planning.scene import Scene, build_scenes
+from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_places
+from planopt.planning.stepping import Planning, PlanStep, TeamMoment
 from planopt.planning.team.team_step import build_team, keep_apart, plan_together
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.values.context import Aim

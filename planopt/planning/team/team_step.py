@@ -1,7 +1,7 @@
 """The robots of a problem whose objective is a sum of terms, and one step of all of them.
 
 In the first round each robot keeps from what the later ones have reserved
-(:mod:`planopt.planning.team.reservations`), so that everyone has a way out. If a robot finds no
+(:mod:`planopt.planning.reservations`), so that everyone has a way out. If a robot finds no
 verified plan that way, because the others leave it none, a second round asks it first, and each
 robot keeps from the plans made before it only: the others make room if they can. The result is
 released only if all plans keep apart from each other and more of them are verified.
@@ -19,22 +19,21 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Steers
-from planopt.planning.baselines.foresight import FollowingPlanner
+from planopt.planning.candidates import Judge
+from planopt.planning.foresight import FollowingPlanner
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.initial_data import TeamSeeds
-from planopt.planning.judge import Judge
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.planners import Planner, asked_plan, planner_for
-from planopt.planning.proof.context import verifier_context
-from planopt.planning.proof.predictions import SEARCH_EXACT_LIMIT
-from planopt.planning.scene import Ground, build_ground
-from planopt.planning.stepping import TeamMoment
-from planopt.planning.team.reservations import (
+from planopt.planning.proof.context import SEARCH_EXACT_LIMIT, verifier_context
+from planopt.planning.reservations import (
     beside,
     beside_each_other,
     planned_motion,
     reserved_motion,
 )
+from planopt.planning.scene import Ground, build_ground
+from planopt.planning.stepping import TeamMoment
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.values.context import (
     NOTHING_PENDING,

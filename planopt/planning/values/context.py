@@ -27,8 +27,7 @@ from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
 from planopt.objectives.moments import KnownPlaces, Region, known_places
 from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held
-from planopt.planning.proof.context import VerifierContext
-from planopt.planning.proof.predictions import search_power, search_prediction
+from planopt.planning.proof.context import VerifierContext, search_power, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.values.exploration import explores, region_near
 from planopt.planning.values.steered_path import SteeringWay

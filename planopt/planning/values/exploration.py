@@ -22,7 +22,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Term
-from planopt.planning.proof.predictions import search_power
+from planopt.planning.proof.context import search_power
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import (

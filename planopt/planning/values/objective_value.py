@@ -19,8 +19,8 @@ from planopt.errors import InputError
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
 from planopt.planning.certificate import RuleResult
-from planopt.planning.proof.rules.each_step import counted_steps
-from planopt.planning.proof.rules.rule import PathCase, whole_plan_result
+from planopt.planning.proof.connectivity_rules import counted_steps
+from planopt.planning.proof.rule import PathCase, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.planning.values.context import StepContext
 

@@ -1,6 +1,6 @@
 """The rule of connectivity for planners: rows of the programme, search guides, and the shortfall.
 
-All are derived from :meth:`planopt.planning.proof.rules.rule.Rule.achieved`. Rules that hold steps
+All are derived from :meth:`planopt.planning.proof.rule.Rule.achieved`. Rules that hold steps
 bound each of them by p_min. Any other rule becomes one row, the tangent of the achieved value: a
 weighted sum of the probabilities.
 """
@@ -21,7 +21,7 @@ from planopt.channel.prediction import (
 from planopt.objectives.moments import LocalPaths, Pull
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History
-from planopt.planning.proof.rules.rule import Rule, rule_of
+from planopt.planning.proof.rule import Rule, rule_of
 from planopt.planning.tolerances import margins_asked_db
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_result

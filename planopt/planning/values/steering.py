@@ -29,7 +29,7 @@ from planopt.objectives.measuring import OPEN_SPACINGS
 from planopt.objectives.terms.mapping import MappingTerm
 from planopt.objectives.terms.term import Term
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
-from planopt.planning.proof.predictions import search_power
+from planopt.planning.proof.context import search_power
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import LatticeMap, NodeMargins

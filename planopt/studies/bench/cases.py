@@ -19,10 +19,8 @@ from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.files.typed_json import encoded
 from planopt.planning.check.check import check_motion
-from planopt.planning.drawn_places import with_drawn_starts
 from planopt.planning.files.saved import read_object
-from planopt.planning.initial_data import team_seeds
-from planopt.planning.learn import Prepared, prepare
+from planopt.planning.initial_data import Prepared, prepare, team_seeds, with_drawn_starts
 from planopt.planning.loop.drive import first_steps, true_world
 from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan, Rung, Termination, Verdict

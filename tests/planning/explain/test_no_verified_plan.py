@@ -12,7 +12,7 @@ from scenes import BAD, THRESHOLD_DBM, bad_everywhere, belief_of, kriged, small_
 from planopt.planning.explain.explain import explain
 from planopt.planning.explain.keys import rounded
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.goal_paths import build_goal_grid
+from planopt.planning.proof.searches import build_goal_grid
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.results import Solution
 from planopt.planning.scene import build_scene

@@ -9,7 +9,7 @@ import pytest
 from shapely.geometry import LineString, box
 
 from planopt.channel.ground_truth import power_truth
-from planopt.planning.learn import prepare
+from planopt.planning.initial_data import prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.scene import build_scene
 from planopt.problems.problem import Problem, problem_from_tables

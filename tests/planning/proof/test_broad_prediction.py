@@ -16,7 +16,7 @@ from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.prediction import Prediction, bound_margin_db
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.predictions import uncertain_law
+from planopt.planning.proof.context import uncertain_law
 from planopt.planning.solve import solve
 
 SEED = 3

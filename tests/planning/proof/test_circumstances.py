@@ -6,7 +6,7 @@ import numpy as np
 from scenes import bad_band, belief_of, small_problem
 
 from planopt.planning.proof.context import verifier_context
-from planopt.planning.proof.goal_paths import GoalCosts, GoalGrid, build_goal_grid, goal_costs
+from planopt.planning.proof.searches import GoalCosts, GoalGrid, build_goal_grid, goal_costs
 from planopt.world.clearance import index_obstacles
 
 

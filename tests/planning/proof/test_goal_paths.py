@@ -10,7 +10,7 @@ import pytest
 import shapely
 from scenes import CUP, RING, WALL, small_problem
 
-from planopt.planning.proof.goal_paths import (
+from planopt.planning.proof.searches import (
     COARSE,
     JOINING_SPACINGS,
     MOVES,

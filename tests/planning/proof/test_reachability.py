@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scenes import RING, WALL, small_problem
 
-from planopt.planning.proof.reachability import best_margins_by_step
+from planopt.planning.proof.searches import best_margins_by_step
 from planopt.world.clearance import index_obstacles
 
 START = np.array([5.0, 15.0])

@@ -16,11 +16,16 @@ from planopt.channel.joint import sample_power
 from planopt.channel.path_connectivity import joint_connectivity
 from planopt.planning.history import History, data_of_steps_mbit, history_of
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.rules.each_step import counted_steps
-from planopt.planning.proof.rules.joint import ACCURACY, SEED, joint_result
-from planopt.planning.proof.rules.outage import longest_run
-from planopt.planning.proof.rules.path_draws import path_prediction, share_at_least
-from planopt.planning.proof.rules.rule import rule_of
+from planopt.planning.proof.connectivity_rules import (
+    ACCURACY,
+    SEED,
+    counted_steps,
+    joint_result,
+    longest_run,
+    path_prediction,
+    share_at_least,
+)
+from planopt.planning.proof.rule import rule_of
 from planopt.world.clearance import index_obstacles
 
 ALONG = np.array([[16.0, 15.0], [18.0, 15.0], [20.0, 15.0], [22.0, 15.0], [24.0, 15.0]])

@@ -18,17 +18,13 @@ import numpy as np
 import pytest
 import test_rules
 
-from planopt.planning.proof.rules.rule import Rule
+from planopt.planning.proof.rule import Rule
 
 HISTORY = "planopt.planning.history"
-ROOM = "planopt.planning.proof.rules"
-RULE, STEP, AVERAGE, JOINT = f"{ROOM}.rule", f"{ROOM}.each_step", f"{ROOM}.average", f"{ROOM}.joint"
-OUTAGE, DATA, DRAWS = f"{ROOM}.outage", f"{ROOM}.data", f"{ROOM}.path_draws"
-STEPS, RESULT = "planopt.planning.proof.single_steps", "planopt.planning.certificate"
-USERS = (
-    *(HISTORY, RULE, STEP, AVERAGE, JOINT, OUTAGE, DATA, DRAWS, STEPS, RESULT),
-    "planopt.planning.proof.verify",
-)
+RULE, RULES = "planopt.planning.proof.rule", "planopt.planning.proof.connectivity_rules"
+VERIFY, RESULT = "planopt.planning.proof.verify", "planopt.planning.certificate"
+USERS = (HISTORY, RULE, RULES, VERIFY, RESULT)
+
 
 # Module, what stands there once, what the mutant has instead.
 MUTANTS = (
@@ -37,45 +33,45 @@ MUTANTS = (
     (HISTORY, "@ connected)", "@ ~connected)"),
     (HISTORY, "(first, first + count + 1)", "(0, count + 1)"),
     (HISTORY, "np.minimum(step_s", "np.maximum(step_s"),
-    (STEP, "history.steps + 1 + np", "1 + np"),
-    (STEP, "history.steps + 1 + np", "history.steps + np"),
-    (STEP, "probability, 1.0).min", "probability, 1.0).max"),
-    (DATA, "(rule.data_mbit or 0.0) - history.delivered_mbit", "(rule.data_mbit or 0.0)"),
-    (DATA, "missing * most /", "missing * rule.rate_mbit_s * left_s /"),
-    (DATA, "if left_s <= 0.0 or", "if left_s > 0.0 or"),
-    (DATA, "- history.steps * self.problem.planner.step_s", ""),
-    (DATA, "(1.0 - p_min) * (most", "p_min * (most"),
-    (DATA, "return probability @", "return np.ones_like(probability) @"),
-    (DATA, "case.history) >= needed", "case.history) <= needed"),
-    (DATA, "if needed == 0.0:", "if needed >= 0.0:"),
-    (DRAWS, "case.positions_m[1:]", "case.positions_m[:-1]"),
-    (AVERAGE, "history.connected_steps + p", "p"),
-    (AVERAGE, "history.steps + p", "p"),
-    (AVERAGE, "probability.sum(axis=-1)", "probability.max(axis=-1)"),
-    (OUTAGE, "run + sizes", "sizes"),
-    (OUTAGE, "missed[..., step], run", "~missed[..., step], run"),
-    (OUTAGE, "np.full(missed.shape[:-1], begun)", "np.zeros(missed.shape[:-1])"),
-    (OUTAGE, "np.maximum(longest, run)", "run"),
-    (OUTAGE, "missed, self._begun(history)", "missed, 0.0"),
-    (OUTAGE, "probability < self.p_min", "probability > self.p_min"),
-    (OUTAGE, "return -self.limit", "return -2.0 * self.limit"),
-    (JOINT, "1.0 - (1.0 - probability).sum(axis=-1)", "probability.prod(axis=-1)"),
-    (JOINT, "threshold - slack_db, p_min", "threshold + slack_db, p_min"),
-    (JOINT, "exact.value - found.exact.error", "exact.value + found.exact.error"),
-    (JOINT, "max(proven, key", "min(proven, key"),
-    (JOINT, "case.positions_m[1:]", "case.positions_m[:-1]"),
-    (DRAWS, "of - count + 1", "count + 1"),
+    (RULES, "history.steps + 1 + np", "1 + np"),
+    (RULES, "history.steps + 1 + np", "history.steps + np"),
+    (RULES, "probability, 1.0).min", "probability, 1.0).max"),
+    (RULES, "(rule.data_mbit or 0.0) - history.delivered_mbit", "(rule.data_mbit or 0.0)"),
+    (RULES, "missing * most /", "missing * rule.rate_mbit_s * left_s /"),
+    (RULES, "if left_s <= 0.0 or", "if left_s > 0.0 or"),
+    (RULES, "- history.steps * self.problem.planner.step_s", ""),
+    (RULES, "(1.0 - p_min) * (most", "p_min * (most"),
+    (RULES, "return probability @", "return np.ones_like(probability) @"),
+    (RULES, "case.history) >= needed", "case.history) <= needed"),
+    (RULES, "if needed == 0.0:", "if needed >= 0.0:"),
+    (RULES, "sample(case.positions_m[1:]", "sample(case.positions_m[:-1]"),
+    (RULES, "history.connected_steps + p", "p"),
+    (RULES, "history.steps + p", "p"),
+    (RULES, "probability.sum(axis=-1)", "probability.max(axis=-1)"),
+    (RULES, "run + sizes", "sizes"),
+    (RULES, "missed[..., step], run", "~missed[..., step], run"),
+    (RULES, "np.full(missed.shape[:-1], begun)", "np.zeros(missed.shape[:-1])"),
+    (RULES, "np.maximum(longest, run)", "run"),
+    (RULES, "missed, self._begun(history)", "missed, 0.0"),
+    (RULES, "probability < self.p_min", "probability > self.p_min"),
+    (RULES, "return -self.limit", "return -2.0 * self.limit"),
+    (RULES, "1.0 - (1.0 - probability).sum(axis=-1)", "probability.prod(axis=-1)"),
+    (RULES, "threshold - slack_db, p_min", "threshold + slack_db, p_min"),
+    (RULES, "exact.value - found.exact.error", "exact.value + found.exact.error"),
+    (RULES, "max(proven, key", "min(proven, key"),
+    (RULES, "case.problem, case.positions_m[1:]", "case.problem, case.positions_m[:-1]"),
+    (RULES, "of - count + 1", "count + 1"),
     (RULE, "threshold_dbm - slack_db\n", "threshold_dbm\n"),
     (RULE, "slack_db=high)", "slack_db=0.5 * high)"),
     (RULE, "or result.slack_db > 0.0", "or result.slack_db >= 0.0"),
     (RULE, "if limit == 0.0 or", "if limit >= 0.0 or"),
     (RULE, "sign = -1.0 if", "sign = 1.0 if"),
     (RESULT, "self.missing > RULE", "self.missing < RULE"),
-    (STEPS, "missing > limit + MARGIN_TOLERANCE_DB", "missing > 1e3 + limit"),
-    (STEPS, "missing > limit + MARGIN_TOLERANCE_DB", "missing < limit"),
-    (STEPS, "(margins < -MARGIN_TOLERANCE_DB) & asked", "margins < -MARGIN_TOLERANCE_DB"),
-    (STEPS, "if constraints.rule.slack_max_db is not None:", "if False:"),
-    (STEPS, "max(relaxation_db, default=0.0)", "min(relaxation_db, default=0.0)"),
+    (VERIFY, "missing > limit + MARGIN_TOLERANCE_DB", "missing > 1e3 + limit"),
+    (VERIFY, "missing > limit + MARGIN_TOLERANCE_DB", "missing < limit"),
+    (VERIFY, "(margins < -MARGIN_TOLERANCE_DB) & asked", "margins < -MARGIN_TOLERANCE_DB"),
+    (VERIFY, "if constraints.rule.slack_max_db is not None:", "if False:"),
+    (VERIFY, "max(relaxation_db, default=0.0)", "min(relaxation_db, default=0.0)"),
 )
 
 

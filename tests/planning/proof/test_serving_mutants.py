@@ -17,58 +17,44 @@ import test_serving
 from test_rules_mutants import source_of
 
 from planopt.channel.connectivity_law import StationsLaw
-from planopt.planning.proof.rules.rule import PathCase, Rule
+from planopt.planning.proof.rule import PathCase, Rule
 
-SCORE = "planopt.channel.connectivity_law"
-POWER = "planopt.channel.connectivity_law"
-PREDICTIONS = "planopt.planning.proof.predictions"
-RULE = "planopt.planning.proof.rules.rule"
-JOINT = "planopt.planning.proof.rules.joint"
-DRAWS = "planopt.planning.proof.rules.path_draws"
-USERS = (
-    SCORE,
-    POWER,
-    PREDICTIONS,
-    RULE,
-    JOINT,
-    DRAWS,
-    "planopt.planning.proof.context",
-    "planopt.planning.proof.rules.data",
-    "planopt.planning.proof.verify",
-    "planopt.planning.proof.single_steps",
-)
+LAW, CONTEXT = "planopt.channel.connectivity_law", "planopt.planning.proof.context"
+RULE, RULES = "planopt.planning.proof.rule", "planopt.planning.proof.connectivity_rules"
+USERS = (LAW, CONTEXT, RULE, RULES, "planopt.planning.proof.verify")
+
 
 # Module, what stands there once, what the mutant has instead.
 MUTANTS = (
-    (SCORE, "_log_normal(score) + none)", "_log_normal(score))"),
-    (SCORE, "return np.where(log_any < log_none, low, -low)", "return low"),
-    (POWER, "thresholds_dbm[0] + spread * score", "thresholds_dbm[0] + score"),
-    (POWER, "thresholds_dbm[0] + spread", "thresholds_dbm[-1] + spread"),
-    (POWER, "(above + slack_db) / deviation", "above / deviation"),
-    (POWER, ".max(axis=0)\n\n\ndef above", ".min(axis=0)\n\n\ndef above"),
-    (POWER, "offsets = thresholds_dbm[0] - np", "offsets = 0.0 * np"),
-    (POWER, "prediction.mean_db - threshold\n", "prediction.mean_db - thresholds_dbm[0]\n"),
+    (LAW, "_log_normal(score) + none)", "_log_normal(score))"),
+    (LAW, "return np.where(log_any < log_none, low, -low)", "return low"),
+    (LAW, "thresholds_dbm[0] + spread * score", "thresholds_dbm[0] + score"),
+    (LAW, "thresholds_dbm[0] + spread", "thresholds_dbm[-1] + spread"),
+    (LAW, "(above + slack_db) / deviation", "above / deviation"),
+    (LAW, ".max(axis=0)\n\n\ndef above", ".min(axis=0)\n\n\ndef above"),
+    (LAW, "offsets = thresholds_dbm[0] - np", "offsets = 0.0 * np"),
+    (LAW, "prediction.mean_db - threshold\n", "prediction.mean_db - thresholds_dbm[0]\n"),
     (
-        POWER,
+        LAW,
         "return self.combined([predict(station, positions_m) for station in self.posteriors])",
         "return predict(self.posteriors[0], positions_m)",
     ),
     (
-        PREDICTIONS,
+        CONTEXT,
         "radio.threshold_dbm for radio in",
         "problem.stations[0].threshold_dbm for radio in",
     ),
-    (PREDICTIONS, "tuple(posteriors), thresholds", "tuple(posteriors)[::-1], thresholds"),
+    (CONTEXT, "tuple(posteriors), thresholds", "tuple(posteriors)[::-1], thresholds"),
     (
         RULE,
         "law.probability(self.positions_m[1:], slack_db)",
         "law.probability(self.positions_m[1:], 0)",
     ),
-    (POWER, "serving_power_dbm(np.stack(drawn)", "serving_power_dbm(np.stack(drawn[:1])"),
-    (DRAWS, "threshold - slack_db).sum", "threshold + slack_db).sum"),
-    (DRAWS, "drawn_dbm >= threshold", "drawn_dbm < threshold"),
-    (JOINT, "np.all(connected, axis=1)", "np.any(connected, axis=1)"),
-    (POWER, "[seed, number] if number else seed", "seed"),
+    (LAW, "serving_power_dbm(np.stack(drawn)", "serving_power_dbm(np.stack(drawn[:1])"),
+    (RULES, "threshold - slack_db).sum", "threshold + slack_db).sum"),
+    (RULES, "drawn_dbm >= threshold", "drawn_dbm < threshold"),
+    (RULES, "np.all(connected, axis=1)", "np.any(connected, axis=1)"),
+    (LAW, "[seed, number] if number else seed", "seed"),
 )
 
 

@@ -31,8 +31,8 @@ from scenes import (
 )
 from unpriced import unpriced
 
-import planopt.planning.proof.predictions as predictions
-import planopt.planning.proof.single_steps as single_steps
+import planopt.planning.proof.context as predictions
+import planopt.planning.proof.verify as single_steps
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import condition

@@ -14,8 +14,8 @@ from terms_scene import SENDING, judge_of, terms_problem
 import planopt.planning.horizon_planner as planner_module
 from planopt.channel.kriging import predict
 from planopt.channel.prediction import bound_margin_db
+from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.judge import Judge
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.search.place_paths import ways_to_good_place

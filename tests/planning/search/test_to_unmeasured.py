@@ -10,10 +10,10 @@ import pytest
 import shapely
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.planning.baselines.walks import OneStepPlanner
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
+from planopt.planning.planners import OneStepPlanner
 from planopt.planning.search.place_paths import way_to_unmeasured
 from planopt.planning.search.taut_way import WaysFrom
 from planopt.world.clearance import swept_clearance_m

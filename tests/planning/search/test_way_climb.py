@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planopt.planning.budget import Budget
+from planopt.planning.candidates import Budget
 from planopt.planning.search.way_search import climb_ways
 
 START = np.array([1.0, -2.0])

@@ -18,7 +18,7 @@ from terms_scene import (
     terms_problem,
 )
 
-import planopt.planning.baselines.walks as one_step_module
+import planopt.planning.planners as one_step_module
 from planopt import check
 from planopt.channel.measurements import Measurements
 from planopt.planning.loop.closed_loop import simulate

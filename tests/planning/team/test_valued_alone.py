@@ -3,7 +3,7 @@
 import pytest
 from terms_scene import TRACKING, situation_of, terms_problem
 
-import planopt.planning.proof.predictions as predictions
+import planopt.planning.proof.context as predictions
 import planopt.planning.team.team_step as team_step
 from planopt.planning.initial_data import team_seeds
 from planopt.planning.team.team_step import build_team

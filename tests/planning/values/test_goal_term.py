@@ -12,7 +12,7 @@ from scipy.stats import norm
 from terms_scene import ENERGY, LEARNING, judge_of, situation_of, terms_problem
 
 from planopt import InputError, check, load, load_result, simulate, solve
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.context import search_prediction
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.steered_path import SteeringWay
 from planopt.planning.values.steering import GoalSteering

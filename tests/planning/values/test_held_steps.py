@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planopt.planning.history import History
-from planopt.planning.proof.rules.outage import Outage
+from planopt.planning.proof.connectivity_rules import Outage
 
 
 def fewest_held(sizes, keeps, limit, before):

@@ -8,7 +8,7 @@ from terms_scene import LEARNING, situation_of, terms_problem
 
 from planopt.channel.ground_truth import measure
 from planopt.channel.kriging import predict
-from planopt.planning.learn import learn_measured, prepare
+from planopt.planning.initial_data import learn_measured, prepare
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.objective_value import ObjectiveValue
 

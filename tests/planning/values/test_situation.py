@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from terms_scene import TRACKING, situation_of, terms_problem
 
-from planopt.planning.proof.predictions import search_prediction
+from planopt.planning.proof.context import search_prediction
 from planopt.planning.values import context as module
 
 

@@ -20,7 +20,7 @@ import pytest
 from planopt import load, solve
 from planopt.cli import main
 from planopt.extend import PlannerKind, Rung, Termination, register_planner, unregister_planner
-from planopt.planning.baselines.baseline import held
+from planopt.planning.candidates import held
 from planopt.problems.library import find_problem
 from planopt.studies import study
 from planopt.studies.bench import cases

@@ -1,23 +1,89 @@
-"""Judge the candidates of one step: worth by the objective, verdict by the verifier."""
+"""Candidates of one step: their value, verification and time budget, and the fallback cascade.
+
+Planners give candidates in order of promise: refined initial guesses, then the guesses themselves.
+The best verified one is released. Without any, the remainder of the previous plan or stopping is
+tried: connectivity may be given up, clearance and speed never.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, connection_probability
+from planopt.errors import InputError
+from planopt.parts import part_of
 from planopt.planning.certificate import Certificate, plan_message
-from planopt.planning.leaving import leaving_path
-from planopt.planning.plan import Plan, Rung, Termination, Verdict
+from planopt.planning.free_space import leaving_path
+from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive, shifted_path
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.proof.verify import verify
 from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive
+from planopt.robots.drive import Drive, rolled_out
 from planopt.world.clearance import ObstacleIndex
+
+SEARCH_SHARE = 0.3
+"""Searches improve on what they have found until this share of a budget is over."""
+SOLVE_SHARE = 0.4
+"""No solve takes longer than this share of a budget."""
+PROOF_SHARE = 0.1
+"""This share is left for the proof of the last solve's path."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Times by :func:`time.perf_counter`; infinite where there is no limit."""
+
+    ends_s: float = math.inf  # No new refinement begins any more
+    search_ends_s: float = math.inf  # What searches have found by then has to do
+    # No further candidate is judged any more where there is one that may be released
+    proof_ends_s: float = math.inf
+
+    @property
+    def spent(self) -> bool:
+        """Return whether no new refinement may begin."""
+        return perf_counter() >= self.ends_s
+
+    @property
+    def searched(self) -> bool:
+        """Return whether searches end with what they have."""
+        return perf_counter() >= self.search_ends_s
+
+    @property
+    def proven(self) -> bool:
+        """Return whether no further candidate is judged."""
+        return perf_counter() >= self.proof_ends_s
+
+
+UNLIMITED = Budget()
+"""No limit."""
+
+
+def budget_from(problem: Problem, begun_s: float) -> Budget:
+    """The budget of a plan that was begun at `begun_s`, by :func:`time.perf_counter`.
+
+    The last solve begins early enough to end, and to be judged, within it.
+    """
+    budget_s = problem.planner.budget_s
+    if budget_s is None:
+        return UNLIMITED
+    return Budget(
+        ends_s=begun_s + (1.0 - SOLVE_SHARE - PROOF_SHARE) * budget_s,
+        search_ends_s=begun_s + SEARCH_SHARE * budget_s,
+        proof_ends_s=begun_s + (1.0 - PROOF_SHARE) * budget_s,
+    )
+
+
+def solve_limit_s(problem: Problem) -> float | None:
+    """Return how long one solve may take; None where there is no limit."""
+    budget_s = problem.planner.budget_s
+    return None if budget_s is None else SOLVE_SHARE * budget_s
 
 
 @dataclass(frozen=True)
@@ -152,7 +218,7 @@ class Judge:
 
         Every robot's plan keeps clear of what the others have reserved, so that this is the last
         resort that no other robot is in the way of. A robot that is where it must not be moves
-        away (:func:`planopt.planning.leaving.leaving_path`).
+        away (:func:`planopt.planning.free_space.leaving_path`).
         """
         place = np.tile(self.position_m, (horizon, 1))
         standing = self.judged(self.candidate(place, Rung.STOP, Termination.NO_PATH))
@@ -199,3 +265,127 @@ class Judge:
             sense=self.problem.sense,
             drive=chosen.drive,
         )
+
+
+def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
+    """The plan of a path (N, 2) that no solver touched, or the one to stand where it is not sound.
+
+    Parameters
+    ----------
+    judge
+        What it is judged by.
+    path_m
+        Where the steps end.
+    begun_s
+        When planning began, by :func:`time.perf_counter`.
+
+    Raises
+    ------
+    InputError
+        `path_m` has another shape than (N, 2) of the horizon N.
+    """
+    part_of("judge", judge, Judge, "give the judge first, then the path")
+    shape = (judge.problem.planner.horizon, 2)
+    try:
+        path_m = np.asarray(path_m, dtype=np.float64)
+    except (TypeError, ValueError):
+        path_m = np.zeros(0)
+    if path_m.shape != shape:
+        raise InputError(
+            f"has the shape {path_m.shape}, should have {shape}",
+            key="path_m",
+            remedy="give a place in metres after each step of planner.horizon",
+        )
+    found = judge.judged(judge.candidate(path_m, Rung.PLAN, Termination.LATTICE_ONLY))
+    if not found.sound:
+        found = judge.standing(len(path_m))
+    return judge.plan_from(found, wall_s=perf_counter() - begun_s)
+
+
+def held(context: VerifierContext, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """A path of N steps that begins with `path` and then stands; (N, 2)."""
+    horizon = context.problem.planner.horizon
+    last = path[-1] if path else context.position_m
+    return np.asarray([*path, *[last] * (horizon - len(path))])[:horizon]
+
+
+def verified_of(tried: Sequence[Candidate]) -> list[Candidate]:
+    """Return the verified candidates, in their order."""
+    return [candidate for candidate in tried if candidate.verdict is Verdict.VERIFIED]
+
+
+def best_of(
+    judge: Judge, tried: Sequence[Candidate], warm: Plan | None, least: float = -math.inf
+) -> Candidate:
+    """Return the best verified candidate, else the safest fallback.
+
+    An unverified candidate is released only if its value is at least `least`.
+    """
+    verified = verified_of(tried)
+    if verified:
+        return with_effort(max(verified, key=judge.worth), tried)
+    sound = [c for c in tried if c.sound and judge.worth(c) >= least]
+    if not judge.problem.robots[0].moves_freely:
+        sound.sort(key=lambda candidate: candidate.missing_db)
+    if any(candidate.hopeless for candidate in sound):
+        return with_effort(sound[0], tried)
+    fallback = without_guess(judge, warm)
+    chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
+    return with_effort(chosen, tried)
+
+
+def with_effort(chosen: Candidate, tried: Sequence[Candidate]) -> Candidate:
+    """Add the solver's time and iterations of all candidates, and its last termination."""
+    refined = [c for c in tried if c.termination is not Termination.LATTICE_ONLY]
+    return replace(
+        chosen,
+        solve_s=sum(c.solve_s for c in refined),
+        iterations=sum(c.iterations for c in refined),
+        termination=refined[-1].termination if refined else chosen.termination,
+    )
+
+
+def without_guess(judge: Judge, warm: Plan | None) -> Candidate:
+    """Return the remainder of the previous verified plan, verified again; else a stop."""
+    problem = judge.problem
+    if not problem.robots[0].moves_freely:
+        return _driven_without_guess(judge, warm)
+    path = shifted_path(problem, judge.index, judge.position_m, warm)
+    if path is not None:
+        shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
+        if shifted.verdict is Verdict.VERIFIED:
+            return shifted
+    return judge.standing(problem.planner.horizon)
+
+
+def _driven_without_guess(judge: Judge, warm: Plan | None) -> Candidate:
+    """Brake immediately if that is collision-free, otherwise after the previous plan.
+
+    The remainder of the previous plan is collision-free whatever is believed of the channel, and
+    the other robots keep clear of it.
+    """
+    problem, horizon = judge.problem, judge.problem.planner.horizon
+    shifted = shifted_drive(problem, warm)
+    rest: Candidate | None = None
+    if shifted is not None and warm is not None and len(shifted.inputs) == horizon:
+        rest = judge.judged(drive_candidate(judge, shifted, Rung.SHIFTED, Termination.STOPPED))
+        if rest.verdict is Verdict.VERIFIED and warm.verdict is Verdict.VERIFIED:
+            return rest
+    stop = judge.judged(drive_candidate(judge, braked(judge), Rung.STOP, Termination.NO_PATH))
+    if stop.sound or rest is None:
+        return stop
+    if len(judge.context.moving):
+        return replace(rest, rung=Rung.RESERVED)
+    return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH) if rest.sound else stop
+
+
+def braked(judge: Judge) -> Drive:
+    """Return the trajectory of a robot with dynamics that brakes over the horizon."""
+    settings, dynamics = judge.problem.planner, judge.problem.robots[0].dynamics
+    inputs = dynamics.braking(judge.state, settings.step_s, settings.horizon)
+    return rolled_out(dynamics, judge.state, inputs, settings.step_s)
+
+
+def drive_candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:
+    """Return a driven trajectory as a candidate, not yet verified."""
+    return judge.candidate(drive.positions_m[1:], rung, termination, drive)

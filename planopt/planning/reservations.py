@@ -1,13 +1,4 @@
-"""Reservations that robots keep clear of while others plan, and how far their plans keep apart.
-
-Robots plan one after the other. A robot's *reservation* is the rest of its last released plan, then
-braking if it has dynamics, and standing where that ends for ever after; before the first plan it is
-stopping from the start. Each plan, its own braking included, keeps the separation from the plans
-already made in this step and from the reservations of the robots that have not planned yet. So
-whatever a later robot finds, its own reservation stays clear of all plans released before it, and
-can be released in place of a plan: if all reservations keep apart when a step begins, they do when
-the next one begins. Load checks that the starts do.
-"""
+"""Reservations that robots keep clear of while others plan, and how far their plans keep apart."""
 
 from __future__ import annotations
 

@@ -1,13 +1,4 @@
-"""Bounds on tracking: paths for a whole run of robots that know what will come.
-
-The clairvoyant knows the power of every place, multipath included, and the target's whole path. The
-oracle knows path loss, shadowing and the target's path, but not the multipath, which no robot can
-know of places where it has not been: it is the fair ceiling. Each has two rewards of a step: the
-information that arrives, and the expected logarithm of one plus that information times the
-variance of the target's first estimate, which saturates. A dynamic programme over (step, node) of
-the robots' lattice maximises their sum over the whole run; several robots take turns until no path
-changes.
-"""
+"""Bounds on tracking: paths for a whole run of robots that know what will come."""
 
 from __future__ import annotations
 
@@ -19,8 +10,7 @@ from numpy.typing import NDArray
 from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.prediction import score_probability
 from planopt.errors import InputError
-from planopt.planning.baselines.baseline import held, released
-from planopt.planning.judge import Judge
+from planopt.planning.candidates import Judge, held, released
 from planopt.planning.plan import Plan
 from planopt.planning.scene import build_ground
 from planopt.planning.search.lattice_search import LatticeSearch, MoveValues

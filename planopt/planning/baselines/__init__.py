@@ -1,1 +1,0 @@
-"""Planners to compare with, which look at most one step ahead."""

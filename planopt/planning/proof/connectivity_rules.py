@@ -1,0 +1,443 @@
+"""planopt's rules of connectivity: each step, average, joint, outage and data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
+
+from planopt.channel.joint import JointPrediction, joint_prediction
+from planopt.channel.path_connectivity import JointConnectivity, joint_connectivity
+from planopt.channel.posterior import ChannelPosterior, factored_near
+from planopt.errors import InputError
+from planopt.planning.certificate import RuleResult
+from planopt.planning.history import History, data_of_steps_mbit
+from planopt.planning.proof.rule import ROUNDING, BySlack, PathCase, Rule, connected_share
+from planopt.planning.tolerances import RULE_TOLERANCE
+from planopt.problems.problem import Problem
+
+DRAWS, DRAWN_SEED = 10_000, 0
+"""Number of drawn channels, and their seed."""
+
+DOUBT = 0.01
+"""The lower end of the interval of this one-sided doubt counts (Clopper and Pearson, 1934)."""
+
+DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
+"""Name of the method."""
+
+MOST_PROBABLE = 0.9995
+"""Greatest p_min that the drawn channels can show."""
+
+
+def require_shown(problem: Problem, words: str, remedy: str) -> None:
+    """Raise an InputError where p_min is more than drawn channels can show."""
+    p_min = problem.constraints.p_min
+    if p_min > MOST_PROBABLE:
+        raise InputError(
+            f"is {p_min:g}, and more than {MOST_PROBABLE:g} cannot be shown {words}",
+            file=problem.file,
+            key="constraints.p_min",
+            remedy=f"ask for less, or {remedy}",
+        )
+
+
+def share_at_least(count: int, of: int) -> float:
+    """Lower end of the one-sided interval of a probability seen `count` times `of` so many."""
+    if count == 0:
+        return 0.0
+    return float(np.asarray(betaincinv(count, of - count + 1, DOUBT), dtype=np.float64))
+
+
+def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> JointPrediction:
+    """Predict the powers at the places (N, 2) of a path jointly (equation 1.12).
+
+    Where there are too many measurements for a factor, by the nearest to the path: a true posterior
+    of less data.
+    """
+    return joint_prediction(factored_near(posterior, path_m), path_m)
+
+
+def drawn_by_slack(
+    rule: Rule,
+    case: PathCase,
+    is_kept: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],  # (n, N) connected to (n,)
+) -> BySlack:
+    """Return a lower bound of the probability that the rule is kept, by drawn channels."""
+    drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, DRAWN_SEED)
+    threshold, p_min = case.problem.stations[0].threshold_dbm, case.problem.constraints.p_min
+
+    def result(slack_db: float) -> RuleResult:
+        kept = int(is_kept(drawn_dbm >= threshold - slack_db).sum())
+        achieved = share_at_least(kept, len(drawn_dbm))
+        return RuleResult(rule.kind, achieved, p_min, "probability", DRAWN)
+
+    return result
+
+
+WHOLE_STEPS = 1e-6
+"""A time is a multiple of the step if it is off by no more than this share of a step."""
+
+
+@dataclass(frozen=True)
+class EachStep(Rule):
+    """The probability of each step that counts is at least p_min."""
+
+    kind: ClassVar[str] = "each_step"
+    keys: ClassVar[tuple[str, ...]] = ("connected_times_s",)
+    by_step: ClassVar[bool] = True
+    holds_steps: ClassVar[bool] = True
+    stated: tuple[int, ...] = ()  # Steps of the run that count, from 1 on; empty for all
+
+    @classmethod
+    def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> EachStep:
+        """Return the rule with the steps that end at the stated times."""
+        times_s = np.array(problem.constraints.rule.connected_times_s)
+        return cls(tuple(np.rint(times_s / problem.planner.step_s).astype(int).tolist()))
+
+    @classmethod
+    def check(cls, problem: Problem) -> None:
+        """Raise an InputError for a time at which no step ends."""
+        times_s, planner = problem.constraints.rule.connected_times_s, problem.planner
+        end_s = max(planner.max_steps, planner.horizon) * planner.step_s
+        if min(times_s, default=0.0) > end_s * (1.0 + WHOLE_STEPS):
+            raise InputError(
+                f"begin with {min(times_s):g}, and a run ends after {end_s:g} s: nothing would be "
+                "asked",
+                file=problem.file,
+                key="constraints.connected_times_s",
+                remedy="state earlier times, or raise planner.max_steps",
+            )
+        for number, time_s in enumerate(times_s):
+            steps = time_s / planner.step_s
+            if round(steps) < 1 or abs(steps - round(steps)) > WHOLE_STEPS:
+                raise InputError(
+                    f"is {time_s:g}, which is no multiple of planner.step_s {planner.step_s:g}",
+                    file=problem.file,
+                    key=f"constraints.connected_times_s[{number}]",
+                    remedy="state times at which a step ends",
+                )
+
+    def counted(self, history: History, count: int) -> NDArray[np.bool_]:
+        """Return whether p_min is required of each of a plan's steps; ``(count,)``."""
+        steps = history.steps + 1 + np.arange(count)
+        return np.isin(steps, self.stated) if self.stated else np.ones(count, dtype=np.bool_)
+
+    def achieved(
+        self, probability: NDArray[np.float64], history: History
+    ) -> float | NDArray[np.float64]:
+        """Return the least probability of a step that counts; 1 where none does."""
+        counted = self.counted(history, probability.shape[-1])
+        return np.where(counted, probability, 1.0).min(axis=-1)
+
+    def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
+        """Return the steps that count."""
+        return self.counted(history, len(keeps))
+
+    def by_slack(self, case: PathCase) -> BySlack:
+        """Steps are judged by :mod:`planopt.planning.proof.verify`."""
+        raise AssertionError("a rule on single steps")
+
+    def run_metrics(
+        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
+    ) -> dict[str, float]:
+        """Return the share of the stated times driven through that were connected."""
+        if not self.stated:
+            return {}
+        stated = np.unique(np.array(self.stated))
+        kept = [now[stated[stated <= len(now)] - 1] for now in connected]
+        return {"stated_times_connected": min(connected_share(now) for now in kept)}
+
+
+def counted_steps(problem: Problem, history: History, count: int) -> NDArray[np.bool_]:
+    """Return whether p_min is required of each of a plan's steps by itself; ``(count,)``."""
+    found = problem.constraints.rule.kind.of(problem, np.zeros(count))
+    return found.counted(history, count) if isinstance(found, EachStep) else np.zeros(count, bool)
+
+
+@dataclass(frozen=True)
+class Average(Rule):
+    """The expected share of connected steps (equation 5.1) is at least p_min."""
+
+    kind: ClassVar[str] = "average"
+    method: ClassVar[str] = "mean"
+    subject: ClassVar[str] = "the share of steps connected on average"
+
+    def achieved(
+        self, probability: NDArray[np.float64], history: History
+    ) -> float | NDArray[np.float64]:
+        """Return the expected share."""
+        steps = history.steps + probability.shape[-1]
+        return (history.connected_steps + probability.sum(axis=-1)) / steps
+
+    def run_metrics(
+        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
+    ) -> dict[str, float]:
+        """Return the share of connected steps."""
+        return {"least_connected_share": min(connected_share(now) for now in connected)}
+
+
+SEED = 0
+"""Of the integral's shifts: repeated judgements of a path agree."""
+
+ACCURACY = 4e-3
+"""Three standard errors that the integral is refined to. Its value counts less its error."""
+
+INTEGRATED_STEPS = 60
+"""Up to so many steps the probability is integrated; beyond, the greatest lower bound serves."""
+
+
+@dataclass(frozen=True)
+class Joint(Rule):
+    """The probability that all steps are connected (equation 5.2) is at least p_min."""
+
+    kind: ClassVar[str] = "joint"
+    subject: ClassVar[str] = "the probability that all steps of the plan are connected"
+
+    @classmethod
+    def check(cls, problem: Problem) -> None:
+        """Raise an InputError for a probability that several stations cannot show."""
+        if len(problem.stations) > 1:
+            words = f"of all steps together with {len(problem.stations)} stations"
+            require_shown(problem, words, "leave one entry of stations")
+
+    def achieved(
+        self, probability: NDArray[np.float64], history: History
+    ) -> float | NDArray[np.float64]:
+        """Return Boole's lower bound, which holds for any correlation; it may be negative."""
+        return 1.0 - (1.0 - probability).sum(axis=-1)
+
+    def correlates(self, p_min: float) -> bool:
+        """Return whether the verified value is a probability of correlated steps."""
+        return True
+
+    def by_slack(self, case: PathCase) -> BySlack:
+        """Return a lower bound of the probability by the joint law of the steps.
+
+        Of one station an integral; of several the lower end of the interval over drawn channels.
+        """
+        problem, path_m = case.problem, case.positions_m[1:]
+        threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
+        if len(case.context.posteriors) == 1:
+            prediction = path_prediction(case.context.posterior, path_m)
+            return lambda slack_db: joint_result(prediction, threshold - slack_db, p_min)
+        return drawn_by_slack(self, case, lambda connected: np.all(connected, axis=1))
+
+
+def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:
+    """Return the greatest lower bound of the probability that all steps are connected.
+
+    The integral less its error, or the greatest of Boole's, Hunter's and Slepian's bounds.
+    """
+    found = joint_connectivity(prediction, threshold_dbm)
+    # Where the least certain step alone misses the bound, no integral is needed.
+    if len(prediction) <= INTEGRATED_STEPS and found.at_each.min() >= p_min:
+        generator = np.random.default_rng(SEED)
+        found = joint_connectivity(prediction, threshold_dbm, generator, ACCURACY)
+    achieved, method = _best_bound(found)
+    return RuleResult(Joint.kind, achieved, p_min, Joint.unit, method)
+
+
+def _best_bound(found: JointConnectivity) -> tuple[float, str]:
+    bounds = {
+        "Hunter's bound": found.hunter.value,
+        "Slepian's product": found.product.value,
+        "corrected product": found.corrected_product.value,
+        "Boole's bound": found.boole.value,
+    }
+    if found.exact is not None:
+        bounds["integral less three standard errors"] = found.exact.value - found.exact.error
+    proven = {method: value for method, value in bounds.items() if value is not None}
+    best = max(proven, key=lambda method: proven[method])
+    return proven[best], best
+
+
+@dataclass(frozen=True, eq=False)
+class Outage(Rule):
+    """The longest outage (equation 5.3), in metres or seconds, is at most the limit."""
+
+    kind: ClassVar[str] = "outage"
+    method: ClassVar[str] = "steps below p_min in a row"
+    subject: ClassVar[str] = "the longest outage"
+    keys: ClassVar[tuple[str, ...]] = ("outage_max_m", "outage_max_s")
+    holds_steps: ClassVar[bool] = True
+    greatest: ClassVar[bool] = True
+    p_min: float
+    sizes: NDArray[np.float64]  # (..., N) length or duration of each step
+    limit: float
+    step_s: float | None = None  # None where lengths count
+
+    @classmethod
+    def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Outage:
+        """Return the rule for these steps."""
+        constraints, step_s = problem.constraints, problem.planner.step_s
+        rule = constraints.rule
+        if rule.outage_max_m is not None:
+            return cls(constraints.p_min, legs_m, rule.outage_max_m)
+        sizes = np.full(legs_m.shape, step_s)
+        return cls(constraints.p_min, sizes, rule.outage_max_s or 0.0, step_s)
+
+    @classmethod
+    def keys_fault(cls, given: Collection[str]) -> str | None:
+        """Require one of the two keys."""
+        if len(set(cls.keys).intersection(given)) == 1:
+            return None
+        both = " and ".join(cls.keys)
+        return f'one of {both} for connectivity = "outage": write outage_max_s = 10.0'
+
+    def _begun(self, history: History) -> float:
+        return history.outage_m if self.step_s is None else history.outage_steps * self.step_s
+
+    def achieved(
+        self, probability: NDArray[np.float64], history: History
+    ) -> float | NDArray[np.float64]:
+        """Return the longest outage, negative; one that has begun counts if it goes on."""
+        missed = probability < self.p_min - RULE_TOLERANCE
+        return -longest_run(self.sizes, missed, self._begun(history))
+
+    def required(self, p_min: float, history: History, count: int) -> float:
+        """Return the limit, negative."""
+        return -self.limit
+
+    def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
+        """Return the fewest steps that end each outage in time, each as late as may be."""
+        held = np.zeros(len(keeps), dtype=np.bool_)
+        run, last = self._begun(history), -1
+        for step, size in enumerate(self.sizes.tolist()):
+            run += size
+            if run > self.limit * (1.0 + ROUNDING):
+                within = np.flatnonzero(keeps[last + 1 : step + 1])
+                last = last + 1 + int(within[-1]) if len(within) else step
+                held[last] = True
+                run = float(self.sizes[last + 1 : step + 1].sum())
+        return held
+
+    def missed_words(self, result: RuleResult) -> tuple[str, str]:
+        """Name the limit in its unit."""
+        return self.subject, f"constraints.outage_max_{result.unit}"
+
+    def by_slack(self, case: PathCase) -> BySlack:
+        """Return the longest outage in its unit."""
+        result_at, unit = super().by_slack(case), "m" if self.step_s is None else "s"
+        return lambda slack_db: replace(result_at(slack_db), unit=unit)
+
+    def run_metrics(
+        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
+    ) -> dict[str, float]:
+        """Return the longest outage in seconds."""
+        step_s = problem.planner.step_s
+        each = [float(longest_run(np.full(len(now), step_s), ~now)) for now in connected]
+        return {"longest_outage_s": max(each) if len(connected[0]) else float("nan")}
+
+
+def longest_run(
+    sizes: NDArray[np.float64], missed: NDArray[np.bool_], begun: float = 0.0
+) -> NDArray[np.float64]:
+    """Return the greatest sum of `sizes` over successive `missed` steps, both (..., N).
+
+    `begun` is added to the run that begins with the first step, if it does.
+    """
+    longest, run = np.zeros(missed.shape[:-1]), np.full(missed.shape[:-1], begun)
+    for step in range(missed.shape[-1]):
+        run = np.where(missed[..., step], run + sizes[..., step], 0.0)
+        longest = np.maximum(longest, run)
+    return longest
+
+
+@dataclass(frozen=True)
+class Data(Rule):
+    """The data delivered keep pace with the deadline (equation 5.4)."""
+
+    kind: ClassVar[str] = "data"
+    unit: ClassVar[str] = "Mbit"
+    method: ClassVar[str] = "expectation"
+    keys: ClassVar[tuple[str, ...]] = ("data_mbit", "deadline_s", "rate_mbit_s")
+    asks_p_min: ClassVar[bool] = False
+    problem: Problem
+
+    @classmethod
+    def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Data:
+        """Return the rule of a problem."""
+        return cls(problem)
+
+    @classmethod
+    def keys_fault(cls, given: Collection[str]) -> str | None:
+        """Require all keys."""
+        for key in cls.keys:
+            if key not in given:
+                return f'{key} for connectivity = "data": write {key} = 100.0'
+        return None
+
+    @classmethod
+    def check(cls, problem: Problem) -> None:
+        """Raise an InputError for data that no plan could be shown to deliver."""
+        rule = problem.constraints.rule
+        require_shown(problem, "for data", "leave it out to ask for the expectation")
+        most_mbit = (rule.rate_mbit_s or 0.0) * (rule.deadline_s or 0.0)
+        if (rule.data_mbit or 0.0) > most_mbit * (1.0 + ROUNDING):
+            raise InputError(
+                f"is {rule.data_mbit:g}, more than the {most_mbit:g} Mbit that rate_mbit_s "
+                "delivers by deadline_s when always connected",
+                file=problem.file,
+                key="constraints.data_mbit",
+                remedy="lessen it, or allow more time",
+            )
+
+    def achieved(
+        self, probability: NDArray[np.float64], history: History
+    ) -> float | NDArray[np.float64]:
+        """Return the expected data of the plan."""
+        return probability @ data_of_steps_mbit(self.problem, history.steps, probability.shape[-1])
+
+    def required(self, p_min: float, history: History, count: int) -> float:
+        """Return the expectation that suffices; for a probability by Markov's inequality."""
+        needed = self.pace_mbit(history, count)
+        most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
+        return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
+
+    def pace_mbit(self, history: History, count: int) -> float:
+        """Return the data that keep pace: what is missing, spread over the time that is left."""
+        rule = self.problem.constraints.rule
+        left_s = (rule.deadline_s or 0.0) - history.steps * self.problem.planner.step_s
+        missing = max((rule.data_mbit or 0.0) - history.delivered_mbit, 0.0)
+        if left_s <= 0.0 or missing == 0.0:
+            return 0.0
+        most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
+        return missing * most / ((rule.rate_mbit_s or 0.0) * left_s)
+
+    def correlates(self, p_min: float) -> bool:
+        """Return whether the verified value is a probability of correlated steps."""
+        return p_min > 0.0
+
+    def by_slack(self, case: PathCase) -> BySlack:
+        """Return the expectation; or a lower bound of the probability, by correlated samples."""
+        p_min = case.problem.constraints.p_min
+        if p_min == 0.0:
+            return super().by_slack(case)
+        # A sum of whole steps may miss its own value by rounding.
+        needed = self.pace_mbit(case.history, len(case.positions_m) - 1) * (1.0 - ROUNDING)
+        if needed == 0.0:
+            return lambda slack_db: RuleResult(self.kind, 1.0, p_min, "probability", DRAWN)
+        return drawn_by_slack(
+            self,
+            case,
+            lambda connected: self.valued(connected.astype(np.float64), case.history) >= needed,
+        )
+
+    def missed_words(self, result: RuleResult) -> tuple[str, str]:
+        """Name the expectation or the probability."""
+        if result.unit == self.unit:
+            words = "the expected data delivered by the plan"
+            return words, "keeping pace with constraints.data_mbit"
+        words = "the probability that the plan keeps pace with constraints.data_mbit"
+        return words, "constraints.p_min"
+
+    def run_metrics(
+        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
+    ) -> dict[str, float]:
+        """Return the data delivered by the deadline."""
+        each = [float(data_of_steps_mbit(problem, 0, len(now)) @ now) for now in connected]
+        return {"data_mbit": min(each)}

@@ -1,1 +1,0 @@
-"""The rules of connectivity, one class in each file."""

@@ -19,7 +19,7 @@ from planopt.cli import main
 from planopt.extend import PlannerKind, Rung, register_planner
 from planopt.objectives import TrackingTerm
 from planopt.planning.candidates import Judge
-from planopt.planning.programme.ipopt import termination_of
+from planopt.planning.programme.solver import termination_of
 from planopt.planning.scene import Ground
 from planopt.planning.values.context import StepContext
 

@@ -18,7 +18,7 @@ from planopt.channel.cholesky import whiten
 from planopt.channel.parameters import regressors
 from planopt.channel.prediction import bound_quantile
 from planopt.objectives.rounded_kernel import CUSP_ROUNDING
-from planopt.planning.programme.ipopt import OPTIONS
+from planopt.planning.programme.solver import OPTIONS
 from planopt.planning.values.context import StepContext
 
 

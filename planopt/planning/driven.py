@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from planopt.planning.candidates import Judge, drive_candidate
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.clearance_lines import LINE_REACH_STEPS
-from planopt.planning.programme.motion_rows import MotionShape
 from planopt.planning.programme.path_polish import MotionTask
+from planopt.planning.programme.path_rows import MotionShape
 from planopt.planning.proof.motion import swept_motion, verify_apart, verify_motion
 from planopt.planning.scene import Ground
 from planopt.planning.search.start_search import Start

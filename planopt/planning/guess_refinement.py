@@ -25,7 +25,7 @@ from planopt.planning.programme.clearance_lines import (
 )
 from planopt.planning.programme.path_nlp import METHODS, PathNlp, build_path_nlp, near_start
 from planopt.planning.programme.path_polish import PathTask, polish_path
-from planopt.planning.programme.path_shape import PathShape
+from planopt.planning.programme.path_rows import PathShape
 from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.rule import rule_of
 from planopt.planning.rule_bounds import lacks, moved, recentred, with_bounds

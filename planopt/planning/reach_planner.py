@@ -49,8 +49,7 @@ from planopt.planning.plan import (
 from planopt.planning.programme.clearance_lines import MOVING_LINES
 from planopt.planning.programme.goal_value import ROUNDING_STEPS, GoalCharge
 from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp
-from planopt.planning.programme.path_shape import PathShape
-from planopt.planning.programme.pivot import Ahead, find_pivot
+from planopt.planning.programme.path_rows import PathShape
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.proof.searches import build_goal_grid
@@ -58,6 +57,7 @@ from planopt.planning.refine import Refiner
 from planopt.planning.reservations import reserved_path
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
+from planopt.planning.search.pivot import Ahead, find_pivot
 from planopt.planning.search.start_search import Start
 from planopt.planning.search.taut_way import retime
 from planopt.planning.search.timed_search import TimedPath

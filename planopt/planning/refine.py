@@ -15,13 +15,13 @@ from planopt.objectives.stage_power import scores_of
 from planopt.planning.candidates import Budget, Candidate, Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.clearance_lines import REPAIRS, lines_about, lines_with_violated
+from planopt.planning.programme.evaluation import margins_of
 from planopt.planning.programme.goal_value import GoalValue, OutagePrice
-from planopt.planning.programme.margin_source import StageMargins, margins_of
 from planopt.planning.programme.path_nlp import PathNlp
 from planopt.planning.programme.path_polish import PathTask, RefinedPath, polish_path
-from planopt.planning.programme.pivot import Ahead
 from planopt.planning.scene import Scene
 from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.search.pivot import Ahead
 from planopt.planning.search.taut_way import retime
 from planopt.planning.tolerances import (
     MARGIN_PAD_DB,
@@ -236,7 +236,7 @@ class Refiner:
 
     def _margins_about(
         self, path_m: NDArray[np.float64]
-    ) -> Callable[[NDArray[np.float64]], tuple[StageMargins, Derivatives]]:
+    ) -> Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]:
         """Margins and scores conditioned on the measurements nearest to each stage of a path."""
         problem = self._judge.problem
         predict_stages = stage_predictor(
@@ -249,7 +249,7 @@ class Refiner:
         if self._rows is not None:
             threshold, z = self._rows.threshold_dbm, self._rows.quantile
 
-        def margins(positions_m: NDArray[np.float64]) -> tuple[StageMargins, Derivatives]:
+        def margins(positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
             power = predict_stages(positions_m)
             scores = scores_of(*power, self._cost.threshold_dbm)
             return margins_of(*power, threshold, z), scores

@@ -5,10 +5,10 @@ from dataclasses import fields, replace
 import numpy as np
 
 from planopt.planning.programme.goal_value import GoalValue, OutagePrice
-from planopt.planning.programme.margin_source import StageMargins
 from planopt.planning.programme.path_nlp import GOAL, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask
-from planopt.planning.programme.path_shape import PathShape
+from planopt.planning.programme.path_rows import PathShape
+from planopt.targets.rounding import Derivatives
 from planopt.world.separation import EMPTY_OFFSET_M, SeparatingLines
 
 
@@ -36,7 +36,7 @@ def constant_margins(value_db):
 
     def margins(positions_m):
         n = len(positions_m)
-        return StageMargins(np.full(n, value_db), np.zeros((n, 2)), np.zeros((n, 3)))
+        return Derivatives(np.full(n, value_db), np.zeros((n, 2)), np.zeros((n, 3)))
 
     return margins
 
@@ -46,7 +46,7 @@ def bowl_margins(centre_m, top_db):
 
     def margins(positions_m):
         away = positions_m - np.asarray(centre_m)
-        return StageMargins(
+        return Derivatives(
             top_db - (away**2).sum(1), -2.0 * away, np.tile([-2.0, 0.0, -2.0], (len(away), 1))
         )
 
@@ -59,7 +59,7 @@ def slope_margins(gradient_db_m, offset_db):
     def margins(positions_m):
         n = len(positions_m)
         value = positions_m @ np.asarray(gradient_db_m) + offset_db
-        return StageMargins(value, np.tile(gradient_db_m, (n, 1)), np.zeros((n, 3)))
+        return Derivatives(value, np.tile(gradient_db_m, (n, 1)), np.zeros((n, 3)))
 
     return margins
 

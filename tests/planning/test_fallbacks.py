@@ -22,13 +22,13 @@ import planopt.planning.refine as refine_module
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.programme import ipopt
-from planopt.planning.programme.nlp_functions import NlpPoint
+from planopt.planning.programme import path_nlp
 from planopt.planning.programme.path_nlp import GOAL
+from planopt.planning.programme.solver import NlpPoint
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 
-CALL = ipopt.call_nlp
+CALL = path_nlp.call_nlp
 
 
 def falling_back(status, change):
@@ -92,7 +92,7 @@ PROBLEM = small_problem(WALL, start_m=(17.0, 15.0), horizon=8)
 def failure(request, monkeypatch):
     """One of the failures, in force; its termination."""
     solver, termination = FAILURES[request.param]
-    monkeypatch.setattr(ipopt, "call_nlp", solver)
+    monkeypatch.setattr(path_nlp, "call_nlp", solver)
     return termination
 
 
@@ -130,7 +130,7 @@ def test_next_step_is_as_if_nothing_had_happened(monkeypatch):
     fresh = planner_of(PROBLEM).plan(belief, start)
     used = planner_of(PROBLEM)
     for solver, _ in FAILURES.values():
-        monkeypatch.setattr(ipopt, "call_nlp", solver)
+        monkeypatch.setattr(path_nlp, "call_nlp", solver)
         used.plan(belief, start)
     monkeypatch.undo()
     again = used.plan(belief, start)
@@ -250,7 +250,7 @@ def test_closed_loop_through_failures(monkeypatch):
         k = next(calls)
         return CALL(*arguments) if k % 2 else solvers[(k // 2) % len(solvers)](*arguments)
 
-    monkeypatch.setattr(ipopt, "call_nlp", sometimes)
+    monkeypatch.setattr(path_nlp, "call_nlp", sometimes)
     done = simulate(problem, prepared=prepared_of(problem, good_everywhere))
     assert done.run.outcome is Outcome.REACHED
     assert done.run.verified_rate == 1.0

@@ -26,9 +26,9 @@ from planopt.planning import guess_refinement
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.initial_data import free_places, prepare
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.programme import ipopt
-from planopt.planning.programme.nlp_functions import NlpPoint
+from planopt.planning.programme import path_nlp
 from planopt.planning.programme.path_polish import polish_path
+from planopt.planning.programme.solver import NlpPoint
 from planopt.planning.search.start_search import StartSearch
 from planopt.planning.solve import solve
 
@@ -156,7 +156,7 @@ def test_a_failed_polish_falls_back_to_the_lattice(monkeypatch):
     """And the next one is not touched by it."""
     problem = terms_problem(TRACKING)
     before, *_ = planned(problem)
-    monkeypatch.setattr(ipopt, "call_nlp", failing)
+    monkeypatch.setattr(path_nlp, "call_nlp", failing)
     plan, *_ = planned(problem)
     assert (plan.rung, plan.verdict) == (Rung.LATTICE, Verdict.VERIFIED)
     assert plan.termination is Termination.NUMERICAL_FAILURE

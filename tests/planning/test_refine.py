@@ -22,8 +22,8 @@ from scenes import (
 import planopt.planning.refine as refine
 from planopt.planning.candidates import Budget, Judge
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.programme.pivot import Ahead
 from planopt.planning.proof.context import VerifierContext
+from planopt.planning.search.pivot import Ahead
 from planopt.planning.values.reach_cost import ReachCost
 
 

@@ -12,12 +12,11 @@ from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, term
 import planopt.planning.guess_refinement as polish_module
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.programme import ipopt
-from planopt.planning.programme.ipopt import OPTIONS
-from planopt.planning.programme.nlp_functions import NlpPoint
+from planopt.planning.programme import path_nlp
+from planopt.planning.programme.solver import OPTIONS, NlpPoint
 from planopt.world.workspace import Obstacle
 
-CALL = ipopt.call_nlp
+CALL = path_nlp.call_nlp
 PROBLEM = terms_problem(TRACKING, LEARNING, ENERGY, p_min=0.6)
 
 
@@ -97,7 +96,7 @@ def test_a_failed_solve_touches_nothing(name, monkeypatch):
     solver, termination = FAILURES[name]
     used, expected = fresh(), planned(fresh())
     assert expected.rung is Rung.PLAN
-    monkeypatch.setattr(ipopt, "call_nlp", solver)
+    monkeypatch.setattr(path_nlp, "call_nlp", solver)
     plan = planned(used)
     assert_sound(plan)
     assert plan.rung is Rung.LATTICE

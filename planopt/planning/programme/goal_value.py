@@ -26,15 +26,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from planopt.planning.programme.margin_source import Evaluation, PathValue, StageMargins
-from planopt.planning.programme.motion_rows import MotionShape
+from planopt.planning.programme.evaluation import Evaluation, PathValue
+from planopt.planning.programme.path_rows import MotionShape
 from planopt.robots.dynamics import Components
 from planopt.targets.rounding import Derivatives, add_products
 
@@ -67,7 +66,7 @@ class GoalValue:
     rate_s_m: float
     outage: OutagePrice
     # Connectivity margin of each stage by position, and the normal score of its connection
-    margins: Callable[[NDArray[np.float64]], tuple[StageMargins, Derivatives]]
+    margins: Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]
 
     def __call__(self, places_m: NDArray[np.float64]) -> Evaluation:
         """Evaluate a path (N, 2)."""
@@ -171,27 +170,3 @@ def goal_cost_s(shape: MotionShape, q: Any, w: Any, start: Components, charge: A
         cost = cost + effort * driven + weight * ahead
         before = here
     return cost
-
-
-def goal_cost_gradient(
-    shape: MotionShape,
-    positions_m: NDArray[np.float64],
-    w: NDArray[np.float64],
-    start: NDArray[np.float64],
-    charge: GoalCharge,
-) -> NDArray[np.float64]:
-    """Gradient (2 N + len(w),) of the cost."""
-    found = _gradient_function(shape)(positions_m.ravel(), w, start, charge.numbers)
-    return np.asarray(found).ravel()
-
-
-@lru_cache(maxsize=64)
-def _gradient_function(shape: MotionShape) -> Any:
-    """Gradient of the cost as a CasADi function of (q, w, start, charge)."""
-    import casadi as ca
-
-    q, w = ca.SX.sym("q", 2 * shape.horizon), ca.SX.sym("w", shape.variables)
-    start, charge = ca.SX.sym("start", 2 + shape.rest), ca.SX.sym("charge", PARAMETERS)
-    cost = goal_cost_s(shape, q, w, tuple(ca.vertsplit(start)), charge)
-    gradient = ca.densify(ca.gradient(cost, ca.vertcat(q, w)))
-    return ca.Function("gradient", [q, w, start, charge], [gradient])

@@ -31,7 +31,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme.nlp_functions import (
+from planopt.planning.programme.path_rows import PathShape
+from planopt.planning.programme.solver import (
     Bounds,
     NlpFunctions,
     NlpPoint,
@@ -39,7 +40,6 @@ from planopt.planning.programme.nlp_functions import (
     lost_point,
     nlp_point,
 )
-from planopt.planning.programme.path_shape import PathShape
 
 NO_VARIABLE = -1
 """In place of a column."""
@@ -296,32 +296,10 @@ SMALLEST_REGION = 1e-7
 """Converged where the region is smaller, in longest steps."""
 
 
-def scp_solve(
-    functions: NlpFunctions,
-    horizon: int,
-    cones: ConeRows,
-    per_m: NDArray[np.float64],
-    longest_m: float | None = None,
-    budget_s: float | None = None,
-) -> SolveNlp:
-    """Solve a programme whose first variables are the positions of `horizon` stages.
-
-    Parameters
-    ----------
-    functions
-        Of the programme.
-    horizon
-        N.
-    cones
-        Which of its rows are cones.
-    per_m
-        ``(n,)`` how far each variable may go in a convex step for each metre of a place; infinite
-        where it follows from others.
-    longest_m
-        Of the path's steps; None where the first row has it, squared, as its upper bound.
-    budget_s
-        Seconds after which no new convex step begins; None for no limit.
-    """
+def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None = None) -> SolveNlp:
+    """Return the solver of a programme; no convex step begins after `budget_s` seconds."""
+    horizon, motion = shape.horizon, shape.motion
+    cones = step_cones(horizon) if motion is None else motion_cones(shape)
 
     def solve(
         start: NDArray[np.float64],
@@ -332,9 +310,19 @@ def scp_solve(
         bounds = (variable_bounds.lower, variable_bounds.upper, row_bounds.lower, row_bounds.upper)
         if any(np.isnan(bound).any() for bound in bounds):
             return lost_point(horizon, len(start), len(row_bounds.lower))
-        longest = float(np.sqrt(row_bounds.upper[0])) if longest_m is None else longest_m
-        reach = longest * per_m
-        climb = _Climb(functions, horizon, cones, reach, parameters, variable_bounds, row_bounds)
+        # The first row of a single integrator is its squared step length.
+        longest = np.sqrt(row_bounds.upper[0])
+        if motion is not None:
+            longest = motion.dynamics.speed_max_m_s * motion.step_s
+        climb = _Climb(
+            functions,
+            horizon,
+            cones,
+            longest * shape.per_m,
+            parameters,
+            variable_bounds,
+            row_bounds,
+        )
         return climb.run(start, np.inf if budget_s is None else perf_counter() + budget_s)
 
     return solve
@@ -464,7 +452,8 @@ class _Climb:
         curving = multipliers.copy()
         curving[self._cones.row] = 0.0
         widest = region * self._reach
-        gradient, jacobian, hessian = self._functions.derivatives(x, self._parameters, curving)
+        gradient, jacobian = self._functions.slopes(x, self._parameters)
+        hessian = self._functions.hessian(x, self._parameters, curving)
         return Model(
             rows=rows,
             jacobian=jacobian,

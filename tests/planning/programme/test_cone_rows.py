@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from motion_scene import DOUBLE, WHEELS
+from reach_tasks import constant_margins
 
-from planopt.planning.programme.motion_rows import MotionShape, motion_row_values
-from planopt.planning.programme.path_shape import PathShape
-from planopt.planning.programme.scp import motion_cones, no_cones, step_cones
+from planopt.planning.programme.evaluation import Evaluation, PathValue
+from planopt.planning.programme.path_nlp import build_path_nlp
+from planopt.planning.programme.path_rows import MotionShape, PathShape
+from planopt.planning.programme.scp import motion_cones, step_cones
 
 N, LINES = 3, 2
 
@@ -33,29 +35,31 @@ def test_discs_of_a_double_integrator(bounded) -> None:
     motion = MotionShape(DOUBLE, 1.0, N, LINES)
     shape = PathShape(N, LINES, "stagewise", bounded=bounded, motion=motion)
     generator = np.random.default_rng(1)
-    positions, w = generator.normal(size=(N, 2)), generator.normal(size=motion.variables)
-    line = generator.normal(size=4 * LINES * (N + 1))
-    values, gradients = motion_row_values(motion, positions, w, np.zeros(4), line)
-    # As in the programme: rows of the path come first, slacks stand between places and the rest.
-    before = N + 2 * N * LINES - LINES
-    jacobian = np.zeros((before + len(values), shape.variables))
-    jacobian[before:, : 2 * N] = gradients[:, : 2 * N]
-    jacobian[before:, 2 * N + shape.slacks :] = gradients[:, 2 * N :]
+    x = generator.normal(size=shape.variables)
+    nlp = build_path_nlp(shape)
+    line, own = np.zeros(4 * N * LINES), np.zeros(motion.parameters)
+    parameters = np.concatenate([np.zeros(2), np.ones(3), line, own])
+    nlp.source.use(
+        lambda places: Evaluation(
+            PathValue(0.0, np.zeros((N, 2)), np.zeros((N, 3))),
+            constant_margins(1.0)(places) if bounded else None,
+        )
+    )
+    values = nlp.functions.values(x, parameters)[1]
+    jacobian = nlp.functions.slopes(x, parameters)[1]
     cones = motion_cones(shape)
     assert len(cones) == 2 * N
     pairs = cones.pairs(jacobian)
-    by_step = w.reshape(N, 4)
+    by_step = x[2 * N + shape.slacks :].reshape(N, 4)
     expected = np.stack([by_step[:, 2:], by_step[:, :2]], axis=1).reshape(-1, 2)
     assert pairs == pytest.approx(expected)
     rows = cones.weight * (pairs**2).sum(axis=1) + cones.constant
-    assert rows == pytest.approx(values[cones.row - before])
-    radii = cones.radii(np.zeros(before + len(values)))
+    assert rows == pytest.approx(values[cones.row])
+    radii = cones.radii(np.zeros(len(values)))
     assert radii == pytest.approx([DOUBLE.acceleration_max_m_s2, DOUBLE.speed_max_m_s] * N)
 
 
 def test_others_have_none() -> None:
-    """A unicycle's limits are intervals, a single integrator has no rows of motion."""
+    """A unicycle's limits are intervals."""
     wheels = PathShape(N, LINES, "full", motion=MotionShape(WHEELS, 1.0, N, LINES))
-    for cones in (no_cones(), motion_cones(wheels), motion_cones(PathShape(N, LINES, "full"))):
-        assert len(cones) == 0
-        assert cones.pairs(np.zeros((4, 4))).shape == (0, 2)
+    assert len(motion_cones(wheels)) == 0

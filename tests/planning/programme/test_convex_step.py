@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme.nlp_functions import Bounds
 from planopt.planning.programme.scp import TERMINATIONS, Model, convex_step, step_cones
+from planopt.planning.programme.solver import Bounds
 
 N, OTHER, SLACKS = 4, 6, 2
 LONGEST = 1.5

@@ -9,15 +9,16 @@ from reach_tasks import bowl_margins, constant_margins, goal_nlp, outage_of, sco
 from scipy.stats import norm
 
 from planopt.planning.plan import Termination
+from planopt.planning.programme.evaluation import ValueSource
 from planopt.planning.programme.goal_value import (
     PIVOT_ROUNDING_M,
     STEP_ROUNDING_M,
     GoalValue,
     OutagePrice,
 )
-from planopt.planning.programme.margin_source import StageMargins, ValueSource
-from planopt.planning.programme.nlp_functions import Bounds
 from planopt.planning.programme.path_nlp import curvature
+from planopt.planning.programme.solver import Bounds
+from planopt.targets.rounding import Derivatives
 
 N = 4
 START = np.array([0.3, -0.2])
@@ -28,7 +29,7 @@ def waves(positions_m):
     x, y = positions_m.T
     k = np.arange(1.0, len(x) + 1.0)
     sin, cos = np.sin(k * x), np.cos(k * x)
-    return StageMargins(
+    return Derivatives(
         sin * np.cos(y),
         np.stack([k * cos * np.cos(y), -sin * np.sin(y)], axis=1),
         np.stack([-(k**2) * sin * np.cos(y), -k * cos * np.sin(y), -sin * np.cos(y)], axis=1),
@@ -96,7 +97,7 @@ def test_every_structure_solves(horizon, lines):
     assert found.termination == Termination.CONVERGED
     expected = np.outer(np.arange(1, horizon + 1), [1.0, 0.0])
     np.testing.assert_allclose(found.positions_m, expected, atol=1e-4)
-    assert found.slack_db.shape == (0,)
+    assert found.others.shape == (0,)
     assert found.row_multipliers.shape == (plain + horizon,)
 
 
@@ -113,18 +114,18 @@ def test_a_point_is_computed_once_by_the_function_in_use():
 
     source = ValueSource()
     with pytest.raises(AssertionError, match="before its value"):
-        source.at(FLAT)
+        source(FLAT)
     source.use(counting)
     place = FLAT.copy()
-    assert source.margins_at(place).value.tolist() == [1.0] * N
-    assert source.at(FLAT) is source.at(place)
+    assert source(place).margins.value.tolist() == [1.0] * N
+    assert source(FLAT) is source(place)
     assert len(evaluated) == 1
     # The solver writes its iterates into one array: contents count, not identity.
     place[3] = np.nextafter(4.0, 5.0)
-    source.at(place)
+    source(place)
     assert len(evaluated) == 2
     source.use(replace(VALUE, margins=scored(constant_margins(7.0), waves)))
-    assert source.margins_at(place).value.tolist() == [7.0] * N
+    assert source(place).margins.value.tolist() == [7.0] * N
 
 
 def test_a_failing_function_leaves_nothing_behind():
@@ -137,4 +138,4 @@ def test_a_failing_function_leaves_nothing_behind():
     source.use(broken)
     for _ in range(2):
         with pytest.raises(ValueError, match="broken"):
-            source.at(FLAT)
+            source(FLAT)

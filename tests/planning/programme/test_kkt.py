@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planopt.planning.programme.nlp_functions import Bounds, kkt_residual
+from planopt.planning.programme.solver import Bounds, kkt_residual
 
 
 def residual(case):

@@ -9,16 +9,15 @@ import pytest
 from scipy.optimize import minimize
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme import ipopt
-from planopt.planning.programme.margin_source import (
+from planopt.planning.programme import path_nlp
+from planopt.planning.programme.evaluation import (
     Evaluation,
     PathValue,
-    StageMargins,
-    ValueSource,
 )
 from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
-from planopt.planning.programme.path_shape import PathShape
+from planopt.planning.programme.path_rows import PathShape
+from planopt.targets.rounding import Derivatives
 from planopt.world.separation import SeparatingLines
 
 N = 4
@@ -54,7 +53,7 @@ def bell(positions, weights):
 def margins(positions):
     """Connectivity falls with x."""
     count = len(positions)
-    return StageMargins(
+    return Derivatives(
         2.0 - positions[:, 0], np.tile([-1.0, 0.0], (count, 1)), np.zeros((count, 3))
     )
 
@@ -253,13 +252,13 @@ def test_a_moved_point_shows_in_the_residual(monkeypatch):
     """The residual is computed at the point that is returned."""
     weights = np.ones(N)
     nlp = build_path_nlp(PathShape(N, 1, "stagewise", False))
-    call = ipopt.call_nlp
+    call = path_nlp.call_nlp
 
     def moved(*arguments):
         point = call(*arguments)
         return replace(point, positions_m=point.positions_m + np.array([0.0, 0.1]))
 
-    monkeypatch.setattr(ipopt, "call_nlp", moved)
+    monkeypatch.setattr(path_nlp, "call_nlp", moved)
     assert polish_path(nlp, task(weights, "stagewise", False, no_lines())).kkt_residual > 0.01
 
 
@@ -276,25 +275,3 @@ def test_a_failed_call_leaves_nothing_behind():
     assert failed.termination is not Termination.CONVERGED
     after = polish_path(nlp, task(weights, "stagewise", False, no_lines()))
     np.testing.assert_array_equal(after.path_m, before.path_m)
-
-
-def test_a_point_is_evaluated_once():
-    """However many quantities a solver asks for."""
-    calls = []
-
-    def counted(positions):
-        calls.append(positions)
-        return evaluate(np.ones(N), "stagewise", True)(positions)
-
-    source = ValueSource()
-    with pytest.raises(AssertionError, match="before its value was set"):
-        source.at(np.zeros(2 * N))
-    source.use(counted)
-    source.at(np.zeros(2 * N))
-    source.margins_at(np.zeros(2 * N))
-    assert len(calls) == 1
-    source.at(np.ones(2 * N))
-    assert len(calls) == 2
-    source.use(evaluate(np.ones(N), "stagewise", False))
-    with pytest.raises(AssertionError, match="no margins"):
-        source.margins_at(np.ones(2 * N))

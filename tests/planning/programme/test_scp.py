@@ -18,9 +18,10 @@ from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, term
 
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Termination, Verdict
-from planopt.planning.programme.nlp_functions import Bounds, NlpFunctions
 from planopt.planning.programme.path_polish import polish_path
-from planopt.planning.programme.scp import no_cones, scp_solve
+from planopt.planning.programme.path_rows import PathShape
+from planopt.planning.programme.scp import scp_solve
+from planopt.planning.programme.solver import Bounds, NlpFunctions
 
 N, LINES = 6, 2
 
@@ -36,22 +37,21 @@ def test_the_circle_and_the_line():
 
     The answer is (3, 2) / sqrt(13), with multiplier sqrt(13) - 1.
     """
-
-    def values(x, _p):
-        return float(((x - [3.0, 2.0]) ** 2).sum()), np.array([x @ x])
-
-    def derivatives(x, _p, multipliers):
-        return 2.0 * (x - [3.0, 2.0]), 2.0 * x[None], 2.0 * np.eye(2) * (1.0 + multipliers[0])
-
-    functions = NlpFunctions(values, derivatives)
-    solve = scp_solve(functions, 1, no_cones(), per_m=np.ones(2), longest_m=1.0)
+    functions = NlpFunctions(
+        lambda x, _p: (float(((x - [3.0, 2.0]) ** 2).sum()), np.full(2, x @ x)),
+        lambda x, _p: (2.0 * (x - [3.0, 2.0]), np.tile(2.0 * x, (2, 1))),
+        lambda _x, _p, multipliers: 2.0 * np.eye(2) * (1.0 + multipliers.sum()),
+    )
+    # The first row, the length of the only step, is never at its bound.
+    solve = scp_solve(functions, PathShape(1, 0, "stagewise"))
+    rows = Bounds(np.array([-np.inf, 1.0]), np.array([4.0, 1.0]))
     free = Bounds(np.full(2, -10.0), np.full(2, 10.0))
-    found = solve(np.array([0.1, 0.0]), np.zeros(0), free, Bounds(np.ones(1), np.ones(1)))
+    found = solve(np.array([0.1, 0.0]), np.zeros(0), free, rows)
     assert found.termination is Termination.CONVERGED
     np.testing.assert_allclose(
         found.positions_m[0], np.array([3.0, 2.0]) / np.sqrt(13.0), atol=1e-3
     )
-    assert found.row_multipliers[0] == pytest.approx(np.sqrt(13.0) - 1.0, rel=5e-3)
+    assert found.row_multipliers[1] == pytest.approx(np.sqrt(13.0) - 1.0, rel=5e-3)
 
 
 @pytest.mark.parametrize("bound_db", [-np.inf, -2.0, 0.5])

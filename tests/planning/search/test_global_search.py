@@ -24,9 +24,9 @@ from scenes import (
 
 from planopt.objectives.reach import outage_share
 from planopt.planning.history import BEGINNING
-from planopt.planning.programme.pivot import Ahead
 from planopt.planning.search import global_search
 from planopt.planning.search.global_search import FORBIDDEN, GlobalStart
+from planopt.planning.search.pivot import Ahead
 
 
 def found(problem, power_at=good_everywhere) -> GlobalStart:

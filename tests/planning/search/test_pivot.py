@@ -5,14 +5,14 @@ import pytest
 import shapely
 from scenes import small_problem
 
-from planopt.planning.programme.pivot import (
+from planopt.planning.scene import build_scene
+from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.search.pivot import (
     LATTICE_DETOUR,
     LOOKAHEAD_STEPS,
     Ahead,
     find_pivot,
 )
-from planopt.planning.scene import build_scene
-from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.world.road_map import lattice_paths, route_from
 

@@ -1,0 +1,221 @@
+# pyright: basic
+"""Structure of the path programme and its rows, as expressions of CasADi or numbers of NumPy.
+
+The rows of a single integrator are those of :mod:`planopt.planning.programme.path_nlp`. A robot
+with dynamics has variables w besides the positions q: for each step the remaining components r_k of
+the state x_k = (q_k, r_k) and the input u_k. Its rows, with c_ki the control points of a step's
+curve and lines (n, b)::
+
+    step(x_{k-1}, u_k) - x_k   = 0     k = 1..N            "defect"
+    limits(u_k, x_k)          <= 0     k = 1..N            "limit"
+    stop_rows(x_N)             = 0                         "stop"
+    n_kj . c_ki               >= b_kji k = 1..N, all i, j  "line_way"
+    c_ki within the workspace          k = 1..N, all i     "box"
+
+A line of a moving obstacle has another offset at each control point: the I - 1 points of a curve
+belong to equal parts of the step, b_kji = (1 - i / I) a_kj + i / I b_kj. Braking after the last
+step is one more step, with lines of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.objectives.terms.term import Structure
+from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Components, Dynamics
+
+
+@dataclass(frozen=True)
+class MotionShape:
+    """The structure of the rows of a robot's dynamics."""
+
+    dynamics: Dynamics
+    step_s: float  # Duration of a step
+    horizon: int
+    lines: int  # Separating lines of a segment
+
+    @property
+    def rest(self) -> int:
+        """Return the number of components of the state besides the position."""
+        return len(self.dynamics.state_names) - 2
+
+    @property
+    def per_step(self) -> int:
+        """Return the number of variables of a step."""
+        return self.rest + len(self.dynamics.input_names)
+
+    @property
+    def variables(self) -> int:
+        """Return the number of variables w."""
+        return self.horizon * self.per_step
+
+    @property
+    def parameters(self) -> int:
+        """Return the number of parameters: the rest of the first state, the lines of braking."""
+        return self.rest + 4 * self.lines
+
+    def variables_of(self, drive: Drive) -> NDArray[np.float64]:
+        """Return the variables w of a drive."""
+        return np.hstack([drive.states[1:, 2:], drive.inputs]).ravel()
+
+    def inputs_of(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the inputs ``(N, m)`` in variables w."""
+        return w.reshape(self.horizon, self.per_step)[:, self.rest :]
+
+
+@dataclass(frozen=True)
+class PathShape:
+    """The structure of a programme over a path.
+
+    Attributes
+    ----------
+    horizon, lines
+        N, and separating lines of a segment.
+    structure
+        Which stages the value couples.
+    bounded, summed
+        Whether connectivity is bounded at stages, or a sum over them is; not both.
+    motion
+        Structure of the rows of the robot's dynamics; None for the single integrator.
+    charged
+        Whether the cost of a goal is subtracted, of a robot with dynamics.
+    slacked
+        Whether slacks may violate the bounds on connectivity.
+    """
+
+    horizon: int
+    lines: int
+    structure: Structure
+    bounded: bool = False
+    summed: bool = False
+    motion: MotionShape | None = None
+    charged: bool = False
+    slacked: bool = True
+
+    @property
+    def bounds(self) -> int:
+        """Return the number of rows that bound connectivity: of each stage, or of the sum."""
+        return self.horizon if self.bounded else int(self.summed)
+
+    @property
+    def slacks(self) -> int:
+        """Return the number of slacks, one for each such row if any."""
+        return self.bounds if self.slacked else 0
+
+    @property
+    def driven(self) -> int:
+        """Return the number of variables of the robot's dynamics."""
+        return 0 if self.motion is None else self.motion.variables
+
+    @property
+    def variables(self) -> int:
+        """Return the number of all variables: positions, slacks, those of the dynamics."""
+        return 2 * self.horizon + self.slacks + self.driven
+
+    @property
+    def per_m(self) -> NDArray[np.float64]:
+        """Return how far each variable may change for a metre of a position, in a trust region.
+
+        Infinite for slacks and inputs, which follow from the rest; ``(variables,)``.
+        """
+        places, slacks = np.ones(2 * self.horizon), np.full(self.slacks, np.inf)
+        if self.motion is None:
+            return np.concatenate([places, slacks])
+        units = np.array(self.motion.dynamics.unit_m(self.motion.step_s)[2:])
+        inputs = np.full(self.motion.per_step - len(units), np.inf)
+        step = np.concatenate([1.0 / units, inputs])
+        return np.concatenate([places, slacks, np.tile(step, self.horizon)])
+
+
+def path_rows(n: int, lines: int, q: Any, start: Any, line: Any) -> Any:
+    """Return the rows "speed", "line_end" and "line_start", stacked."""
+    speed, line_end, line_start = [], [], []
+    for k in range(n):
+        here = q[2 * k : 2 * k + 2]
+        before = start if k == 0 else q[2 * k - 2 : 2 * k]
+        speed.append(ca.sumsqr(here - before))
+        for j in range(lines):
+            at = 4 * (k * lines + j)
+            line_end.append(line[at] * here[0] + line[at + 1] * here[1] - line[at + 2])
+            if k > 0:
+                line_start.append(line[at] * before[0] + line[at + 1] * before[1] - line[at + 3])
+    return ca.vertcat(*speed, *line_end, *line_start)
+
+
+@dataclass(frozen=True)
+class MotionRows:
+    """The rows by name, each a list of expressions or of numbers."""
+
+    defect: list[Any]
+    limit: list[Any]
+    stop: list[Any]
+    line_way: list[Any]
+    box_x: list[Any]
+    box_y: list[Any]
+
+    def stacked(self) -> list[Any]:
+        """Return all rows, in this order."""
+        return [row for each in fields(self) for row in getattr(self, each.name)]
+
+    def bounds(
+        self, bounds_m: tuple[float, float, float, float]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return lower and upper bounds of all rows; `bounds_m` is the workspace."""
+        x_min, y_min, x_max, y_max = bounds_m
+        limits = {
+            "limit": (-np.inf, 0.0),
+            "line_way": (0.0, np.inf),
+            "box_x": (x_min, x_max),
+            "box_y": (y_min, y_max),
+        }
+        each = [
+            limits.get(own.name, (0.0, 0.0))
+            for own in fields(self)
+            for _ in getattr(self, own.name)
+        ]
+        lower, upper = np.array(each, dtype=np.float64).T
+        return lower, upper
+
+
+def motion_rows(shape: MotionShape, q: Any, w: Any, start: Components, line: Any) -> MotionRows:
+    """Return the rows of positions `q` (2 N,) and variables `w`."""
+    dynamics, step_s = shape.dynamics, shape.step_s
+    rows = MotionRows([], [], [], [], [], [])
+    before = start
+    for k in range(shape.horizon):
+        own = [w[k * shape.per_step + i] for i in range(shape.per_step)]
+        control = tuple(own[shape.rest :])
+        here = (q[2 * k], q[2 * k + 1], *own[: shape.rest])
+        reached = dynamics.step(before, control, step_s)
+        rows.defect.extend(there - at for there, at in zip(reached, here, strict=True))
+        rows.limit.extend(dynamics.limits(control, here))
+        _hull_rows(rows, shape, dynamics.control_points(before, control, step_s), line, k)
+        before = here
+    rows.stop.extend(dynamics.stop_rows(before, step_s))
+    _hull_rows(rows, shape, dynamics.stop_points(before, step_s), line, shape.horizon)
+    return rows
+
+
+def _hull_rows(
+    rows: MotionRows,
+    shape: MotionShape,
+    points: tuple[tuple[Any, Any], ...],
+    line: Any,
+    segment: int,
+) -> None:
+    """Append the rows of the control points of one curve."""
+    for number, (x, y) in enumerate(points, start=1):
+        share = number / (len(points) + 1)
+        for j in range(shape.lines):
+            at = 4 * (segment * shape.lines + j)
+            end, start = line[at + 2], line[at + 3]
+            offset = end + (1.0 - share) * (start - end)
+            rows.line_way.append(line[at] * x + line[at + 1] * y - offset)
+        rows.box_x.append(x)
+        rows.box_y.append(y)

@@ -1,0 +1,226 @@
+"""Points of a nonlinear programme, its functions, its KKT residual, and one call of IPOPT.
+
+Sign convention: with rows g between bounds and variables x between bounds,
+``grad f + J' lambda_g + lambda_x = 0``; multipliers are positive at an active upper bound and
+negative at an active lower bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.plan import Termination
+
+Point = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Lower and upper bounds of rows or variables."""
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NlpPoint:
+    """The point that a solver returned."""
+
+    positions_m: NDArray[np.float64]  # (N, 2)
+    others: NDArray[np.float64]  # Slacks in dB, then the variables of the dynamics
+    row_multipliers: NDArray[np.float64]
+    variable_multipliers: NDArray[np.float64]
+    termination: Termination
+    iterations: int
+
+
+def nlp_point(
+    horizon: int,
+    variables: NDArray[np.float64],
+    row_multipliers: NDArray[np.float64],
+    variable_multipliers: NDArray[np.float64],
+    termination: Termination,
+    iterations: int,
+) -> NlpPoint:
+    """Return a point from all variables in the programme's order, positions first."""
+    places, others = np.split(variables, [2 * horizon])
+    return NlpPoint(
+        places.reshape(horizon, 2),
+        others,
+        row_multipliers,
+        variable_multipliers,
+        termination,
+        iterations,
+    )
+
+
+def lost_point(horizon: int, variables: int, rows: int) -> NlpPoint:
+    """Return the point of NaN of a solve that could not begin."""
+    nothing = np.full(variables, np.nan)
+    failure = Termination.NUMERICAL_FAILURE
+    return nlp_point(horizon, nothing, np.full(rows, np.nan), nothing, failure, 0)
+
+
+SolveNlp = Callable[[Point, Point, Bounds, Bounds], NlpPoint]
+"""From a guess, parameters, and bounds of variables and of rows, in the programme's order."""
+
+
+@dataclass(frozen=True)
+class NlpFunctions:
+    """Functions of variables x, parameters p and multipliers of the rows."""
+
+    # (x, p) to the objective (minimised), and to all rows
+    values: Callable[[Point, Point], tuple[float, Point]]
+    # (x, p) to the gradient of the objective, and to the Jacobian of the rows
+    slopes: Callable[[Point, Point], tuple[Point, Point]]
+    # (x, p, multipliers) to the Hessian of objective + multipliers . rows
+    hessian: Callable[[Point, Point, Point], Point]
+
+
+def nlp_functions(solver: Any) -> NlpFunctions:
+    """Return the functions that a CasADi solver was built with."""
+    f, g, df, dg, h = (
+        solver.get_function(name)
+        for name in ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
+    )
+
+    def values(at: Point, parameters: Point) -> tuple[float, Point]:
+        return float(f(at, parameters)), _dense(g(at, parameters))[:, 0]
+
+    def slopes(at: Point, parameters: Point) -> tuple[Point, Point]:
+        return _dense(df(at, parameters)[1])[:, 0], _dense(dg(at, parameters)[1])
+
+    def hessian(at: Point, parameters: Point, by: Point) -> Point:
+        upper = _dense(h(at, parameters, 1.0, by))
+        return upper + np.triu(upper, 1).T
+
+    return NlpFunctions(values, slopes, hessian)
+
+
+def _dense(matrix: Any) -> NDArray[np.float64]:
+    """Return a CasADi matrix as an array, five times faster than its own method for large ones."""
+    found = np.zeros(matrix.shape)
+    rows, columns = matrix.sparsity().get_triplet()
+    found[rows, columns] = matrix.nonzeros()
+    return found
+
+
+def kkt_residual(
+    gradient: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    row_bounds: Bounds,
+    row_multipliers: NDArray[np.float64],
+    variables: NDArray[np.float64],
+    variable_bounds: Bounds,
+    variable_multipliers: NDArray[np.float64],
+) -> float:
+    """Return the largest of stationarity, violation, wrong sign and complementarity, unscaled.
+
+    Infinite where any of them is not a number.
+    """
+    free = variable_bounds.lower < variable_bounds.upper
+    stationarity = gradient + jacobian.T @ row_multipliers + variable_multipliers
+    parts = [np.abs(stationarity[free])]
+    for value, bounds, multiplier in (
+        (rows, row_bounds, row_multipliers),
+        (variables, variable_bounds, variable_multipliers),
+    ):
+        below, above = value - bounds.lower, bounds.upper - value
+        parts += [np.maximum(-below, 0.0), np.maximum(-above, 0.0)]
+        # A multiplier may only push against the bound that it touches.
+        parts += [np.maximum(multiplier, 0.0) * _gap(above)]
+        parts += [np.maximum(-multiplier, 0.0) * _gap(below)]
+    # NumPy's maximum: Python's would lose a NaN, and a point without a residual would look exact.
+    worst = float(np.concatenate(parts).max(initial=0.0))
+    return worst if np.isfinite(worst) else float("inf")
+
+
+def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distance to a bound; 1 for a missing bound, so that 0 * inf is no NaN."""
+    return np.where(np.isfinite(distance), np.abs(distance), 1.0)
+
+
+TERMINATIONS: dict[str, Termination] = {
+    "Solve_Succeeded": Termination.CONVERGED,
+    "Solved_To_Acceptable_Level": Termination.ACCEPTABLE,
+    "Infeasible_Problem_Detected": Termination.INFEASIBLE,
+    "Search_Direction_Becomes_Too_Small": Termination.NUMERICAL_FAILURE,
+    "Diverging_Iterates": Termination.NUMERICAL_FAILURE,
+    "User_Requested_Stop": Termination.STOPPED,
+    "Feasible_Point_Found": Termination.ACCEPTABLE,
+    "Maximum_Iterations_Exceeded": Termination.ITERATION_LIMIT,
+    "Restoration_Failed": Termination.NUMERICAL_FAILURE,
+    "Error_In_Step_Computation": Termination.NUMERICAL_FAILURE,
+    "Maximum_CpuTime_Exceeded": Termination.TIME_LIMIT,
+    "Maximum_WallTime_Exceeded": Termination.TIME_LIMIT,
+    "Not_Enough_Degrees_Of_Freedom": Termination.NUMERICAL_FAILURE,
+    "Invalid_Problem_Definition": Termination.NUMERICAL_FAILURE,
+    "Invalid_Option": Termination.NUMERICAL_FAILURE,
+    "Invalid_Number_Detected": Termination.NUMERICAL_FAILURE,
+    "Unrecoverable_Exception": Termination.NUMERICAL_FAILURE,
+    "NonIpopt_Exception_Thrown": Termination.NUMERICAL_FAILURE,
+    "Insufficient_Memory": Termination.NUMERICAL_FAILURE,
+    "Internal_Error": Termination.NUMERICAL_FAILURE,
+}
+"""Every status that IPOPT's interface defines."""
+
+
+def termination_of(return_status: str) -> Termination:
+    """Map a raw status of IPOPT; an unknown one is a numerical failure."""
+    return TERMINATIONS.get(return_status, Termination.NUMERICAL_FAILURE)
+
+
+OPTIONS: dict[str, Any] = {
+    "print_time": False,
+    "calc_lam_p": False,
+    "no_nlp_grad": True,
+    "show_eval_warnings": False,
+    "error_on_fail": False,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.mu_init": 1e-2,
+    "ipopt.tol": 1e-4,
+    "ipopt.constr_viol_tol": 1e-6,
+    "ipopt.acceptable_iter": 0,
+    "ipopt.max_iter": 100,
+}
+"""Options of every solver. Acceptable points are off: their constraint tolerance is 1e-2."""
+
+
+def call_nlp(
+    solver: Any,
+    horizon: int,
+    start: Point,
+    parameters: Point,
+    variable_bounds: Bounds,
+    row_bounds: Bounds,
+) -> NlpPoint:
+    """Solve once with a built CasADi solver; input that CasADi refuses returns a point of NaN.
+
+    The raw status is mapped because `unified_return_status` hides infeasible and NaN, and `success`
+    includes acceptable points.
+    """
+    try:
+        result = solver(
+            x0=start,
+            p=parameters,
+            lbx=variable_bounds.lower,
+            ubx=variable_bounds.upper,
+            lbg=row_bounds.lower,
+            ubg=row_bounds.upper,
+        )
+    except RuntimeError:
+        return lost_point(horizon, len(start), len(row_bounds.lower))
+    stats = solver.stats()
+    return nlp_point(
+        horizon,
+        *(np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x")),
+        termination_of(str(stats["return_status"])),
+        int(stats.get("iter_count", 0)),
+    )

@@ -13,10 +13,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from planopt import compare
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.evaders import Fleeing
-from planopt.pursuit.motion import StraightMotion
-from planopt.pursuit.pursuers import DriveToReport, Policy, RecedingHorizon
-from planopt.pursuit.records import SnapshotRecords, Track, snapshot
-from planopt.pursuit.service import SnapshotService
+from planopt.pursuit.pursuers import DriveToReport, Policy, RecedingHorizon, StraightMotion
+from planopt.pursuit.service import SnapshotRecords, SnapshotService, Track, snapshot
 from planopt.pursuit.simulation import Evader, Pursuer, Pursuit, Scene, simulate_pursuit
 
 STEPS = 1000

@@ -20,10 +20,8 @@ from planopt.problems import TaskProblem
 from planopt.problems.tasks import problem_from
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, contraction, guarantees
-from planopt.pursuit.motion import StraightMotion
-from planopt.pursuit.pursuers import DriveToReport
-from planopt.pursuit.records import SnapshotRecords
-from planopt.pursuit.service import SnapshotService, relative_error
+from planopt.pursuit.pursuers import DriveToReport, StraightMotion
+from planopt.pursuit.service import SnapshotRecords, SnapshotService, relative_error
 from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
 from planopt.pursuit.theorems import Theorem
 

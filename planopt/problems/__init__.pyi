@@ -14,7 +14,7 @@ from planopt.problems.save import problem_from_dict as problem_from_dict
 from planopt.problems.save import problem_to_dict as problem_to_dict
 from planopt.problems.settings import ReportSettings as ReportSettings
 from planopt.problems.tasks import TaskProblem as TaskProblem
-from planopt.pursuit.records import Record as Record
+from planopt.pursuit.service import Record as Record
 from planopt.pursuit.simulation import PursuitController as PursuitController
 from planopt.robots.models import DoubleIntegrator as DoubleIntegrator
 from planopt.robots.models import SingleIntegrator as SingleIntegrator

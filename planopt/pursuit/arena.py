@@ -1,7 +1,7 @@
 """Arenas of a pursuit: open space, a rectangle, or obstacles with shortest paths around them.
 
-Everybody keeps to what is left of the bounds without the obstacles, grown by the clearance. The
-detour factor says how much longer shortest paths there are than straight lines at most.
+Free space is the rectangle without the obstacles, grown by the clearance. The detour factor is the
+largest ratio of the length of a shortest path to that of a straight line.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
-from planopt.pursuit.service import require_number
 from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles, segment_lines
 from planopt.world.shortest_paths import (
     MAX_CORNERS,
@@ -31,12 +30,11 @@ from planopt.world.shortest_paths import (
 from planopt.world.workspace import Workspace
 
 GOAL_SHARE, EVADER_SHARE = 1.03, 1.06
-"""Of the margin of paths: how far goals in obstacles are moved away, and how far evaders keep away.
-The nearest free place is so never farther from a report than the evader, buffers of GEOS included.
-"""
+"""Distances of moved goals and of evaders from obstacles, as shares of the margin of paths. The
+nearest free place is never farther from a report than the evader, buffers of GEOS included."""
 
-KEPT_WAYS = 64
-"""Places whose shortest paths are kept: those of all pursuers in a step."""
+KEPT_PATHS = 64
+"""Number of places whose shortest paths are kept: those of all pursuers in a step."""
 
 GOLDEN, NARROWINGS = 0.5 * (math.sqrt(5.0) - 1.0), 34
 """Golden sections narrow an interval to less than 1e-7 of its length."""
@@ -48,35 +46,29 @@ class Arena:
 
     # (x_min, y_min, x_max, y_max); None for open space
     bounds_m: tuple[float, float, float, float] | None = None
-    obstacles: ObstacleIndex | None = None  # What nobody may enter; None for nothing
-    clearance_m: float = 0.0  # How far everybody stays away from obstacles
+    obstacles: ObstacleIndex | None = None  # None for open space
+    clearance_m: float = 0.0  # From obstacles, for pursuers and evaders
 
     def __post_init__(self) -> None:
-        if self.obstacles is not None and self.bounds_m is None:
-            raise InputError("an arena with obstacles needs bounds", key="bounds_m")
-        if self.obstacles is not None:
-            require_number(self.clearance_m, "clearance_m", above=0.0)
-            if self.corners > MAX_CORNERS:
-                raise InputError(
-                    f"obstacles have {self.corners} corners once grown, more than {MAX_CORNERS}",
-                    key="obstacles",
-                    remedy="simplify them, or leave some out",
-                )
+        if self.corners > MAX_CORNERS:
+            raise InputError(
+                f"obstacles have {self.corners} corners once grown, more than {MAX_CORNERS}",
+                key="obstacles",
+                remedy="simplify them, or leave some out",
+            )
 
     @property
     def corners(self) -> int:
-        """Return how many corners shortest paths may turn at."""
+        """Return the number of corners at which shortest paths may turn."""
         return 0 if self.obstacles is None else len(corners_m(self._closed))
 
     @cached_property
     def detour(self) -> float:
         """Return a bound on the length of shortest paths over that of straight lines.
 
-        A straight line between two places leaves free space at one place of a ring of its
-        boundary and comes back at another one of the same ring. Along the shorter part of the ring
-        it is as many times as long as the factor; no path through free space need be longer. It is
-        exact for convex obstacles that stand alone. Parts of free space that are not joined are
-        looked at each on its own.
+        A straight line leaves free space at one point of a boundary ring and enters it again at
+        another point of the same ring; the shorter part of the ring between them is a detour. The
+        bound is exact for convex obstacles that stand alone.
         """
         if self.obstacles is None or self.bounds_m is None:
             return 1.0
@@ -91,9 +83,9 @@ class Arena:
     def moved(
         self, place_m: NDArray[np.float64], moves_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return where moves (k, 2) from a place (2,) lead: no farther than bounds.
+        """Return the ends of moves (k, 2) from a place (2,), within the bounds.
 
-        A move that would come too near an obstacle is not made at all.
+        A move that comes too near an obstacle is not made at all.
         """
         ends_m = self.within(place_m + moves_m)
         if self.obstacles is not None:
@@ -117,12 +109,12 @@ class Arena:
     ) -> NDArray[np.float64]:
         """Return the corners of the shortest path from a place to a goal, the goal last; (k, 2).
 
-        A goal that nobody may stand at is replaced by the nearest place that is free.
+        A goal outside free space is replaced by the nearest free place.
         """
         goal_m = self.free_m(goal_m)
         if self.obstacles is None:
             return goal_m[None]
-        turns = turns_m(self._ways(place_m), goal_m)
+        turns = turns_m(self._paths(place_m), goal_m)
         if turns is None:
             raise InputError(
                 f"no path leads from {_words(place_m)} to {_words(goal_m)}",
@@ -136,10 +128,10 @@ class Arena:
         """Return the length of the shortest path to each goal (k, 2), as ``(k,)``."""
         if self.obstacles is None:
             return np.linalg.norm(goals_m - place_m, axis=1)
-        return path_lengths_m(self._ways(place_m), goals_m)
+        return path_lengths_m(self._paths(place_m), goals_m)
 
     def free_m(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the nearest place that shortest paths lead to."""
+        """Return the nearest free place."""
         place_m = self.within(place_m)
         if self.obstacles is None or self.bounds_m is None or self.is_free(place_m):
             return place_m
@@ -153,11 +145,11 @@ class Arena:
 
     @property
     def _margin_m(self) -> float:
-        """Paths round corners on polygons, which are a little farther from them than asked."""
+        """Distance of the corners of paths from obstacles, a little more than the clearance."""
         return ROUND_SHARE * self.clearance_m
 
     def is_free(self, place_m: NDArray[np.float64], share: float = 1.0) -> bool:
-        """Return whether shortest paths lead to a place, so many times their margin away."""
+        """Return whether a place is in free space, with a share of the margin of paths."""
         if not np.array_equal(self.within(place_m), place_m):
             return False
         away_m = math.inf
@@ -167,24 +159,24 @@ class Arena:
 
     @property
     def _closed(self) -> NDArray[np.object_]:
-        """Obstacles as shortest paths go round them."""
+        """Obstacles, grown by the margin of paths."""
         assert self.obstacles is not None
         return grown(self.obstacles.polygons, self._margin_m, inner=False)
 
     @cached_property
-    def _kept_ways(self) -> dict[tuple[float, float], ShortestPaths]:
+    def _kept_paths(self) -> dict[tuple[float, float], ShortestPaths]:
         return {}
 
-    def _ways(self, place_m: NDArray[np.float64]) -> ShortestPaths:
-        """Shortest paths from a place; those asked for last are kept, as many ask for them."""
-        kept, key = self._kept_ways, (float(place_m[0]), float(place_m[1]))
+    def _paths(self, place_m: NDArray[np.float64]) -> ShortestPaths:
+        """Return the shortest paths from a place, of which the last ones are kept."""
+        kept, key = self._kept_paths, (float(place_m[0]), float(place_m[1]))
         if key in kept:
             return kept[key]
         assert self.obstacles is not None and self.bounds_m is not None
         width_m, height_m = np.subtract(self.bounds_m[2:], self.bounds_m[:2]).tolist()
         # No shortest path is longer than all walls of a maze this size could make it.
         radius_m = 4.0 * (width_m + height_m)
-        if len(kept) == KEPT_WAYS:
+        if len(kept) == KEPT_PATHS:
             del kept[next(iter(kept))]
         kept[key] = shortest_paths(
             self.obstacles, self.bounds_m, place_m, self.clearance_m, radius_m, inner=False
@@ -199,11 +191,10 @@ def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
 
 
 def _ring_detour(ring_m: NDArray[np.float64]) -> float:
-    """The largest ratio of the shorter part of a ring (n, 2) to a chord on its right side.
+    """Return the largest ratio of the shorter part of a ring (n, 2) to a chord on its right side.
 
     For places at s and t on two edges the part is a concave function of both and the chord a convex
-    one, so that each largest ratio is found by golden sections within golden sections. Chords begin
-    and end on the right of both edges where t and s lie in intervals.
+    one: the largest ratio is found by nested golden sections.
     """
     ahead = np.roll(ring_m, -1, axis=0) - ring_m
     length = np.linalg.norm(ahead, axis=1)
@@ -244,7 +235,7 @@ def _dots(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np
 def _positive(
     at_zero: NDArray[np.float64], slope: NDArray[np.float64], end: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return where ``at_zero + slope s > 0`` on [0, end]: ``(2, k)``, empty ones upside down."""
+    """Return the intervals (2, k) of [0, end] where ``at_zero + slope s > 0``."""
     steep = np.abs(slope) > 1e-12
     root = np.clip(-at_zero / np.where(steep, slope, 1.0), 0.0, end)
     low = np.where(steep & (slope > 0.0), root, np.where(~steep & (at_zero <= 0.0), end, 0.0))
@@ -256,7 +247,7 @@ def _largest(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """The largest values (k,) of quasi-concave functions on intervals, by golden sections."""
+    """Return the largest values (k,) of quasi-concave functions on intervals."""
     left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     at_left, at_right = function(left), function(right)
     for _ in range(NARROWINGS):

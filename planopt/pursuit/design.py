@@ -1,9 +1,9 @@
 """Co-design of pursuit and network: slot width, rate and compression of least power or energy.
 
 Rounds as slow and reports as coarse as the guarantee of capture allows cost least (equations 8.11
-to 8.14). For a number c of bits all limits on the slot are linear, so that the best slot is known;
-c is scanned. With compression as a continuous variable the same problem is a convex programme,
-whose optimum is a lower bound.
+to 8.14). For a number c of bits all limits on the slot are linear and the best slot is known; c is
+scanned. With compression as a continuous variable the same problem is a convex programme, whose
+optimum is a lower bound.
 """
 
 from __future__ import annotations
@@ -15,26 +15,35 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from planopt.errors import InputError, NoPlanError
 from planopt.pursuit.guarantees import Chase, Guarantee, contraction, guarantees
-from planopt.pursuit.network import MoteNetwork
-from planopt.pursuit.service import relative_error, require_count, require_number
+from planopt.pursuit.service import (
+    HOPS_PER_ROUND,
+    SLOTS_PER_FRAME,
+    SnapshotService,
+    relative_error,
+)
 from planopt.pursuit.theorems import Inequality, Theorem
 
 MAX_BITS = 16
-"""No more bits an axis are tried: errors are then a thousandth of a per cent of the distance."""
+"""Largest number of bits an axis: errors are then a thousandth of a per cent of the distance."""
 
 SLOT_SHARE = 1e-10
-"""Share of its width to which the widest slot is found by halving."""
+"""Share of its width to which the widest slot is found by bisection."""
 
 PAYLOAD_FITS = "slot of the payload below the widest slot"
 IN_TIME = "time to capture below the deadline"
 
 SHARP_ORDER = {"capture_radius": 1, "deadline": 2, "payload": 3}
-"""What is looked at after the theorem's own inequalities."""
+"""Order of the requirements that follow the inequalities of the theorem."""
 
 ELASTICITY_STEP = 1e-5
-"""Share by which a quantity is changed to find what it is worth."""
+"""Share by which a quantity is changed to find its effect on the optimum."""
+
+TOLERANCE = 1e-10
+"""Tolerance of the solver; scaled, costs agree with closed forms to 1e-6."""
 
 
 class NoDesignError(NoPlanError):
@@ -45,26 +54,90 @@ class NoDesignError(NoPlanError):
         super().__init__(f"no network serves this pursuit: with c = {bits_per_axis}, {inequality}")
 
 
+def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
+    """Return the mean number of blocks that a mote far from the edges floods in a frame.
+
+    A level-j round of ``3 * 2^j`` frames has nine blocks a mote, ``(3 - 2^(1 - j))^2`` without
+    those of the border: all levels together ``3 (2 - 2^-L) < 6``, or less than 2.2.
+    """
+    cell = np.exp2(np.arange(levels + 1))
+    each = np.full(levels + 1, 9.0) if border_relays else (3.0 - 2.0 / cell) ** 2
+    return float((each / (HOPS_PER_ROUND * cell)).sum())
+
+
+@dataclass(frozen=True)
+class MoteNetwork:
+    """Motes and their radios; costs are those of motes far from the edges."""
+
+    levels: int  # L: there are 4^L motes
+    mote_spacing_m: float  # Distance between neighbours
+    bit_rate_bit_s: float  # R
+    header_bits: float  # Of a frame, in addition to its blocks
+    record_bits: float  # Of a block, in addition to its position
+    energy_j_per_bit: float  # Of a sent bit, with its receivers
+    idle_w: float = 0.0  # Of a mote, all the time
+    slots_per_frame: int = SLOTS_PER_FRAME  # eta_s
+    # Blocks that a slot must carry. Six is the mean load, with which rounds are late; see
+    # :func:`planopt.pursuit.flooding.simulate_flooding`
+    slot_blocks: int = 6
+    border_relays: bool = True  # Whether motes at the border of nine cells send records on
+
+    @property
+    def motes(self) -> int:
+        """Return the number of motes."""
+        return 4**self.levels
+
+    @property
+    def mean_blocks(self) -> float:
+        """Return the mean number of blocks that a mote sends in a frame."""
+        return mean_blocks_per_frame(self.border_relays, self.levels)
+
+    def frame_bits(self, bits_per_axis: float) -> float:
+        """Return the mean number of bits that a mote sends in a frame, header and blocks."""
+        return self.header_bits + self.mean_blocks * (self.record_bits + 2.0 * bits_per_axis)
+
+    def least_slot_s(self, bits_per_axis: float) -> float:
+        """Return the width of a slot that carries header and `slot_blocks` blocks."""
+        block_bits = self.record_bits + 2.0 * bits_per_axis
+        return (self.header_bits + self.slot_blocks * block_bits) / self.bit_rate_bit_s
+
+    def power_w(
+        self, slot_width_s: float, bits_per_axis: float, rate_divisor: float = 1.0
+    ) -> float:
+        """Return the power of the network; with r > 1 motes sleep in all but every r-th round."""
+        lasts_s = self.slots_per_frame * slot_width_s * rate_divisor
+        sent_w = self.energy_j_per_bit * self.frame_bits(bits_per_axis) / lasts_s
+        return self.motes * (sent_w + self.idle_w)
+
+    def service(
+        self, slot_width_s: float, bits_per_axis: int, rate_divisor: int = 1
+    ) -> SnapshotService:
+        """Return the snapshot service of the network."""
+        return SnapshotService(
+            self.levels,
+            self.mote_spacing_m,
+            self.slots_per_frame * slot_width_s,
+            bits_per_axis,
+            rate_divisor=rate_divisor,
+        )
+
+    def staleness_per_slot(self, evader_speed_m_s: float) -> float:
+        """Return x / s_w at r = 1, ``12 eta_s v_e`` a mote spacing; in 1/s."""
+        frames = 4.0 * HOPS_PER_ROUND * self.slots_per_frame
+        return frames * evader_speed_m_s / self.mote_spacing_m
+
+
 @dataclass(frozen=True)
 class DesignTask:
-    """A pursuit to be served."""
+    """The requirements of a network."""
 
-    network: MoteNetwork  # Motes and radios
-    chase: Chase  # Speeds
-    margin: float = 0.01  # delta: by how much a + x stays below 1
+    network: MoteNetwork
+    chase: Chase
+    margin: float = 0.01  # delta: least distance of a + x from 1
     bits_per_axis: int | None = None  # c; None to choose it
-    first_distance_m: float | None = None  # From the pursuer to where the evader is sampled first
-    # How near and by when the evader is to be caught; None for no such requirement
-    capture_radius_m: float | None = None
-    deadline_s: float | None = None
-
-    def __post_init__(self) -> None:
-        require_number(self.margin, "margin", least=0.0)
-        if self.bits_per_axis is not None:
-            require_count(self.bits_per_axis, "bits_per_axis", 1, MAX_BITS)
-        for key in ("first_distance_m", "capture_radius_m", "deadline_s"):
-            if getattr(self, key) is not None:
-                require_number(getattr(self, key), key, above=0.0)
+    first_distance_m: float | None = None  # From the pursuer to the evader's first sample
+    capture_radius_m: float | None = None  # None for no such requirement
+    deadline_s: float | None = None  # None for no such requirement
 
     @property
     def bits(self) -> Iterable[int]:
@@ -77,7 +150,7 @@ class DesignTask:
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:
-        """Return 1 - a - delta: what is left for x."""
+        """Return 1 - a - delta, the largest x."""
         kappa = relative_error(bits_per_axis)
         return 1.0 - contraction(self.chase.speed_ratio, kappa) - self.margin
 
@@ -87,18 +160,18 @@ class Design:
     """A network for a pursuit."""
 
     task: DesignTask
-    slot_width_s: float  # s_w, r and c
-    rate_divisor: int
-    bits_per_axis: int
-    cost_w: float  # What the network draws
-    # Requirements that keep it from costing less: lemma, payload, deadline, capture_radius or a
-    # theorem's name
+    slot_width_s: float  # s_w
+    rate_divisor: int  # r
+    bits_per_axis: int  # c
+    cost_w: float  # Power of the network
+    # Requirements that prevent a lower cost: lemma, payload, deadline, capture_radius, or the name
+    # of a theorem
     binding: tuple[str, ...]
-    guarantees: dict[Theorem, Guarantee]  # What each theorem says of the pursuit in this network
+    guarantees: dict[Theorem, Guarantee]
 
     @property
     def capture_time_s(self) -> float:
-        """Longest time to capture by the Lemma, floors left out; infinite where it fails."""
+        """Return the longest time to capture by the Lemma without floors; infinite if it fails."""
         x = 0.5 * (1 + self.rate_divisor) * self.slot_width_s * self.task.staleness_per_slot
         left = _left(self.task, self.bits_per_axis) - x
         return _driving_s(self.task, self.bits_per_axis) / left if left > 0.0 else math.inf
@@ -119,10 +192,10 @@ def cheapest_design(task: DesignTask) -> Design:
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
-    """Return the design of least power by the Lemma, rounds of all levels every r-th time.
+    """Return the design of least power by the Lemma, with rounds of all levels every r-th time.
 
-    Ages are then at most ``6 (1 + r) eta_s s_w`` frames a spacing: short slots and slow rounds
-    cost up to half as much as long slots, if motes sleep in between.
+    Ages are then at most ``6 (1 + r) eta_s s_w`` frames a spacing: short slots and slow rounds cost
+    up to half as much as long slots, if motes sleep in between.
     """
     return _scan(task, partial(_rated_candidate, task))
 
@@ -133,29 +206,23 @@ def least_energy_design(task: DesignTask) -> Design:
     Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``: for each c least at half of
     the Lemma's slot width, if the payload fits and the deadline, if there is one, is met.
     """
-    _first_distance_m(task)
     return _scan(task, partial(_energy_candidate, task), lambda design: design.energy_per_capture_j)
 
 
 def sharp_design(task: DesignTask, theorem: Theorem = Theorem.SAMPLED_DISTANCE) -> Design:
     """Return the design of least power that guarantees capture in time, by one theorem.
 
-    Within the deadline the evader is in the capture radius, floors included. All bounds grow with
-    the slot, so that the widest is found by halving.
+    All bounds, floors included, grow with the slot: the widest slot is found by bisection.
     """
-    for key in ("first_distance_m", "capture_radius_m", "deadline_s"):
-        if getattr(task, key) is None:
-            raise InputError("a sharp design needs this", key=key)
     return _scan(task, partial(_sharp_candidate, task, theorem))
 
 
 def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]:
     """Return designs of least energy per capture for each bound of the time to capture.
 
-    Both are the Lemma's. Deadlines that no design meets are left out, and so are designs that
-    another one beats in both.
+    Both are the Lemma's. Deadlines without a design are left out, and so are designs that another
+    one dominates.
     """
-    _first_distance_m(task)
     found: list[Design] = []
     for deadline_s in sorted(deadlines_s):
         try:
@@ -170,44 +237,31 @@ def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]
 def sensitivities(
     task: DesignTask,
     solve: Callable[[DesignTask], Design],
-    worth: Callable[[Design], float] = lambda design: design.cost_w,
+    objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> dict[str, float]:
-    """Return by how many per cent the optimum changes with one per cent more of a quantity.
+    """Return the change of the optimum in per cent with one per cent more of a quantity.
 
     The number of bits stays that of the optimum.
     """
     fixed = replace(task, bits_per_axis=solve(task).bits_per_axis)
-    chase, network = fixed.chase, fixed.network
-    changed: dict[str, Callable[[float], DesignTask]] = {
-        "evader_speed_m_s": lambda by: replace(
-            fixed, chase=replace(chase, evader_speed_m_s=by * chase.evader_speed_m_s)
-        ),
-        "pursuer_speed_m_s": lambda by: replace(
-            fixed, chase=replace(chase, pursuer_speed_m_s=by * chase.pursuer_speed_m_s)
-        ),
-        "bit_rate_bit_s": lambda by: replace(
-            fixed, network=replace(network, bit_rate_bit_s=by * network.bit_rate_bit_s)
-        ),
-        "header_bits": lambda by: replace(
-            fixed, network=replace(network, header_bits=by * network.header_bits)
-        ),
-        "record_bits": lambda by: replace(
-            fixed, network=replace(network, record_bits=by * network.record_bits)
-        ),
-        "mote_spacing_m": lambda by: replace(
-            fixed, network=replace(network, mote_spacing_m=by * network.mote_spacing_m)
-        ),
+
+    def log_optimum(name: str, factor: float) -> float:
+        part = "chase" if hasattr(fixed.chase, name) else "network"
+        now = getattr(fixed, part)
+        scaled = replace(now, **{name: factor * getattr(now, name)})
+        return math.log(objective(solve(replace(fixed, **{part: scaled}))))
+
+    speeds = ("evader_speed_m_s", "pursuer_speed_m_s")
+    return {
+        name: (log_optimum(name, 1.0 + ELASTICITY_STEP) - log_optimum(name, 1.0 - ELASTICITY_STEP))
+        / (2.0 * ELASTICITY_STEP)
+        for name in (*speeds, "bit_rate_bit_s", "header_bits", "record_bits", "mote_spacing_m")
     }
-    found: dict[str, float] = {}
-    for name, change in changed.items():
-        high, low = (worth(solve(change(1.0 + sign * ELASTICITY_STEP))) for sign in (1.0, -1.0))
-        found[name] = (math.log(high) - math.log(low)) / (2.0 * ELASTICITY_STEP)
-    return found
 
 
 @dataclass(frozen=True)
 class _Found:
-    """A slot width and a rate divisor, and what keeps them from costing less."""
+    """A slot width and a rate divisor, and the requirements that prevent a lower cost."""
 
     slot_width_s: float
     rate_divisor: int
@@ -216,14 +270,14 @@ class _Found:
 
 @dataclass(frozen=True)
 class _Failed:
-    """The inequality that fails, and how many others hold before it."""
+    """The inequality that fails, and the number of others that hold before it."""
 
     inequality: Inequality
     held: int
 
     @property
     def order(self) -> tuple[int, float]:
-        """Return the order of designs: what holds first, then the share by which it fails."""
+        """Return the rank of a failure: the number that holds, then the share of the margin."""
         return self.held, self.inequality.margin / self.inequality.right
 
 
@@ -232,44 +286,35 @@ Candidate = _Found | _Failed
 
 def _scan(
     task: DesignTask,
-    candidate: Callable[[int, Design | None], Candidate],
-    worth: Callable[[Design], float] = lambda design: design.cost_w,
+    candidate: Callable[[int], Candidate],
+    objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> Design:
-    """The best of all numbers of bits; an error that names what fails by least if there is none."""
-    best: Design | None = None
-    nearest: tuple[_Failed, int] | None = None
+    """Return the best design of all numbers of bits; else raise an error with the least failure."""
+    designs: list[Design] = []
+    failures: list[tuple[_Failed, int]] = []
     for c in task.bits:
-        found = candidate(c, best)
+        found = candidate(c)
         if isinstance(found, _Failed):
-            if nearest is None or found.order > nearest[0].order:
-                nearest = found, c
+            failures.append((found, c))
             continue
-        service = task.network.service(found.slot_width_s, c, found.rate_divisor)
-        design = Design(
-            task,
-            found.slot_width_s,
-            found.rate_divisor,
-            c,
-            task.network.power_w(found.slot_width_s, c, found.rate_divisor),
-            found.binding,
-            guarantees(task.chase, service.bounds),
-        )
-        if best is None or worth(design) < worth(best):
-            best = design
-    if best is not None:
-        return best
-    if nearest is None:
-        raise AssertionError("every number of bits has a design or a reason against it")
-    raise NoDesignError(nearest[0].inequality, nearest[1])
+        slot_s, divisor = found.slot_width_s, found.rate_divisor
+        bounds = task.network.service(slot_s, c, divisor).bounds
+        power_w = task.network.power_w(slot_s, c, divisor)
+        each = guarantees(task.chase, bounds)
+        designs.append(Design(task, slot_s, divisor, c, power_w, found.binding, each))
+    if designs:
+        return min(designs, key=objective)
+    nearest, c = max(failures, key=lambda failure: failure[0].order)
+    raise NoDesignError(nearest.inequality, c)
 
 
-def _lemma_candidate(task: DesignTask, bits: int, best: Design | None) -> Candidate:
+def _lemma_candidate(task: DesignTask, bits: int) -> Candidate:
     widest_s = _widest_s(task, bits)
     return widest_s if isinstance(widest_s, _Failed) else _Found(widest_s, 1, ("lemma",))
 
 
-def _rated_candidate(task: DesignTask, bits: int, best: Design | None) -> Candidate:
-    """The largest r whose slots carry the payload: r / (1 + r) times the power falls with r."""
+def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
+    """Return the largest r whose slots carry the payload: power has the factor r / (1 + r)."""
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):
         return widest_s
@@ -277,10 +322,10 @@ def _rated_candidate(task: DesignTask, bits: int, best: Design | None) -> Candid
     return _Found(2.0 * widest_s / (1 + divisor), divisor, ("lemma", "payload"))
 
 
-def _energy_candidate(task: DesignTask, bits: int, best: Design | None) -> Candidate:
-    """The slot of least ``(A / s + B) / (q - p s)``, within the margin, the payload, a deadline.
+def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
+    """Return the slot of least ``(A / s + B) / (q - p s)`` within margin, payload and deadline.
 
-    A and B are what sending and idling cost, q = 1 - a and p s = x.
+    A and B are the costs of sending and idling, q = 1 - a and p s = x.
     """
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):
@@ -291,9 +336,9 @@ def _energy_candidate(task: DesignTask, bits: int, best: Design | None) -> Candi
     idle = network.idle_w * left / (sent * per_slot)
     limits = {"": left / (per_slot * (1.0 + math.sqrt(1.0 + idle))), "lemma": widest_s}
     if task.deadline_s is not None:
-        limits["deadline"] = (left - _driving_s(task, bits) / task.deadline_s) / per_slot
-        x = least_s * per_slot
-        soonest_s = _driving_s(task, bits) / (left - x)
+        driving_s = _driving_s(task, bits)
+        limits["deadline"] = (left - driving_s / task.deadline_s) / per_slot
+        soonest_s = driving_s / (left - least_s * per_slot)
         in_time = Inequality(IN_TIME, soonest_s, task.deadline_s, "s")
         if not in_time.holds:
             return _Failed(in_time, 2)
@@ -303,45 +348,40 @@ def _energy_candidate(task: DesignTask, bits: int, best: Design | None) -> Candi
     return _Found(limits[binding], 1, (binding,) if binding else ())
 
 
-def _sharp_candidate(
-    task: DesignTask, theorem: Theorem, bits: int, best: Design | None
-) -> Candidate:
-    low = least_s = task.network.least_slot_s(bits)
-    if best is not None:
-        # Power falls with the slot: it must be wider than this to be less than the best so far.
-        low = max(low, least_s * task.network.power_w(least_s, bits) / best.cost_w)
-    fails = _failing(task, theorem, bits, low)
+def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> Candidate:
+    """Return the widest slot that meets a theorem, the capture radius and the deadline."""
+    least_s = task.network.least_slot_s(bits)
+    failing = partial(_failing, task, theorem, bits)
+    fails, narrow_s = failing(least_s), SLOT_SHARE * least_s
     if fails is not None:
-        narrow_s = SLOT_SHARE * least_s
-        if best is not None or _failing(task, theorem, bits, narrow_s) is not None:
+        if failing(narrow_s) is not None:
             return _Failed(fails[1], SHARP_ORDER.get(fails[0], 0))
-        # Narrower slots would do: the payload is what is too large.
-        widest_s, _ = _halved(task, theorem, bits, narrow_s, least_s)
+        # Narrower slots meet the requirements: the payload is too large.
+        widest_s, _ = _bisected(failing, narrow_s, least_s)
         return _Failed(Inequality(PAYLOAD_FITS, least_s, widest_s, "s"), SHARP_ORDER["payload"])
-    high = 2.0 * low
-    while _failing(task, theorem, bits, high) is None:
+    low, high = least_s, 2.0 * least_s
+    while failing(high) is None:
         low, high = high, 2.0 * high
-    low, high = _halved(task, theorem, bits, low, high)
-    fails = _failing(task, theorem, bits, high)
+    low, high = _bisected(failing, low, high)
+    fails = failing(high)
     assert fails is not None
     return _Found(low, 1, (fails[0],))
 
 
-def _halved(
-    task: DesignTask, theorem: Theorem, bits: int, low: float, high: float
+def _bisected(
+    failing: Callable[[float], tuple[str, Inequality] | None], low: float, high: float
 ) -> tuple[float, float]:
-    """The widest slot that a sharp design may have, and one that is just too wide."""
+    """Return the widest slot that fails in nothing, and one that is just too wide."""
     while high - low > SLOT_SHARE * high:
         middle = 0.5 * (low + high)
-        fails = _failing(task, theorem, bits, middle)
-        low, high = (middle, high) if fails is None else (low, middle)
+        low, high = (middle, high) if failing(middle) is None else (low, middle)
     return low, high
 
 
 def _failing(
     task: DesignTask, theorem: Theorem, bits: int, slot_s: float
 ) -> tuple[str, Inequality] | None:
-    """Return what a sharp design with this slot misses first: its name, the inequality."""
+    """Return the name and inequality of the first requirement that a slot misses."""
     assert task.capture_radius_m is not None and task.deadline_s is not None
     found = guarantees(task.chase, task.network.service(slot_s, bits).bounds)[theorem]
     for each in found.inequalities:
@@ -356,7 +396,7 @@ def _failing(
 
 
 def _widest_s(task: DesignTask, bits: int) -> float | _Failed:
-    """The widest slot by the Lemma, or what keeps the payload out of it."""
+    """Return the widest slot by the Lemma, or the inequality that fails."""
     room = task.room(bits)
     shrinks = Inequality("a + margin below 1", 1.0 - room, 1.0)
     if not shrinks.holds:
@@ -367,12 +407,12 @@ def _widest_s(task: DesignTask, bits: int) -> float | _Failed:
 
 
 def _left(task: DesignTask, bits: int) -> float:
-    """1 - a."""
+    """Return 1 - a."""
     return task.room(bits) + task.margin
 
 
 def _driving_s(task: DesignTask, bits: int) -> float:
-    """``(1 + kappa) d / (alpha v_e)``: the longest first stage."""
+    """Return ``(1 + kappa) d / (alpha v_e)``: the duration of the longest first stage."""
     first_m = (1.0 + relative_error(bits)) * _first_distance_m(task)
     return first_m / task.chase.pursuer_speed_m_s
 
@@ -383,18 +423,14 @@ def _first_distance_m(task: DesignTask) -> float:
     return task.first_distance_m
 
 
-TOLERANCE = 1e-10
-"""Of the solver; scaled, costs agree with closed forms to 1e-6."""
-
-
 @dataclass(frozen=True)
 class RelaxedDesign:
     """An optimum over continuous compression and rate."""
 
-    cost_w: float  # Its power: at most that of any design with whole numbers
-    slot_width_s: float  # s_w, r and kappa
-    rate_divisor: float
-    relative_error: float
+    cost_w: float  # At most that of any design with whole numbers
+    slot_width_s: float  # s_w
+    rate_divisor: float  # r
+    relative_error: float  # kappa
 
 
 def relaxed_design(
@@ -405,14 +441,13 @@ def relaxed_design(
 
     network, chase = task.network, task.chase
     u = 1.0 / chase.speed_ratio
-    # Slots are counted in widest ones: where nothing but age uses up the room.
+    # The unit of slots is the widest one: that with exact reports.
     unit_s = (1.0 - u - task.margin) / task.staleness_per_slot
     bits = network.header_bits + network.mean_blocks * network.record_bits
     t, z, w = cp.Variable(pos=True), cp.Variable(pos=True), cp.Variable(pos=True)
     block = (network.record_bits + 1.0) * t + 2.0 / math.log(2.0) * cp.rel_entr(t, z)
-    age = 0.5 * (w + 1.0)
     limits = [
-        age + (1.0 + u) / (1.0 - u - task.margin) * z <= t,
+        0.5 * (w + 1.0) + (1.0 + u) / (1.0 - u - task.margin) * z <= t,
         network.header_bits * t + network.slot_blocks * block
         <= network.bit_rate_bit_s * unit_s * w,
         z <= t,
@@ -421,38 +456,20 @@ def relaxed_design(
     if bits_per_axis is not None:
         limits.append(z == relative_error(bits_per_axis) * t)
     sent = (network.header_bits * t + network.mean_blocks * block) / bits
-    value = _solve(cp.Minimize(sent), limits)
-    y_s = unit_s / _number(t)
-    slot_s = _number(w) * y_s
-    rate = network.motes * network.energy_j_per_bit / network.slots_per_frame
-    return RelaxedDesign(
-        rate * bits * value / unit_s + network.motes * network.idle_w,
-        slot_s,
-        y_s / slot_s,
-        _number(z) / _number(t),
-    )
-
-
-def _solve(objective: Any, limits: list[Any]) -> float:
-    import cvxpy as cp
-
-    problem: Any = cp.Problem(objective, limits)
+    problem: Any = cp.Problem(cp.Minimize(sent), limits)
+    tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), TOLERANCE)
     try:
         with warnings.catch_warnings():
-            # CVXPY warns of an inaccurate optimum; here that is still good to eight digits.
+            # CVXPY warns of an inaccurate optimum; here that is accurate to eight digits.
             warnings.simplefilter("ignore")
-            problem.solve(
-                solver=cp.CLARABEL,
-                tol_gap_abs=TOLERANCE,
-                tol_gap_rel=TOLERANCE,
-                tol_feas=TOLERANCE,
-            )
+            problem.solve(solver=cp.CLARABEL, **tolerances)
     except cp.SolverError:
         raise NoPlanError("the programme of the network's design was not solved") from None
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise NoPlanError(f"the programme of the network's design is {problem.status}")
-    return float(problem.value)
-
-
-def _number(variable: Any) -> float:
-    return float(variable.value)
+    solved: list[Any] = [t, z, w]
+    scale, error, width = (float(each.value) for each in solved)
+    y_s, slot_s = unit_s / scale, width * unit_s / scale
+    rate = network.motes * network.energy_j_per_bit / network.slots_per_frame
+    cost_w = rate * bits * float(problem.value) / unit_s + network.motes * network.idle_w
+    return RelaxedDesign(cost_w, slot_s, y_s / slot_s, error / scale)

@@ -1,7 +1,7 @@
 """The motion of evaders: none, at random, or away from pursuers, greedily or with foresight.
 
-Evaders see their pursuers exactly, and where these drive to. That is more than they would know, so
-that what holds against them holds against others.
+Evaders know the exact positions and aims of their pursuers: an adversary that is stronger than a
+real one.
 """
 
 from __future__ import annotations
@@ -13,59 +13,54 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
-from planopt.pursuit.service import require_count, require_number
 
 HEADINGS = 32
-"""Directions that are compared, beside straight away from a pursuer."""
+"""Number of compared directions; the first is straight away from a pursuer."""
 
 
 @dataclass(frozen=True, eq=False)
 class EvaderView:
-    """The knowledge that an evader decides on."""
+    """The information on which an evader decides."""
 
-    place_m: NDArray[np.float64]  # Where it is, (2,), and how fast it may be
-    speed_m_s: float
-    pursuers_m: NDArray[np.float64]  # (p, 2) where its pursuers are and where they drive to
-    aims_m: NDArray[np.float64]
-    pursuer_speed_m_s: float  # The fastest one's
+    place_m: NDArray[np.float64]  # (2,)
+    speed_m_s: float  # Its largest speed
+    pursuers_m: NDArray[np.float64]  # (p, 2)
+    aims_m: NDArray[np.float64]  # (p, 2) points that the pursuers drive to
+    pursuer_speed_m_s: float  # Of the fastest pursuer
     step_s: float  # Until the next decision
-    arena: Arena  # Where it may go
+    arena: Arena
 
 
 Decide = Callable[[EvaderView], NDArray[np.float64]]
-"""Where an evader goes in one step, ``(2,)``."""
+"""Return the position (2,) after one step."""
 
 
 class Behaviour(Protocol):
     """A kind of evader."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return what decides in one pursuit, with a memory of its own."""
+        """Return the decisions in one pursuit, with a memory of their own."""
         ...
 
 
 @dataclass(frozen=True)
 class Static:
-    """It stays."""
+    """An evader at rest."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the same place for ever."""
+        """Return the position where it is."""
         return lambda view: view.place_m
 
 
 @dataclass(frozen=True)
 class Wandering:
-    """It drives at full speed on a heading that turns at random."""
+    """An evader at full speed whose heading turns at random."""
 
     turn_std_rad: float = 0.3  # Standard deviation of its turn over a second
 
-    def __post_init__(self) -> None:
-        require_number(self.turn_std_rad, "turn_std_rad", least=0.0)
-
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return a random walk; where it is blocked it turns to the next free heading."""
+        """Return a random walk; a blocked step turns to the next free heading."""
         heading = generator.uniform(0.0, 2.0 * np.pi)
 
         def decide(view: EvaderView) -> NDArray[np.float64]:
@@ -84,9 +79,9 @@ class Wandering:
 
 @dataclass(frozen=True)
 class Fleeing:
-    """It takes the step that leads farthest from the nearest pursuer, round obstacles."""
+    """An evader whose step leads farthest from the nearest pursuer, around obstacles."""
 
-    from_aims: bool = False  # Whether it flees from where its pursuers drive to instead
+    from_aims: bool = False  # Whether it flees from the aims of its pursuers instead
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the greedy step."""
@@ -104,14 +99,10 @@ class Fleeing:
 
 @dataclass(frozen=True)
 class Zigzag:
-    """It flees from where its pursuers drive to, and turns to the other side ever so often."""
+    """An evader that flees from the aims of its pursuers and turns from side to side."""
 
     period_s: float  # Between turns
     angle_rad: float = 1.0  # To either side of straight away
-
-    def __post_init__(self) -> None:
-        require_number(self.period_s, "period_s", above=0.0)
-        require_number(self.angle_rad, "angle_rad", least=0.0)
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the zigzag, at a random time of its period."""
@@ -131,21 +122,15 @@ class Zigzag:
 
 @dataclass(frozen=True)
 class Foresighted:
-    """It plans ahead: two legs that leave it farthest from pursuers that drive straight at it."""
+    """An evader that plans two legs, farthest from pursuers that drive straight at it."""
 
     horizon: int  # Steps that it plans
     plan_step_s: float  # Length of one of them
 
-    def __post_init__(self) -> None:
-        require_count(self.horizon, "horizon", 1)
-        require_number(self.plan_step_s, "plan_step_s", above=0.0)
-
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the first step of a plan that is made anew every time."""
+        """Return the first step of a new plan."""
 
         def decide(view: EvaderView) -> NDArray[np.float64]:
-            if view.arena.obstacles is not None:
-                raise InputError("foresighted evaders do not plan around obstacles", key="evaders")
             nearest = np.linalg.norm(view.pursuers_m - view.place_m, axis=1).argmin()
             headings = _away_rad(view.place_m, view.pursuers_m[nearest]) + _fan()[::2]
             first, then = (_unit(each.ravel()) for each in np.meshgrid(headings, headings))
@@ -158,7 +143,7 @@ class Foresighted:
     def _score_m(
         self, view: EvaderView, first: NDArray[np.float64], then: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Distance from the nearest pursuer at the end of each plan, and on the way a little."""
+        """Return the distance from the nearest pursuer at the end of each plan."""
         places = np.tile(view.place_m, (len(first), 1))
         hunters = np.tile(view.pursuers_m[:, None], (1, len(first), 1))
         step_m = view.speed_m_s * self.plan_step_s
@@ -171,13 +156,13 @@ class Foresighted:
             away_m = np.linalg.norm(offset, axis=-1, keepdims=True)
             hunters = hunters + offset * np.minimum(1.0, chase_m / np.maximum(away_m, 1e-12))
             left_m = np.linalg.norm(places - hunters, axis=-1).min(axis=0)
-            # Being caught late is better than being caught soon: distances on the way count a bit.
+            # Late capture is better than early capture: earlier distances count a little.
             total_m += left_m * (1.0 if number + 1 == self.horizon else 0.1)
         return total_m
 
 
 def _fan() -> NDArray[np.float64]:
-    """Turns from a heading, straight on first, then to either side in order."""
+    """Return turns from a heading: straight on first, then to either side in order."""
     turns = np.arange(1, HEADINGS // 2 + 1) * (2.0 * np.pi / HEADINGS)
     return np.append(0.0, np.stack([turns, -turns], axis=1).ravel()[:-1])
 

@@ -1,9 +1,9 @@
-"""Pursuers: drive to the reported position, in stages or to every new report, or predict.
+"""Pursuers: their motion, and their decisions from reports.
 
-A predicting pursuer filters delayed reports and plans N steps to meet the evader. The velocity of
-an evader follows an Ornstein-Uhlenbeck process (equations 8.15 and 8.16), so that old velocities
-are not extrapolated far. Reports enter the filter at the times at which they were sampled; rule R
-keeps these in order, so that a delayed report needs no second pass.
+A pursuer drives to the reported position, in stages or to every fresher report, or predicts the
+evader: it filters delayed reports and plans N steps to meet it. The velocity of an evader follows
+an Ornstein-Uhlenbeck process (equations 8.15 and 8.16), so that old velocities are not
+extrapolated far. Reports enter the filter at their sample times, which rule R keeps in order.
 """
 
 from __future__ import annotations
@@ -17,74 +17,186 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.pursuit.arena import Arena
-from planopt.pursuit.motion import Motion
-from planopt.pursuit.records import Record
-from planopt.pursuit.service import require_count, require_number
+from planopt.pursuit.service import Record
+from planopt.robots.models import Unicycle
 
-Ask = Callable[[Record | None], Record | None]
-"""Asks for a record, given the one in use."""
+ARRIVED_M = 1e-9
+"""A point nearer than this is reached: its bearing is no longer defined."""
 
 ARRIVED_SHARE = 1e-6
-"""Of a step's way: nearer than this a place is reached."""
+"""Share of a step's length within which a corner of the route is reached."""
+
+
+class Motion(Protocol):
+    """The motion of a pursuer, of states (..., s) that begin with x and y."""
+
+    @property
+    def speed_max_m_s(self) -> float:
+        """Return the largest speed."""
+        ...
+
+    @property
+    def turning_s(self) -> float:
+        """Return the largest time to a point beyond that of a straight line."""
+        ...
+
+    def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the state at rest at a position (2,)."""
+        ...
+
+    def towards(
+        self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Return the states (..., s) after a step towards points (..., 2)."""
+        ...
+
+
+@dataclass(frozen=True)
+class StraightMotion:
+    """A single integrator."""
+
+    speed_max_m_s: float
+    turning_s: float = 0.0
+
+    def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the position."""
+        return place_m
+
+    def towards(
+        self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Drive straight, and stop at the point."""
+        offset = aims_m - states
+        away = np.linalg.norm(offset, axis=-1, keepdims=True)
+        share = np.minimum(1.0, self.speed_max_m_s * step_s / np.maximum(away, ARRIVED_M))
+        return states + share * offset
+
+
+@dataclass(frozen=True)
+class UnicycleMotion:
+    """A unicycle that turns on the spot and drives straight, or drives an arc if that is faster."""
+
+    robot: Unicycle
+
+    @property
+    def speed_max_m_s(self) -> float:
+        """Return the largest forward speed."""
+        return self.robot.speed_max_m_s
+
+    @property
+    def turning_s(self) -> float:
+        """Return the time of half a turn on the spot."""
+        return math.pi / self.robot.turn_rate_max_rad_s
+
+    def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the position with heading 0."""
+        return np.append(place_m, 0.0)
+
+    def towards(
+        self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
+    ) -> NDArray[np.float64]:
+        """Turn and drive; inputs are constant over each of the two parts of the step.
+
+        The arc to a point at bearing b and distance d is ``d b / sin b`` long and turns by 2 b. It
+        is driven if that takes less time than turning by b and driving d.
+        """
+        speed, rate = self.robot.speed_max_m_s, self.robot.turn_rate_max_rad_s
+        offset = aims_m - states[..., :2]
+        away = np.linalg.norm(offset, axis=-1)
+        bearing = np.arctan2(offset[..., 1], offset[..., 0]) - states[..., 2]
+        bearing = np.where(away > ARRIVED_M, np.remainder(bearing + np.pi, 2 * np.pi) - np.pi, 0.0)
+        # An arc of half a turn or more leads to no point behind the robot.
+        ahead = np.abs(bearing) < 0.5 * np.pi
+        along = away / np.sinc(np.where(ahead, bearing, 0.0) / np.pi)
+        arc_s = np.maximum(along / speed, 2.0 * np.abs(bearing) / rate)
+        spot_s = np.abs(bearing) / rate
+        arcs = ahead & (arc_s <= spot_s + away / speed)
+        turn_s = np.where(arcs, 0.0, np.minimum(spot_s, step_s))
+        turned = self._after(states, np.zeros_like(away), rate * np.sign(bearing), turn_s)
+        lasts_s = np.where(arcs, arc_s, away / speed)
+        drive_s = np.minimum(step_s - turn_s, lasts_s)
+        some = np.maximum(lasts_s, ARRIVED_M)
+        forward = np.asarray(np.where(arcs, along, away), dtype=np.float64) / some
+        return self._after(turned, forward, np.where(arcs, 2.0 * bearing / some, 0.0), drive_s)
+
+    def _after(
+        self,
+        states: NDArray[np.float64],
+        speed_m_s: NDArray[np.float64],
+        rate_rad_s: NDArray[np.float64],
+        lasts_s: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return exact steps of the robot: inputs times their duration, over one second."""
+        moved = self.robot.step(
+            (states[..., 0], states[..., 1], states[..., 2]),
+            (speed_m_s * lasts_s, rate_rad_s * lasts_s),
+            1.0,
+        )
+        return np.stack(moved, axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
 class PursuerView:
-    """The knowledge that a pursuer decides on."""
+    """The information on which a pursuer decides."""
 
-    time_s: float  # Now, and until the next decision
-    step_s: float
-    state: NDArray[np.float64]  # Its own; x and y first
-    ask: Ask  # Returns what is known here and now
+    time_s: float  # Now
+    step_s: float  # Until the next decision
+    state: NDArray[np.float64]  # Its own
+    ask: Callable[[Record | None], Record | None]  # The record here and now, from the one in use
 
     @property
     def place_m(self) -> NDArray[np.float64]:
-        """``(2,)``."""
+        """Return its own position (2,)."""
         return self.state[:2]
 
 
 class Driver(Protocol):
-    """A pursuer's decisions in one pursuit of one evader."""
+    """The decisions of a pursuer in one pursuit of one evader."""
 
     @property
     def record(self) -> Record | None:
-        """The record in use."""
+        """Return the record in use."""
         ...
 
     def aim_m(self, view: PursuerView) -> NDArray[np.float64]:
-        """Return where to drive, ``(2,)``."""
+        """Return the point to drive to, ``(2,)``."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Quest:
-    """The task that a driver is given at the start."""
+    """The initial data of a driver."""
 
-    motion: Motion  # How it moves
-    evader_speed_m_s: float  # No evader is faster
-    capture_radius_m: float  # At which the evader is caught
-    arena: Arena  # Where it may go
-    generator: np.random.Generator  # Source of randomness
+    motion: Motion  # Its own
+    evader_speed_m_s: float  # Largest speed of all evaders
+    arena: Arena
 
 
 class Policy(Protocol):
     """A kind of pursuer."""
 
     def begin(self, quest: Quest) -> Driver:
-        """Return what decides in one pursuit of one evader."""
+        """Return the driver of one pursuit of one evader."""
         ...
+
+
+def fresher(found: Record, held: Record | None) -> bool:
+    """Return whether rule R replaces the record in use.
+
+    A record never replaces one with a later sample time; of equal ones the more exact is taken.
+    """
+    if held is None or found.sampled_s > held.sampled_s:
+        return True
+    return found.sampled_s == held.sampled_s and found.error_m < held.error_m
 
 
 @dataclass(frozen=True)
 class DriveToReport:
-    """Drive to the reported place, round obstacles."""
+    """Drive to the reported position, around obstacles."""
 
-    # Whether any fresher record is taken at once. Otherwise the next one is taken on arrival, in
-    # stages, which is what the guarantees are about.
+    # Whether a fresher record is taken at once. Otherwise the next one is taken on arrival, in
+    # stages, as the guarantees require.
     retarget: bool = False
-    # Rule R: never replace a record by one with an older sample time; of equal ones take the more
-    # exact. Without it whatever record is there is taken.
-    in_order: bool = True
 
     def begin(self, quest: Quest) -> Driver:
         """Return a driver without a record."""
@@ -92,7 +204,7 @@ class DriveToReport:
 
 
 class _ReportDriver:
-    """The record in use and the way to it."""
+    """The record in use and the route to it."""
 
     def __init__(self, policy: DriveToReport, quest: Quest) -> None:
         self._policy, self._quest = policy, quest
@@ -100,42 +212,38 @@ class _ReportDriver:
         self.record: Record | None = None
 
     def aim_m(self, view: PursuerView) -> NDArray[np.float64]:
-        near_m = ARRIVED_SHARE * self._quest.motion.speed_max_m_s * view.step_s
-        while len(self._route) and np.linalg.norm(self._route[0] - view.place_m) <= near_m:
-            self._route = self._route[1:]
+        self._route = _remaining(self._route, view, self._quest)
         if self._policy.retarget or not len(self._route):
             found = view.ask(self.record)
-            if found is not None and (not self._policy.in_order or fresher(found, self.record)):
+            if found is not None and fresher(found, self.record):
                 self.record = found
                 self._route = self._quest.arena.route_m(view.place_m, found.reported_m)
         return self._route[0] if len(self._route) else view.place_m
 
 
-def fresher(found: Record, held: Record | None) -> bool:
-    """Return whether rule R replaces a held record by one that is found."""
-    if held is None or found.sampled_s > held.sampled_s:
-        return True
-    return found.sampled_s == held.sampled_s and found.error_m < held.error_m
+def _remaining(
+    route_m: NDArray[np.float64], view: PursuerView, quest: Quest
+) -> NDArray[np.float64]:
+    """Return the corners (k, 2) of a route that are not reached yet."""
+    near_m = ARRIVED_SHARE * quest.motion.speed_max_m_s * view.step_s
+    while len(route_m) and np.linalg.norm(route_m[0] - view.place_m) <= near_m:
+        route_m = route_m[1:]
+    return route_m
 
 
 @dataclass(frozen=True)
 class RecedingHorizon:
-    """Predict the evader N plan steps ahead, drive to the first place where it can be met.
+    """Predict the evader N plan steps ahead, and drive to the first place where it can be met.
 
-    A plan is made anew with every fresher record, and once a plan step.
+    A plan is made with every fresher record, and once a plan step.
     """
 
     horizon: int  # N
     plan_step_s: float  # Length of a plan step
-    manoeuvre_s: float  # Time in which an evader forgets its velocity
+    manoeuvre_s: float  # Time constant with which velocities are forgotten
 
-    def __post_init__(self) -> None:
-        require_count(self.horizon, "horizon", 1)
-        require_number(self.plan_step_s, "plan_step_s", above=0.0)
-        require_number(self.manoeuvre_s, "manoeuvre_s", above=0.0)
-
-    def begin(self, quest: Quest) -> _PlanningDriver:
-        """Return a driver that knows nothing yet."""
+    def begin(self, quest: Quest) -> Driver:
+        """Return a driver without an estimate."""
         return _PlanningDriver(self, quest)
 
 
@@ -143,7 +251,7 @@ class RecedingHorizon:
 class Estimate:
     """Position and velocity of an evader at a time; axes are independent and alike."""
 
-    time_s: float  # When
+    time_s: float
     mean: NDArray[np.float64]  # (2, 2) rows position [m] and velocity [m/s], a column an axis
     covariance: NDArray[np.float64]  # (2, 2) of position and velocity on each axis
 
@@ -151,24 +259,17 @@ class Estimate:
 def predicted(estimate: Estimate, time_s: float, speed_m_s: float, manoeuvre_s: float) -> Estimate:
     """Return the estimate at a later time.
 
-    Velocities have the standard deviation ``speed / sqrt 2`` an axis for ever, which makes the
-    process noise what the transition takes away of it.
+    Velocities keep the standard deviation ``speed / sqrt 2`` an axis, which gives the process
+    noise.
     """
     lasts_s = max(0.0, time_s - estimate.time_s)
     kept = math.exp(-lasts_s / manoeuvre_s)
     reach_s = manoeuvre_s * (1.0 - kept)
     step = np.array([[1.0, reach_s], [0.0, kept]])
-    variance = 0.5 * speed_m_s**2
     # Integrals of the process noise 2 variance / T over the transition.
-    noise = variance * np.array(
-        [
-            [
-                2.0 * manoeuvre_s * (lasts_s - reach_s) - reach_s**2,
-                manoeuvre_s * (1.0 - kept) ** 2,
-            ],
-            [manoeuvre_s * (1.0 - kept) ** 2, 1.0 - kept**2],
-        ]
-    )
+    both = manoeuvre_s * (1.0 - kept) ** 2
+    position = 2.0 * manoeuvre_s * (lasts_s - reach_s) - reach_s**2
+    noise = 0.5 * speed_m_s**2 * np.array([[position, both], [both, 1.0 - kept**2]])
     return Estimate(
         max(time_s, estimate.time_s),
         step @ estimate.mean,
@@ -177,20 +278,19 @@ def predicted(estimate: Estimate, time_s: float, speed_m_s: float, manoeuvre_s: 
 
 
 def updated(estimate: Estimate, record: Record) -> Estimate:
-    """Return the estimate, which is at the record's time, after a report.
+    """Return the estimate at the time of a record after an update with it.
 
-    The error is taken as uniform over the square cell whose half diagonal is the record's bound.
+    The error is uniform over the square cell whose half diagonal is the record's bound.
     """
     variance = record.error_m**2 / 6.0
     gain = estimate.covariance[:, 0] / (estimate.covariance[0, 0] + variance)
-    off_m = record.reported_m - estimate.mean[0]
-    mean = estimate.mean + np.outer(gain, off_m)
+    mean = estimate.mean + np.outer(gain, record.reported_m - estimate.mean[0])
     covariance = estimate.covariance - np.outer(gain, estimate.covariance[0])
     return Estimate(estimate.time_s, mean, covariance)
 
 
 class _PlanningDriver:
-    """The estimate, and the way to where the evader is to be met."""
+    """The estimate, and the route to the place where the evader is to be met."""
 
     def __init__(self, policy: RecedingHorizon, quest: Quest) -> None:
         self._policy, self._quest = policy, quest
@@ -203,12 +303,10 @@ class _PlanningDriver:
         found = view.ask(self.record)
         fresh = found is not None and fresher(found, self.record)
         if found is not None and fresh:
-            self._take(found)
+            self._update(found)
         if self._estimate is None:
             return view.place_m
-        near_m = ARRIVED_SHARE * self._quest.motion.speed_max_m_s * view.step_s
-        while len(self._route) and np.linalg.norm(self._route[0] - view.place_m) <= near_m:
-            self._route = self._route[1:]
+        self._route = _remaining(self._route, view, self._quest)
         stale = view.time_s - self._planned_s >= self._policy.plan_step_s
         if fresh or stale or not len(self._route):
             goal_m = self._meeting_m(view, self._estimate)
@@ -216,19 +314,20 @@ class _PlanningDriver:
             self._planned_s = view.time_s
         return self._route[0] if len(self._route) else view.place_m
 
-    def _take(self, record: Record) -> None:
-        speed, policy = self._quest.evader_speed_m_s, self._policy
+    def _update(self, record: Record) -> None:
+        speed = self._quest.evader_speed_m_s
         if self._estimate is None:
             mean = np.array([record.reported_m, np.zeros(2)])
             spread = np.diag([record.error_m**2 / 6.0, 0.5 * speed**2])
             self._estimate = Estimate(record.sampled_s, mean, spread)
         else:
-            ahead = predicted(self._estimate, record.sampled_s, speed, policy.manoeuvre_s)
+            manoeuvre_s = self._policy.manoeuvre_s
+            ahead = predicted(self._estimate, record.sampled_s, speed, manoeuvre_s)
             self._estimate = updated(ahead, record)
         self.record = record
 
     def _meeting_m(self, view: PursuerView, estimate: Estimate) -> NDArray[np.float64]:
-        """The first predicted place that is reached in time, else the last of the horizon."""
+        """Return the first predicted position that is reached in time, else the last one."""
         policy, arena = self._policy, self._quest.arena
         speed = self._quest.evader_speed_m_s
         ahead_s = policy.plan_step_s * np.arange(1, policy.horizon + 1)

@@ -1,9 +1,9 @@
 """A distance-sensitive snapshot service: a grid of motes that knows near objects better.
 
 Motes stand on a square grid and hear their eight neighbours. Level-j cells are squares of 2^j by
-2^j motes. A level-j round samples the cells, gathers each cell's state at the cell's head, and
-floods it over the cell and the eight around it. So a mote has fresh and exact reports of what is
-near, and old and coarse ones of what is far. Time is counted in TDMA frames, in which each mote
+2^j motes. A round of level j samples the cells, gathers each cell's state at the cell's head, and
+floods it over the cell and the eight cells around it: a mote has fresh and exact reports of near
+objects, old and coarse reports of far ones. Time is counted in TDMA frames, in which each mote
 sends once: a hop takes a frame.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,39 +19,39 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 
 MAX_LEVELS = 12
-"""A grid of 4096 x 4096 motes: beyond it maps of what motes know no longer fit in memory."""
+"""A grid of 4096 x 4096 motes; maps of what the motes of a larger one know exceed the memory."""
 
 HOPS_PER_ROUND = 3
 """Frames of a level-0 round: 2^j hops to the head and 2 * 2^j hops from it fit into 3 * 2^j."""
 
-ROUNDING = 1e-9
-"""Share of a round by which a time may miss an end of a round through rounding."""
+SLOTS_PER_FRAME = 9
+"""Least number of slots of a frame: any 3 by 3 motes have different slots (distance-2 colouring),
+so that two neighbours of a mote never send at once."""
 
-INTERFERENCE_SIDE = 3
-"""Motes of equal slot are three apart: neighbours of a mote then never send at once."""
+ROUNDING = 1e-9
+"""Share of a round by which a time may miss the end of a round through rounding."""
 
 
 @dataclass(frozen=True)
 class ServiceBounds:
     """The bounds of a service on every record in use, at distance d of the object.
 
-    Its age is at most ``max(age_s_m * d, age_floor_s)``, its error at most
+    The age of a record is at most ``max(age_s_m * d, age_floor_s)``, its error at most
     ``max(relative_error * d, error_floor_m)``.
     """
 
-    age_s_m: float  # sigma: seconds of age a metre, latency and time since the last round together
-    relative_error: float  # kappa = 1/k: metres of error a metre
-    age_floor_s: float = 0.0  # What age and error may be however near the object is
+    age_s_m: float  # sigma: largest age a metre, latency and time since the last round together
+    relative_error: float  # kappa = 1/k: largest error a metre
+    age_floor_s: float = 0.0  # The same bounds near the object
     error_floor_m: float = 0.0
-    # Seconds between rounds a metre, for services whose rounds are nested as those of
-    # :class:`SnapshotService` are; None for others
+    # Time between rounds a metre, for services with nested rounds like :class:`SnapshotService`;
+    # None for others
     period_s_m: float | None = None
 
     def __post_init__(self) -> None:
-        for key in ("age_s_m", "relative_error", "age_floor_s", "error_floor_m"):
-            require_number(getattr(self, key), key, least=0.0)
-        if self.period_s_m is not None:
-            require_number(self.period_s_m, "period_s_m", least=0.0)
+        for key, value in vars(self).items():
+            if value is not None and not 0.0 <= value < math.inf:
+                raise InputError(f"{value!r} is not a finite number of at least 0", key=key)
 
 
 @dataclass(frozen=True)
@@ -58,39 +59,30 @@ class SnapshotService:
     """Snapshots on a grid of ``2^levels`` by ``2^levels`` motes."""
 
     levels: int  # L: the one cell of level L is the whole grid
-    # Distance between neighbours. Mote (0, 0) stands half of it from both edges.
+    # Distance between neighbours; mote (0, 0) stands half of it from both edges
     mote_spacing_m: float
-    frame_s: float  # A TDMA frame: slots a frame times slot width
-    # c: a cell's report tells positions to 2^-c of its side, but no finer than one mote
+    frame_s: float  # Duration of a TDMA frame: slots a frame times slot width
+    # c: reports give positions to 2^-c of the side of a cell, but no finer than one mote
     bits_per_axis: int
-    # Frames of a level-0 round. More than the least, 3, leave time to repeat lost hops.
-    hops_per_round: int = HOPS_PER_ROUND
-    rate_divisor: int = 1  # r: a level's rounds start every r rounds' lengths
-    # Whether the grid goes on beyond its edges, for pursuits in open space: cells of level L then
-    # have neighbours too
+    hops_per_round: int = HOPS_PER_ROUND  # Frames of a level-0 round
+    rate_divisor: int = 1  # r: rounds of a level start every r lengths of a round
+    # Whether the grid continues beyond its edges, for pursuits in open space: then cells of level
+    # L have neighbours too
     endless: bool = False
-
-    def __post_init__(self) -> None:
-        require_count(self.levels, "levels", 1, MAX_LEVELS)
-        require_number(self.mote_spacing_m, "mote_spacing_m", above=0.0)
-        require_number(self.frame_s, "frame_s", above=0.0)
-        require_count(self.bits_per_axis, "bits_per_axis", 1)
-        require_count(self.hops_per_round, "hops_per_round", HOPS_PER_ROUND)
-        require_count(self.rate_divisor, "rate_divisor", 1)
 
     @property
     def motes_per_side(self) -> int:
-        """N = 2^L."""
+        """Return N = 2^L."""
         return 1 << self.levels
 
     @property
     def side_m(self) -> float:
-        """Side of the square from (0, 0) that the grid observes."""
+        """Return the side of the square from (0, 0) that the grid observes."""
         return self.motes_per_side * self.mote_spacing_m
 
     @property
     def bounds(self) -> ServiceBounds:
-        """Return what holds for every mote at every time.
+        """Return the bounds that hold for every mote at every time.
 
         Where a level j > 0 is used, the object was at least two cells of level j - 1 away at the
         sample of that level, so that ``2^j < 2 d`` in mote spacings. A round of ``B 2^j`` frames
@@ -117,7 +109,7 @@ class SnapshotService:
         return self.rate_divisor * self.rounds_s
 
     def sample_numbers(self, time_s: float) -> NDArray[np.int64]:
-        """Return which round of each level was the last to end by `time_s`; ``(L + 1,)``.
+        """Return the number of the last round of each level that ended by `time_s`; ``(L + 1,)``.
 
         Round k of a level samples at k of its periods. The network has always been running:
         numbers may be negative.
@@ -134,13 +126,13 @@ class SnapshotService:
         return finest >> level
 
     def reported_m(self, positions_m: NDArray[np.float64], level: int) -> NDArray[np.float64]:
-        """Return the centre of the sub-cell that a level-j report tells for positions (..., 2)."""
+        """Return the centre of the sub-cell that a level-j report gives for positions (..., 2)."""
         fine = max(0, level - self.bits_per_axis)
         side_m = self.mote_spacing_m * (1 << fine)
         return np.asarray((self.cells(positions_m, fine) + 0.5) * side_m, dtype=np.float64)
 
     def error_bound_m(self, level: int) -> float:
-        """Return half the diagonal of a level-j report's sub-cell."""
+        """Return half the diagonal of the sub-cell of a level-j report."""
         fine = max(0, level - self.bits_per_axis)
         return math.sqrt(0.5) * self.mote_spacing_m * (1 << fine)
 
@@ -150,39 +142,138 @@ def relative_error(bits_per_axis: float) -> float:
     return math.sqrt(2.0) * 2.0**-bits_per_axis
 
 
-def slots_per_frame() -> int:
-    """Return how many slots a colouring of the grid needs: no two of a mote's neighbours share one.
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The track of an object: straight and even between the times, at rest before and after."""
 
-    Motes within two of each other must differ. A block of 3 by 3 motes needs nine colours, and the
-    remainders of column and row by three are such a colouring.
-    """
-    return INTERFERENCE_SIDE * INTERFERENCE_SIDE
+    times_s: NDArray[np.float64]  # (n,) ascending
+    positions_m: NDArray[np.float64]  # (n, 2)
 
-
-def slots(motes_per_side: int) -> NDArray[np.int64]:
-    """Return the slot of every mote, ``(n, n)``, rows being y."""
-    places = np.arange(motes_per_side) % INTERFERENCE_SIDE
-    return INTERFERENCE_SIDE * places[:, None] + places
+    def at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the position at each time (...); ``(..., 2)``."""
+        along = [np.interp(times_s, self.times_s, self.positions_m[:, axis]) for axis in (0, 1)]
+        return np.asarray(np.stack(along, axis=-1), dtype=np.float64)
 
 
-def require_number(
-    value: float, key: str, *, least: float | None = None, above: float | None = None
-) -> float:
-    """Return a finite number at least `least` or above `above`, else raise an InputError."""
-    if not math.isfinite(value):
-        raise InputError(f"{value!r} is not a finite number", key=key)
-    if least is not None and value < least:
-        raise InputError(f"{value!r} is below {least:g}", key=key)
-    if above is not None and value <= above:
-        raise InputError(f"{value!r} is not above {above:g}", key=key)
-    return value
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The last completed round of each level, for one object."""
+
+    service: SnapshotService
+    time_s: float  # Of the snapshot
+    sampled_s: NDArray[np.float64]  # (L + 1,) when each level sampled
+    sampled_m: NDArray[np.float64]  # (L + 1, 2) position of the object then
+    reported_m: NDArray[np.float64]  # (L + 1, 2) reported position
+    cells: NDArray[np.int64]  # (L + 1, 2) the object's cell of each level then, column and row
+
+    @property
+    def ages_s(self) -> NDArray[np.float64]:
+        """``(L + 1,)`` age of each level's record."""
+        return self.time_s - self.sampled_s
+
+    def shown_at(self, mote: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which levels show the object to a mote (2,), column and row; ``(L + 1,)``.
+
+        A mote takes the report of the finest of them, which is never older than the others.
+        """
+        own = mote >> np.arange(self.service.levels + 1)[:, None]
+        return np.asarray((np.abs(own - self.cells) <= 1).all(axis=1), dtype=np.bool_)
+
+    def level_map(self) -> NDArray[np.int8]:
+        """Return the level that every mote takes its report from; ``(n, n)``, rows being y.
+
+        It is -1 where no level shows the object, which only happens on endless grids.
+        """
+        side = self.service.motes_per_side
+        found = np.full((side, side), -1, dtype=np.int8)
+        for level in range(self.service.levels, -1, -1):
+            x, y = (
+                slice(max(0, (number - 1) << level), max(0, (number + 2) << level))
+                for number in self.cells[level].tolist()
+            )
+            found[y, x] = level
+        return found
 
 
-def require_count(value: int, key: str, least: int, most: int | None = None) -> int:
-    """Return a whole number in a range, else raise an InputError."""
-    if isinstance(value, bool) or int(value) != value:
-        raise InputError(f"{value!r} is not a whole number", key=key)
-    if value < least or (most is not None and value > most):
-        among = f"at least {least}" if most is None else f"from {least} to {most}"
-        raise InputError(f"{value!r} is out of range", key=key, remedy=f"give a number {among}")
-    return value
+def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
+    """Return the snapshot of an object that moved along `track`."""
+    sampled_s = service.sample_numbers(time_s) * service.periods_s
+    sampled_m = track.at(sampled_s)
+    on_grid = (sampled_m >= 0.0) & (sampled_m <= service.side_m)
+    if not (service.endless or on_grid.all()):
+        raise InputError(
+            "the object left the grid of motes",
+            key="positions_m",
+            remedy=f"keep it in the square from (0, 0) to {service.side_m:g} m",
+        )
+    levels = range(service.levels + 1)
+    return Snapshot(
+        service,
+        time_s,
+        sampled_s,
+        sampled_m,
+        np.array([service.reported_m(sampled_m[level], level) for level in levels]),
+        np.array([service.cells(sampled_m[level], level) for level in levels]),
+    )
+
+
+def mote_centres_m(service: SnapshotService) -> NDArray[np.float64]:
+    """Return the position of every mote, ``(n, n, 2)``, rows being y."""
+    along = (np.arange(service.motes_per_side) + 0.5) * service.mote_spacing_m
+    return np.asarray(np.stack(np.meshgrid(along, along), axis=-1), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """The record of an evader."""
+
+    sampled_s: float  # When the evader was sensed
+    reported_m: NDArray[np.float64]  # (2,)
+    error_m: float  # Largest error of the reported position
+
+
+class RecordSource(Protocol):
+    """The source of a pursuer's records."""
+
+    def record(
+        self,
+        track: Track,
+        place_m: NDArray[np.float64],
+        time_s: float,
+        last: Record | None,
+    ) -> Record | None:
+        """Return the record at a position and time of the evader on `track`; None if there is none.
+
+        `last` is the record in use. The track ends now.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SnapshotRecords:
+    """Records of the mote where the pursuer is, from the finest level that shows the evader."""
+
+    service: SnapshotService
+    # (L + 1, k) rounds of each level that lost the report of the evader; round n is column n
+    # modulo k. None if no report is lost
+    lost: NDArray[np.bool_] | None = None
+
+    def record(
+        self,
+        track: Track,
+        place_m: NDArray[np.float64],
+        time_s: float,
+        last: Record | None,
+    ) -> Record | None:
+        """Return the report of the finest level that shows the evader to the mote here."""
+        now = snapshot(self.service, track, time_s)
+        shown = now.shown_at(self.service.cells(place_m, 0))
+        if self.lost is not None:
+            rounds = self.service.sample_numbers(time_s) % self.lost.shape[1]
+            shown &= ~self.lost[np.arange(len(rounds)), rounds]
+        if not shown.any():
+            return None
+        level = int(shown.argmax())
+        return Record(
+            float(now.sampled_s[level]), now.reported_m[level], self.service.error_bound_m(level)
+        )

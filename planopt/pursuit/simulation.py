@@ -1,4 +1,4 @@
-"""Pursuits in steps: evaders and pursuers move at once, and capture is looked for all along."""
+"""Simulated pursuits: all move in the same steps, and captures are found within them."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from scipy.optimize import (
 
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
-from planopt.pursuit.evaders import Behaviour, Decide, EvaderView
-from planopt.pursuit.motion import Motion, StraightMotion
-from planopt.pursuit.pursuers import Driver, Policy, PursuerView, Quest
-from planopt.pursuit.records import Record, RecordSource, Track
-from planopt.pursuit.service import require_count, require_number
+from planopt.pursuit.evaders import Behaviour, EvaderView
+from planopt.pursuit.pursuers import Driver, Motion, Policy, PursuerView, Quest, StraightMotion
+from planopt.pursuit.service import Record, RecordSource, Track
 from planopt.pursuit.theorems import Distances
 
 STEP_PIECES = 4
-"""Pieces that a pursuer's step is cut into where capture is looked for: each counts as straight."""
+"""Straight pieces of a pursuer's step on which captures are found."""
+
+UNKNOWN_M = 1e12
+"""Distance to an evader without a record: the largest, but finite for the assignment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +31,8 @@ class Pursuer:
     """A pursuer."""
 
     start_m: NDArray[np.float64]  # (2,)
-    motion: Motion  # How it moves
-    policy: Policy  # How it decides
+    motion: Motion
+    policy: Policy
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,42 +40,33 @@ class Evader:
     """An evader, a single integrator."""
 
     start_m: NDArray[np.float64]  # (2,)
-    speed_max_m_s: float  # Largest speed
-    behaviour: Behaviour  # How it decides
+    speed_max_m_s: float
+    behaviour: Behaviour
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything about a pursuit but its randomness."""
+    """A pursuit before its start."""
 
     pursuers: tuple[Pursuer, ...]  # At least one of each
     evaders: tuple[Evader, ...]
-    source: RecordSource  # Where pursuers have their records from
-    capture_radius_m: float  # An evader is caught once a pursuer is so near
-    step_s: float  # Everybody decides so often
-    max_steps: int  # It is given up after so many
-    arena: Arena = field(default_factory=Arena)  # Where it takes place
-
-    def __post_init__(self) -> None:
-        if not self.pursuers or not self.evaders:
-            raise InputError("a pursuit needs a pursuer and an evader", key="pursuers")
-        require_number(self.capture_radius_m, "capture_radius_m", above=0.0)
-        require_number(self.step_s, "step_s", above=0.0)
-        require_count(self.max_steps, "max_steps", 1)
-        for each in self.evaders:
-            require_number(each.speed_max_m_s, "speed_max_m_s", least=0.0)
+    source: RecordSource  # Of the pursuers
+    capture_radius_m: float  # An evader is captured once a pursuer is so near
+    step_s: float
+    max_steps: int
+    arena: Arena = field(default_factory=Arena)
 
 
 @dataclass(frozen=True, eq=False)
 class Use:
     """A record that a pursuer began to use."""
 
-    pursuer: int  # Their numbers
+    pursuer: int  # Numbers
     evader: int
-    time_s: float  # When and where
-    place_m: NDArray[np.float64]
-    record: Record  # What it was told
-    sampled_m: NDArray[np.float64]  # (2,) where the evader truly was when it was sampled
+    time_s: float
+    place_m: NDArray[np.float64]  # (2,) position of the pursuer then
+    record: Record
+    sampled_m: NDArray[np.float64]  # (2,) true position of the evader when it was sampled
 
     @property
     def age_s(self) -> float:
@@ -83,28 +75,27 @@ class Use:
 
     @property
     def distance_m(self) -> float:
-        """d: from the pursuer to where the evader was sampled."""
+        """Return d: the distance to the evader's position when it was sampled."""
         return float(np.linalg.norm(self.place_m - self.sampled_m))
 
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """The course of a pursuit."""
+    """The course of a pursuit with p pursuers, e evaders and n steps."""
 
-    scene: Scene  # Who pursued whom
+    scene: Scene
     times_s: NDArray[np.float64]  # (n + 1,)
     pursuers: tuple[NDArray[np.float64], ...]  # For each, its states (n + 1, s)
-    evaders_m: NDArray[np.float64]  # (e, n + 1, 2); they stay where they are caught
-    chased: NDArray[np.int64]  # (p, n) which evader each pursuer was after; -1 once all are caught
-    aims_m: NDArray[np.float64]  # (p, n, 2) where each pursuer drove to in each step
-    # (e,) when each evader was caught, infinite if never, and by whom, -1 if by nobody
-    capture_s: NDArray[np.float64]
-    captors: NDArray[np.int64]
+    evaders_m: NDArray[np.float64]  # (e, n + 1, 2); captured evaders stay at rest
+    chased: NDArray[np.int64]  # (p, n) evader that each pursuer chased
+    aims_m: NDArray[np.float64]  # (p, n, 2) point that each pursuer drove to
+    capture_s: NDArray[np.float64]  # (e,) infinite if never captured
+    captors: NDArray[np.int64]  # (e,) -1 if never captured
     uses: tuple[Use, ...]  # Records in the order in which pursuers began to use them
 
     @property
     def outcome(self) -> str:
-        """``captured`` if all evaders were, else ``step_limit``."""
+        """Return ``captured`` if all evaders were, else ``step_limit``."""
         return "captured" if np.isfinite(self.capture_s).all() else "step_limit"
 
     def bounds_m(
@@ -112,35 +103,24 @@ class Pursuit:
     ) -> NDArray[np.float64]:
         """Return W at the start of each stage of a pursuer after an evader, ``(k,)``."""
         speed = self.scene.evaders[evader].speed_max_m_s
-        return np.array(
-            [
-                self.away_m(use, distances) + speed * use.age_s
-                for use in self.uses
-                if (use.pursuer, use.evader) == (pursuer, evader)
-            ]
-        )
+        own = [use for use in self.uses if (use.pursuer, use.evader) == (pursuer, evader)]
+        return np.array([self.away_m(use, distances) + speed * use.age_s for use in own])
 
     def away_m(self, use: Use, distances: Distances) -> float:
-        """Return d: straight, or the length of the shortest path, to where the evader was."""
+        """Return d of a record, straight or along the shortest path."""
         if distances is Distances.STRAIGHT:
             return use.distance_m
         return float(self.scene.arena.distances_m(use.place_m, use.sampled_m[None])[0])
 
     @property
     def capture_time_s(self) -> float:
-        """Return the time of the last capture; infinite if one evader was not caught."""
+        """Return the time of the last capture; infinite if one evader was not captured."""
         return float(self.capture_s.max())
 
 
-def simulate_pursuit(
-    scene: Scene, generator: np.random.Generator, on_step: Callable[[], None] = lambda: None
-) -> Pursuit:
-    """Run a pursuit until all evaders are captured or `max_steps` are over."""
-    return _Run(scene, generator, on_step).finish()
-
-
 Reports = Callable[[int, int, Record | None], Record | None]
-"""Gives the record that a pursuer gets of an evader now, both by number, with the one in use."""
+"""Return the current record of an evader, from the numbers of pursuer and evader and the record in
+use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +128,7 @@ class PursuitStep:
     """The decisions of pursuers in one step."""
 
     chased: NDArray[np.int64]  # (p,) number of the evader that each pursues; -1 for none
-    aims_m: NDArray[np.float64]  # (p, 2) where each drives to
+    aims_m: NDArray[np.float64]  # (p, 2) point that each drives to
     # Pursuer and evader of each record that was taken into use, and the record
     records: tuple[tuple[int, int, Record], ...]
 
@@ -165,15 +145,12 @@ class PursuitController:
     ----------
     scene
         Pursuers, with how they move and decide, and the arena.
-    generator
-        Source of the randomness of policies.
     """
 
-    def __init__(self, scene: Scene, generator: np.random.Generator) -> None:
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._generator = generator
         self._drivers: list[Driver | None] = [None] * len(scene.pursuers)
-        self._after = np.full(len(scene.pursuers), -1)
+        self._chased = np.full(len(scene.pursuers), -1)
         self._steps = 0
 
     def step(
@@ -182,7 +159,7 @@ class PursuitController:
         reports: Reports | Mapping[tuple[int, int], Record],
         captured: Collection[int] = (),
     ) -> PursuitStep:
-        """Return where pursuers drive to in the next step.
+        """Return the points that pursuers drive to in the next step.
 
         Parameters
         ----------
@@ -214,8 +191,8 @@ class PursuitController:
             raise InputError("are all evaders", key="captured", remedy="the pursuit is over")
         if callable(reports):
             return self.decide(now, reports, left)
-        given = dict(reports)
-        return self.decide(now, lambda pursuer, evader, _: given.get((pursuer, evader)), left)
+        records = dict(reports)
+        return self.decide(now, lambda pursuer, evader, _: records.get((pursuer, evader)), left)
 
     def decide(
         self,
@@ -223,26 +200,24 @@ class PursuitController:
         reports: Reports,
         left: NDArray[np.intp],  # Evaders that are not captured
     ) -> PursuitStep:
-        """Return where pursuers drive to in the next step, from checked arguments."""
+        """Return the points that pursuers drive to in the next step, from checked arguments."""
         self._assign(states, reports, left)
-        time_s, aims = self._steps * self.scene.step_s, list[NDArray[np.float64]]()
+        step_s, aims = self.scene.step_s, list[NDArray[np.float64]]()
         taken = list[tuple[int, int, Record]]()
         for number, (driver, state) in enumerate(zip(self._drivers, states, strict=True)):
             if driver is None:
                 aims.append(state[:2])
                 continue
-            before, evader = driver.record, int(self._after[number])
-            view = PursuerView(
-                time_s,
-                self.scene.step_s,
-                state,
-                lambda held, number=number, evader=evader: reports(number, evader, held),
-            )
-            aims.append(driver.aim_m(view))
+            before, evader = driver.record, int(self._chased[number])
+
+            def ask(held: Record | None, number: int = number, evader: int = evader):
+                return reports(number, evader, held)
+
+            aims.append(driver.aim_m(PursuerView(self._steps * step_s, step_s, state, ask)))
             if driver.record is not None and driver.record is not before:
                 taken.append((number, evader, driver.record))
         self._steps += 1
-        return PursuitStep(self._after.copy(), np.array(aims), tuple(taken))
+        return PursuitStep(self._chased.copy(), np.array(aims), tuple(taken))
 
     def _assign(
         self,
@@ -250,181 +225,136 @@ class PursuitController:
         reports: Reports,
         left: NDArray[np.intp],
     ) -> None:
-        """Give every pursuer without an evader one."""
-        free = [number for number, evader in enumerate(self._after.tolist()) if evader not in left]
+        """Assign an evader to every pursuer without one."""
+        free = [number for number, evader in enumerate(self._chased.tolist()) if evader not in left]
         if not free:
             return
-        chased = set(np.delete(self._after, free).tolist())
+        chased = set(np.delete(self._chased, free).tolist())
 
         def away_m(pursuer: int, evader: int) -> float:
-            """Return the distance to the reported evader."""
             found = reports(pursuer, evader, None)
             if found is None:
-                # Farther than anything that is known, but not infinite: assignments need numbers.
-                return 1e12
+                return UNKNOWN_M
             return float(np.linalg.norm(found.reported_m - states[pursuer][:2]))
 
         apart_m = np.array([[away_m(number, e) for e in left.tolist()] for number in free])
         alone = np.array([evader not in chased for evader in left.tolist()])
-        self._after[free] = left[apart_m.argmin(axis=1)]
+        self._chased[free] = left[apart_m.argmin(axis=1)]
         if alone.any():
-            rows, columns = _assigned(apart_m[:, alone])
-            self._after[np.array(free)[rows]] = left[alone][columns]
+            rows, columns = cast(
+                "tuple[NDArray[np.intp], NDArray[np.intp]]",
+                linear_sum_assignment(apart_m[:, alone]),
+            )
+            self._chased[np.array(free)[rows]] = left[alone][columns]
+        fastest = max(each.speed_max_m_s for each in self.scene.evaders)
         for number in free:
             each = self.scene.pursuers[number]
-            quest = Quest(
-                each.motion,
-                max(other.speed_max_m_s for other in self.scene.evaders),
-                self.scene.capture_radius_m,
-                self.scene.arena,
-                self._generator,
-            )
-            self._drivers[number] = each.policy.begin(quest)
+            self._drivers[number] = each.policy.begin(Quest(each.motion, fastest, self.scene.arena))
 
 
-class _Run:
-    """The world of a pursuit: positions so far, evaders, and captures."""
+def simulate_pursuit(
+    scene: Scene, generator: np.random.Generator, on_step: Callable[[], None] = lambda: None
+) -> Pursuit:
+    """Simulate a pursuit until all evaders are captured or `max_steps` are over."""
+    steps, step_s, count = scene.max_steps, scene.step_s, len(scene.evaders)
+    times_s = np.linspace(0.0, steps * step_s, steps + 1)
+    states = [np.tile(each.motion.start(each.start_m), (steps + 1, 1)) for each in scene.pursuers]
+    places = np.empty((count, steps + 1, 2))
+    places[:, 0] = [each.start_m for each in scene.evaders]
+    chased = np.full((len(states), steps), -1)
+    aims_m = np.zeros((len(states), steps, 2))
+    capture_s, captors = np.full(count, np.inf), np.full(count, -1)
+    uses: list[Use] = []
+    behaviours = [each.behaviour.begin(generator) for each in scene.evaders]
+    controller = PursuitController(scene)
+    fastest = max(each.motion.speed_max_m_s for each in scene.pursuers)
+    step = 0
 
-    def __init__(
-        self, scene: Scene, generator: np.random.Generator, on_step: Callable[[], None]
-    ) -> None:
-        self._scene, self._generator, self._on_step = scene, generator, on_step
-        steps, count = scene.max_steps, len(scene.evaders)
-        self._times_s = np.linspace(0.0, steps * scene.step_s, steps + 1)
-        self._states = [
-            np.tile(each.motion.start(each.start_m), (steps + 1, 1)) for each in scene.pursuers
-        ]
-        self._places = np.empty((count, steps + 1, 2))
-        self._places[:, 0] = [each.start_m for each in scene.evaders]
-        self._decides: list[Decide] = [each.behaviour.begin(generator) for each in scene.evaders]
-        self._controller = PursuitController(scene, generator)
-        self._chased = np.full((len(scene.pursuers), steps), -1)
-        self._aims_m = np.zeros((len(scene.pursuers), steps, 2))
-        self._capture_s, self._captors = np.full(count, np.inf), np.full(count, -1)
-        self._uses: list[Use] = []
-        self._step = 0
+    def track(evader: int) -> Track:
+        return Track(times_s[: step + 1], places[evader, : step + 1])
 
-    def finish(self) -> Pursuit:
-        while self._step < self._scene.max_steps and np.isinf(self._capture_s).any():
-            states = [each[self._step] for each in self._states]
-            left = np.flatnonzero(np.isinf(self._capture_s))
-            decided = self._controller.decide(states, self._report, left)
-            aims = list(decided.aims_m)
-            self._chased[:, self._step] = decided.chased
-            self._aims_m[:, self._step] = aims
-            self._uses += [self._use(*each) for each in decided.records]
-            self._move_evaders(decided.aims_m)
-            for number, each in enumerate(self._scene.pursuers):
-                states = self._states[number]
-                states[self._step + 1] = each.motion.towards(
-                    states[self._step], aims[number], self._scene.step_s
-                )
-            self._note_captures(aims)
-            self._step += 1
-            self._on_step()
-        end = self._step + 1
-        return Pursuit(
-            self._scene,
-            self._times_s[:end],
-            tuple(states[:end] for states in self._states),
-            self._places[:, :end],
-            self._chased[:, : self._step],
-            self._aims_m[:, : self._step],
-            self._capture_s,
-            self._captors,
-            tuple(self._uses),
-        )
+    def report(pursuer: int, evader: int, held: Record | None) -> Record | None:
+        here_m = states[pursuer][step, :2]
+        return scene.source.record(track(evader), here_m, float(times_s[step]), held)
 
-    def _track(self, evader: int) -> Track:
-        end = self._step + 1
-        return Track(self._times_s[:end], self._places[evader, :end])
-
-    def _place_m(self, pursuer: int) -> NDArray[np.float64]:
-        return self._states[pursuer][self._step, :2]
-
-    def _report(self, pursuer: int, evader: int, held: Record | None) -> Record | None:
-        return self._scene.source.record(
-            self._track(evader), self._place_m(pursuer), float(self._times_s[self._step]), held
-        )
-
-    def _use(self, pursuer: int, evader: int, record: Record) -> Use:
-        sampled_m = self._track(evader).at(np.array(record.sampled_s))
-        time_s = float(self._times_s[self._step])
-        return Use(pursuer, evader, time_s, self._place_m(pursuer), record, sampled_m)
-
-    def _move_evaders(self, aims_m: NDArray[np.float64]) -> None:
-        pursuers_m = np.array([self._place_m(number) for number in range(len(aims_m))])
-        fastest = max(each.motion.speed_max_m_s for each in self._scene.pursuers)
-        for number, each in enumerate(self._scene.evaders):
-            here = self._places[number, self._step]
-            there = here
-            if np.isinf(self._capture_s[number]) and each.speed_max_m_s > 0.0:
+    while step < steps and np.isinf(capture_s).any():
+        now = [each[step] for each in states]
+        here_m = np.array([state[:2] for state in now])
+        decided = controller.decide(now, report, np.flatnonzero(np.isinf(capture_s)))
+        chased[:, step], aims_m[:, step] = decided.chased, decided.aims_m
+        for pursuer, evader, record in decided.records:
+            sampled_m = track(evader).at(np.array(record.sampled_s))
+            time_s = float(times_s[step])
+            uses.append(Use(pursuer, evader, time_s, here_m[pursuer], record, sampled_m))
+        for number, each in enumerate(scene.evaders):
+            place = there = places[number, step]
+            if np.isinf(capture_s[number]) and each.speed_max_m_s > 0.0:
                 view = EvaderView(
-                    here,
-                    each.speed_max_m_s,
-                    pursuers_m,
-                    aims_m,
-                    fastest,
-                    self._scene.step_s,
-                    self._scene.arena,
+                    *(place, each.speed_max_m_s, here_m, decided.aims_m, fastest, step_s),
+                    scene.arena,
                 )
-                wanted = self._decides[number](view)
-                there = StraightMotion(each.speed_max_m_s).towards(here, wanted, self._scene.step_s)
-            self._places[number, self._step + 1] = there
-
-    def _note_captures(self, aims: list[NDArray[np.float64]]) -> None:
-        """Look for captures in the step that was just made; whoever is caught stays there."""
-        step_s = self._scene.step_s
-        for evader in np.flatnonzero(np.isinf(self._capture_s)).tolist():
-            here, there = self._places[evader, self._step : self._step + 2]
+                wanted = behaviours[number](view)
+                there = StraightMotion(each.speed_max_m_s).towards(place, wanted, step_s)
+            places[number, step + 1] = there
+        for number, (each, aim) in enumerate(zip(scene.pursuers, decided.aims_m, strict=True)):
+            states[number][step + 1] = each.motion.towards(now[number], aim, step_s)
+        for evader in np.flatnonzero(np.isinf(capture_s)).tolist():
+            begin, end = places[evader, step : step + 2]
             shares = [
-                self._caught_after(number, aim, here, there) for number, aim in enumerate(aims)
+                _captured_after(scene, each.motion, now[number], aims_m[number, step], begin, end)
+                for number, each in enumerate(scene.pursuers)
             ]
             share = min(shares)
             if np.isfinite(share):
-                self._capture_s[evader] = self._times_s[self._step] + share * step_s
-                self._captors[evader] = int(np.argmin(shares))
-                self._places[evader, self._step + 1] = here + share * (there - here)
-
-    def _caught_after(
-        self,
-        number: int,
-        aim_m: NDArray[np.float64],
-        here_m: NDArray[np.float64],
-        there_m: NDArray[np.float64],
-    ) -> float:
-        """The share of the step after which an evader is within the radius; infinite if never."""
-        motion, radius_m = self._scene.pursuers[number].motion, self._scene.capture_radius_m
-        state, step_s = self._states[number][self._step], self._scene.step_s
-        reach_m = radius_m + motion.speed_max_m_s * step_s + np.linalg.norm(there_m - here_m)
-        if np.linalg.norm(state[:2] - here_m) > reach_m:
-            return np.inf
-        shares = np.linspace(0.0, 1.0, STEP_PIECES + 1)
-        pursuer_m = [motion.towards(state, aim_m, share * step_s)[:2] for share in shares]
-        apart_m = here_m + shares[:, None] * (there_m - here_m) - np.array(pursuer_m)
-        piece = first_within(apart_m[:-1], apart_m[1:], radius_m)
-        when = (np.arange(STEP_PIECES) + piece) / STEP_PIECES
-        return float(when.min())
+                capture_s[evader] = times_s[step] + share * step_s
+                captors[evader] = int(np.argmin(shares))
+                places[evader, step + 1] = begin + share * (end - begin)
+        step += 1
+        on_step()
+    return Pursuit(
+        scene,
+        times_s[: step + 1],
+        tuple(each[: step + 1] for each in states),
+        places[:, : step + 1],
+        chased[:, :step],
+        aims_m[:, :step],
+        capture_s,
+        captors,
+        tuple(uses),
+    )
 
 
-def _assigned(
-    costs: NDArray[np.float64],
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the assignment of least total cost."""
-    return cast("tuple[NDArray[np.intp], NDArray[np.intp]]", linear_sum_assignment(costs))
+def _captured_after(
+    scene: Scene,
+    motion: Motion,
+    state: NDArray[np.float64],
+    aim_m: NDArray[np.float64],
+    begin_m: NDArray[np.float64],
+    end_m: NDArray[np.float64],
+) -> float:
+    """Return the share of a step after which an evader is captured; infinite if it is not."""
+    radius_m, step_s = scene.capture_radius_m, scene.step_s
+    reach_m = radius_m + motion.speed_max_m_s * step_s + np.linalg.norm(end_m - begin_m)
+    if np.linalg.norm(state[:2] - begin_m) > reach_m:
+        return np.inf
+    shares = np.linspace(0.0, 1.0, STEP_PIECES + 1)
+    pursuer_m = [motion.towards(state, aim_m, share * step_s)[:2] for share in shares]
+    apart_m = begin_m + shares[:, None] * (end_m - begin_m) - np.array(pursuer_m)
+    piece = first_within(apart_m[:-1], apart_m[1:], radius_m)
+    return float(((np.arange(STEP_PIECES) + piece) / STEP_PIECES).min())
 
 
 def first_within(
     starts_m: NDArray[np.float64], ends_m: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.float64]:
-    """Return after which share of straight ways (k, 2) the origin is within a radius; ``(k,)``.
+    """Return the shares of segments (k, 2) after which the origin is within a radius; ``(k,)``.
 
-    It is the smaller root t of ``|start + t way| = radius``, 0 if the way begins within it, and
-    infinite if it never comes so near.
+    A share is the smaller root t of ``|start + t move| = radius``, 0 if the segment begins within
+    the radius, and infinite if it never comes so near.
     """
-    ways_m = ends_m - starts_m
-    square = (ways_m * ways_m).sum(axis=1)
-    half = (starts_m * ways_m).sum(axis=1)
+    moves_m = ends_m - starts_m
+    square = (moves_m * moves_m).sum(axis=1)
+    half = (starts_m * moves_m).sum(axis=1)
     over = (starts_m * starts_m).sum(axis=1) - radius_m * radius_m
     inside = half * half - square * over
     share = (-half - np.sqrt(np.maximum(inside, 0.0))) / np.where(square > 0.0, square, 1.0)

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.pursuit.design import DesignTask
-from planopt.pursuit.records import Snapshot, Track, mote_centres_m, snapshot
-from planopt.pursuit.service import SnapshotService
+from planopt.pursuit.service import Snapshot, SnapshotService, Track, mote_centres_m, snapshot
 from planopt.pursuit.simulation import Pursuit, Use
 from planopt.report.animation import animate
 from planopt.report.maps import X_LABEL, Y_LABEL, draw_layer, draw_polygons, rectangle, show_bounds

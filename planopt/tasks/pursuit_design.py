@@ -22,6 +22,7 @@ from planopt.pursuit.design import (
     MAX_BITS,
     Design,
     DesignTask,
+    MoteNetwork,
     NoDesignError,
     cheapest_design,
     cheapest_rated_design,
@@ -32,8 +33,7 @@ from planopt.pursuit.design import (
     sharp_design,
 )
 from planopt.pursuit.guarantees import Chase, Guarantee
-from planopt.pursuit.network import MoteNetwork
-from planopt.pursuit.service import MAX_LEVELS, slots_per_frame
+from planopt.pursuit.service import MAX_LEVELS, SLOTS_PER_FRAME
 from planopt.pursuit.theorems import Inequality, Theorem
 from planopt.tasks.task import Task, TaskFile, TaskResult
 
@@ -134,8 +134,8 @@ class NetworkTable(Table):
     )
     idle_w: float = Field(default=0.0, ge=0, le=1e6, description="What a mote draws all the time.")
     slots_per_frame: int = Field(
-        default=slots_per_frame(),
-        ge=slots_per_frame(),
+        default=SLOTS_PER_FRAME,
+        ge=SLOTS_PER_FRAME,
         le=10_000,
         description="Slots of a TDMA frame.",
     )

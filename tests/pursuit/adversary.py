@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.pursuit.guarantees import Chase
-from planopt.pursuit.records import Record, Track
-from planopt.pursuit.service import ServiceBounds
+from planopt.pursuit.service import Record, ServiceBounds, Track
 
 AGES, DIRECTIONS = 48, 24
 """Sample times and directions of the error that are tried for the worst record."""

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planopt.pursuit.motion import StraightMotion
-from planopt.pursuit.pursuers import DriveToReport
-from planopt.pursuit.records import Record
+from planopt.pursuit.pursuers import DriveToReport, StraightMotion
+from planopt.pursuit.service import Record
 from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
 
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from planopt.errors import InputError, NoPlanError
+from planopt.errors import NoPlanError
 from planopt.pursuit.design import (
     MAX_BITS,
     DesignTask,
+    MoteNetwork,
     NoDesignError,
     cheapest_design,
     cheapest_rated_design,
@@ -20,8 +21,8 @@ from planopt.pursuit.design import (
     sensitivities,
     sharp_design,
 )
+from planopt.pursuit.flooding import simulate_flooding
 from planopt.pursuit.guarantees import Chase, guarantees
-from planopt.pursuit.network import Flooding, MoteNetwork, simulate_flooding
 from planopt.pursuit.service import SnapshotService, relative_error
 from planopt.pursuit.theorems import Theorem
 
@@ -85,7 +86,7 @@ def test_the_lemmas_limit_exactly():
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("bits", range(3, 12))
+@pytest.mark.parametrize("bits", [3, 6, 11])
 def test_programme_at_each_number_of_bits(task, bits):
     """Scan and convex programme agree to 1e-6 in cost and slot."""
     scanned = cheapest_design(fixed(task, bits))
@@ -115,7 +116,7 @@ def test_relaxation_is_a_lower_bound(task):
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("bits", [4, 5, 7, 9])
+@pytest.mark.parametrize("bits", [4, 9])
 @pytest.mark.filterwarnings("ignore:Solver failed:RuntimeWarning", "ignore:Solution may be")
 def test_disciplined_quasiconvex_programme(task, bits):
     """Bisection over levels (DQCP, Clarabel) finds the scan's least power to 1e-6.
@@ -257,8 +258,6 @@ def test_pareto_front():
             time = (1 + kappa) * 15.0 / left
             energy = NETWORK.power_w(slot, bits) * time
             assert (energy >= energies[deadlines >= time] * (1 - 1e-12)).all()
-    with pytest.raises(InputError, match="first distance"):
-        pareto_front(TASK, [100.0])
 
 
 @pytest.mark.parametrize("theorem", list(Theorem))
@@ -284,8 +283,8 @@ def test_sharper_theorems_cost_less():
     assert costs[Theorem.SNAPSHOTS] < costs[Theorem.ANY_INSTANT] < costs[Theorem.LEMMA]
 
 
-def test_what_quantities_are_worth():
-    """Per cent of power per per cent: against the derivatives of the closed form."""
+def test_sensitivities():
+    """Change of power in per cent by one per cent: against derivatives of the closed form."""
     task = replace(TASK, margin=0.01)
     found = sensitivities(task, cheapest_design)
     bits = cheapest_design(task).bits_per_axis
@@ -303,8 +302,8 @@ def test_what_quantities_are_worth():
     }
     assert found == pytest.approx(expected, abs=1e-6)
     slow = replace(OTHER, deadline_s=1e4, capture_radius_m=9.0)
-    worth = sensitivities(slow, sharp_design)
-    assert worth["evader_speed_m_s"] > 0 > worth["pursuer_speed_m_s"]
+    found = sensitivities(slow, sharp_design)
+    assert found["evader_speed_m_s"] > 0 > found["pursuer_speed_m_s"]
 
 
 def test_fewer_relays_cost_less():
@@ -313,8 +312,8 @@ def test_fewer_relays_cost_less():
     Six blocks a slot, the mean load, do not keep them with border relays.
     """
     service = SnapshotService(5, 1.0, 0.01, 3)
-    assert not simulate_flooding(service, Flooding(slot_blocks=6)).keeps_rounds
-    assert simulate_flooding(service, Flooding("middle", False, 4)).keeps_rounds
+    assert not simulate_flooding(service, slot_blocks=6).keeps_rounds
+    assert simulate_flooding(service, "middle", False, 4).keeps_rounds
     lean = replace(TASK, network=replace(NETWORK, border_relays=False, slot_blocks=4))
     assert cheapest_design(lean).cost_w < 0.6 * cheapest_design(TASK).cost_w
 
@@ -362,30 +361,3 @@ def test_a_payload_too_large_for_a_sharp_design():
     inequality = found.value.inequality
     assert inequality.left == slow.network.least_slot_s(6)
     assert inequality.right == pytest.approx(sharp_design(task).slot_width_s, rel=1e-8)
-
-
-def test_tasks_without_what_a_design_needs():
-    """Missing keys are named."""
-    for key in ("first_distance_m", "capture_radius_m", "deadline_s"):
-        with pytest.raises(InputError, match=key):
-            sharp_design(replace(OTHER, **{key: None}))
-    with pytest.raises(InputError, match="first_distance_m"):
-        least_energy_design(TASK)
-
-
-@pytest.mark.parametrize(
-    ("make", "key"),
-    [
-        (lambda: replace(NETWORK, bit_rate_bit_s=0.0), "bit_rate_bit_s"),
-        (lambda: replace(NETWORK, header_bits=-1), "header_bits"),
-        (lambda: replace(NETWORK, slots_per_frame=8), "slots_per_frame"),
-        (lambda: replace(NETWORK, slot_blocks=0), "slot_blocks"),
-        (lambda: replace(TASK, margin=-0.1), "margin"),
-        (lambda: replace(TASK, bits_per_axis=17), "bits_per_axis"),
-        (lambda: replace(TASK, deadline_s=0.0), "deadline_s"),
-    ],
-)
-def test_bad_numbers(make, key):
-    """Each number out of range is named."""
-    with pytest.raises(InputError, match=f"key {key}"):
-        make()

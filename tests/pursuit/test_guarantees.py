@@ -83,10 +83,7 @@ def test_times_without_floors(chase):
             Theorem.SAMPLED_DISTANCE: (a + x) / (1 + x),
         }
     )
-    for theorem, each in found.items():
-        stages = np.ceil(np.log(1.15 * first) / -np.log(ratios[theorem]))
-        assert abs(each.stage_count(first, 1.0) - stages) <= 1
-        assert each.floor_m == 0.0
+    assert all(each.floor_m == 0.0 for each in found.values())
 
 
 @pytest.mark.parametrize("bounds", BOUNDS)
@@ -159,7 +156,6 @@ def test_times_fall_with_the_radius_and_rise_with_the_distance(theorem):
     assert inf > times[0] > times[1] > times[2] > 0.0
     assert found.capture_time_s(200.0, 8.0) > times[1]
     assert found.capture_time_s(0.1, 30.0) == 0.0
-    assert found.stage_count(200.0, 8.0) >= found.stage_count(100.0, 8.0) >= 1
 
 
 def test_inequalities_say_by_how_much():
@@ -186,8 +182,6 @@ def test_period_of_one_evader_step():
     [
         ((1.0, 1.0), "fails by 0 m/s"),
         ((2.0, 1.5), "fails by 0.5 m/s"),
-        ((0.0, 1.0), "evader_speed_m_s"),
-        ((1.0, float("inf")), "pursuer_speed_m_s"),
     ],
 )
 def test_bad_chase(speeds, words):

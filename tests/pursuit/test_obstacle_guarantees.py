@@ -8,10 +8,8 @@ from planopt.errors import InputError
 from planopt.pursuit.arena import EVADER_SHARE, arena_of
 from planopt.pursuit.evaders import Fleeing, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, guarantees, guarantees_among_obstacles
-from planopt.pursuit.motion import StraightMotion
-from planopt.pursuit.pursuers import DriveToReport
-from planopt.pursuit.records import SnapshotRecords
-from planopt.pursuit.service import ServiceBounds, SnapshotService
+from planopt.pursuit.pursuers import DriveToReport, StraightMotion
+from planopt.pursuit.service import ServiceBounds, SnapshotRecords, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
 from planopt.pursuit.theorems import Distances, Theorem
 from planopt.world.workspace import Obstacle, Workspace
@@ -166,5 +164,3 @@ def test_factors():
     for theorems in guarantees_among_obstacles(chase, bounds, 1.0).values():
         for theorem, each in theorems.items():
             assert (each.ratio, each.floor_m) == (wide[theorem].ratio, wide[theorem].floor_m)
-    with pytest.raises(InputError, match="detour"):
-        guarantees_among_obstacles(chase, bounds, 0.5)

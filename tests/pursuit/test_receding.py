@@ -5,10 +5,9 @@ import pytest
 from pursuit_scene import ExactRecords, pursue
 from scipy.linalg import expm
 
-from planopt.errors import InputError
 from planopt.pursuit.evaders import Wandering
 from planopt.pursuit.pursuers import Estimate, RecedingHorizon, predicted, updated
-from planopt.pursuit.records import Record
+from planopt.pursuit.service import Record
 
 
 @pytest.mark.parametrize("lasts_s", [0.01, 3.0, 200.0])
@@ -64,11 +63,3 @@ def test_crossing_evader_is_met_ahead():
         away = np.linalg.norm(track[0] + dense_s[:, None] * velocity - start, axis=1)
         best_s = dense_s[np.argmax(away <= 2.0 * dense_s + 3.0)]
         assert best_s - 1e-3 <= caught_s <= best_s + 1.5
-
-
-@pytest.mark.parametrize("changes", [{"horizon": 0}, {"plan_step_s": 0.0}, {"manoeuvre_s": -1.0}])
-def test_bad_numbers(changes):
-    """They are named."""
-    numbers = {"horizon": 3, "plan_step_s": 1.0, "manoeuvre_s": 10.0, **changes}
-    with pytest.raises(InputError, match=next(iter(changes))):
-        RecedingHorizon(**numbers)

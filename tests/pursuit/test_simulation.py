@@ -11,10 +11,8 @@ from pursuit_scene import ExactRecords, pursue
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena, arena_of
 from planopt.pursuit.evaders import Fleeing, Static, Wandering
-from planopt.pursuit.motion import StraightMotion, UnicycleMotion
-from planopt.pursuit.pursuers import DriveToReport, fresher
-from planopt.pursuit.records import Record, SnapshotRecords, draw_lost_rounds
-from planopt.pursuit.service import SnapshotService
+from planopt.pursuit.pursuers import DriveToReport, StraightMotion, UnicycleMotion, fresher
+from planopt.pursuit.service import Record, SnapshotRecords, SnapshotService
 from planopt.pursuit.simulation import (
     Evader,
     Pursuer,
@@ -103,7 +101,7 @@ def test_lost_rounds():
     service = SnapshotService(8, 1.0, 0.05, 3, endless=True)
     ages = []
     for probability in (0.0, 0.5):
-        lost = draw_lost_rounds(service, probability, 64, np.random.default_rng(0))
+        lost = np.random.default_rng(0).random((9, 64)) < probability
         runs = [pursue(SnapshotRecords(service, lost), Fleeing(), seed) for seed in range(5)]
         assert all(run.outcome == "captured" for run in runs)
         ages.append(np.mean([use.age_s / use.distance_m for run in runs for use in run.uses]))
@@ -111,8 +109,6 @@ def test_lost_rounds():
     nothing = SnapshotRecords(service, np.ones((9, 1), dtype=bool))
     blind = pursue(nothing, Static(), 0, max_steps=20)
     assert blind.outcome == "step_limit" and blind.uses == ()
-    with pytest.raises(InputError, match="9 rows"):
-        SnapshotRecords(service, np.ones((3, 4), dtype=bool))
 
 
 def many(pursuers, evaders, behaviour, **options):
@@ -274,15 +270,3 @@ def test_no_path():
     )
     with pytest.raises(InputError, match="no path leads from"):
         closed.route_m(np.array([2.0, 2.0]), np.array([15.0, 5.0]))
-
-
-def test_bad_scenes():
-    """Nobody to pursue, and numbers out of range."""
-    with pytest.raises(InputError, match="needs a pursuer and an evader"):
-        Scene((), (), ExactRecords(), 1.0, 0.1, 10)
-    with pytest.raises(InputError, match="capture_radius_m"):
-        pursue(ExactRecords(), Static(), 0, radius_m=0.0, step_s=0.1)
-    with pytest.raises(InputError, match="needs bounds"):
-        Arena(None, ROOM.obstacles, 1.0)
-    with pytest.raises(InputError, match="clearance_m"):
-        Arena(ROOM.bounds_m, ROOM.obstacles)

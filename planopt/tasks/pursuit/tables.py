@@ -21,10 +21,15 @@ from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, Guarantee, guarantees, guarantees_among_obstacles
-from planopt.pursuit.motion import Motion, StraightMotion, UnicycleMotion
-from planopt.pursuit.pursuers import DriveToReport, Policy, RecedingHorizon
-from planopt.pursuit.records import SnapshotRecords, draw_lost_rounds
-from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotService
+from planopt.pursuit.pursuers import (
+    DriveToReport,
+    Motion,
+    Policy,
+    RecedingHorizon,
+    StraightMotion,
+    UnicycleMotion,
+)
+from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotRecords, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene
 from planopt.pursuit.theorems import Distances, Theorem
 from planopt.robots.models import Unicycle
@@ -257,7 +262,8 @@ class PursuitProblem(TaskProblem):
         ]
         lost, probability = None, given.network.loss_probability
         if probability > 0.0:
-            lost = draw_lost_rounds(self.service, probability, LOST_ROUNDS, generator)
+            shape = (given.network.levels + 1, LOST_ROUNDS)
+            lost = generator.random(shape) < probability
         count = len(given.pursuers)
         return Scene(
             tuple(

@@ -109,9 +109,8 @@ def simulate(
 
 
 def controller(problem: PursuitProblem, *, seed: int) -> PursuitController:
-    """Return what decides the steps of the pursuers, with the randomness of a seed."""
-    generator = np.random.default_rng(seed)
-    return PursuitController(problem.scene(generator), generator)
+    """Return the controller of the pursuers, whose starts come from a seed."""
+    return PursuitController(problem.scene(np.random.default_rng(seed)))
 
 
 def unguaranteed(problem: PursuitProblem) -> Inequality | None:

@@ -446,7 +446,7 @@ def relaxed_design(
     bits = network.header_bits + network.mean_blocks * network.record_bits
     t, z, w = cp.Variable(pos=True), cp.Variable(pos=True), cp.Variable(pos=True)
     block = (network.record_bits + 1.0) * t + 2.0 / math.log(2.0) * cp.rel_entr(t, z)
-    limits = [
+    limits: list[Any] = [
         0.5 * (w + 1.0) + (1.0 + u) / (1.0 - u - task.margin) * z <= t,
         network.header_bits * t + network.slot_blocks * block
         <= network.bit_rate_bit_s * unit_s * w,

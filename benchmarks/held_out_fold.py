@@ -15,8 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from planopt.channel import LogFormat, Station, read_log
-from planopt.channel.estimation.fit import fitted_parameters
+from planopt.channel import LogFormat, Station, fit_channel, read_log
 from planopt.channel.held_out import (
     channel_predictor,
     learn_path_loss,
@@ -42,10 +41,10 @@ def main(log: str, station: str) -> None:
     timed("matrix product", lambda: matrix @ matrix)
     print(f"{len(known)} rows, {known.censored.mean():.0%} censored; {len(out)} held out")
     begun = process_time()
-    fit = timed("fit", lambda: fitted_parameters(known, site))
+    fit = timed("fit", lambda: fit_channel(known, site))
     for name, learn in (
-        ("channel", lambda: channel_predictor(fit, known)),
-        ("marginal", lambda: marginal_predictor(fit, known)),
+        ("channel", lambda: channel_predictor(fit.parameters, known)),
+        ("marginal", lambda: marginal_predictor(fit.parameters, known)),
         ("path_loss", lambda: learn_path_loss(known, site)),
         ("plain_line", lambda: learn_plain_line(known, site)),
         ("plain_process", lambda: learn_plain_process(known)),

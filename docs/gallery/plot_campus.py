@@ -104,7 +104,10 @@ garage_map = draw_map("garage")
 def learn(log, station):
     """What predicts once `log` is known."""
     fit = fit_channel(log, station)
-    return {"channel": channel_predictor(fit, log), "path_loss": learn_path_loss(log, station)}
+    return {
+        "channel": channel_predictor(fit.parameters, log),
+        "path_loss": learn_path_loss(log, station),
+    }
 
 
 reports = {}

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from planopt.channel.cholesky import log_determinant, lower_factor, solve_lower
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.least_squares import examine, least_squares, nearest_distance_m
-from planopt.channel.estimation.likelihood_climb import thinned
+from planopt.channel.estimation.reml import thinned
 from planopt.channel.joint import predict_readings
 from planopt.channel.measurement_covariance import pairwise_distance_m
 from planopt.channel.measurements import Measurements
@@ -45,42 +45,35 @@ is then 6.53 dB instead of 6.48."""
 
 
 def predictors_of(
-    fit: Callable[[Measurements], ChannelFit | ChannelParameters],
+    fit: Callable[[Measurements], ChannelFit],
 ) -> Callable[[Measurements], dict[str, Predictor]]:
     """Return the predictors to compare: the fitted channel, path loss alone, and the baselines.
 
-    `fit` fits any measurements, once for all predictors; its parameters are enough
-    (:func:`planopt.channel.estimation.fit.fitted_parameters`).
+    `fit` fits any measurements, once for all predictors.
     """
 
     def learn(measurements: Measurements) -> dict[str, Predictor]:
         found = fit(measurements)
-        station = _parameters(found).station
+        parameters = found.parameters
         return {
-            "channel": channel_predictor(found, measurements),
-            "marginal": marginal_predictor(found, measurements),
-            PATH_LOSS: learn_path_loss(measurements, station),
-            "plain_line": learn_plain_line(measurements, station),
+            "channel": channel_predictor(parameters, measurements),
+            "marginal": marginal_predictor(parameters, measurements),
+            PATH_LOSS: learn_path_loss(measurements, parameters.station),
+            "plain_line": learn_plain_line(measurements, parameters.station),
             "plain_process": learn_plain_process(measurements),
         }
 
     return learn
 
 
-def _parameters(fit: ChannelFit | ChannelParameters) -> ChannelParameters:
-    return fit if isinstance(fit, ChannelParameters) else fit.parameters
-
-
-def channel_predictor(fit: ChannelFit | ChannelParameters, measurements: Measurements) -> Predictor:
+def channel_predictor(parameters: ChannelParameters, measurements: Measurements) -> Predictor:
     """Predict from the measurements that were fitted (equation 1.8)."""
-    return partial(predict_readings, condition(_parameters(fit), measurements))
+    return partial(predict_readings, condition(parameters, measurements))
 
 
-def marginal_predictor(
-    fit: ChannelFit | ChannelParameters, measurements: Measurements
-) -> Predictor:
+def marginal_predictor(parameters: ChannelParameters, measurements: Measurements) -> Predictor:
     """Predict with the uncertainty of xi, beta and omega included."""
-    posterior = marginalise(_parameters(fit), measurements, MARGINAL_EXACT_LIMIT)
+    posterior = marginalise(parameters, measurements, MARGINAL_EXACT_LIMIT)
     return partial(predict_readings, posterior)
 
 

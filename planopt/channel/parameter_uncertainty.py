@@ -28,8 +28,7 @@ from planopt.channel.estimation.likelihood import (
     likelihood_data,
     profiled_log_likelihood,
 )
-from planopt.channel.estimation.likelihood_climb import thinned
-from planopt.channel.estimation.reml import MOST_DENSE
+from planopt.channel.estimation.reml import MOST_DENSE, thinned
 from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.parameters import ChannelParameters, mean_model, require_places

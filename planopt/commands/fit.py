@@ -79,7 +79,7 @@ def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) 
     fold_of = deal(groups, min(count, MOST_FOLDS), np.random.default_rng(SEED))
     try:
         return held_out_report(
-            fitted.measurements, groups, fold_of, predictors_of(fitted.learn), threshold_dbm
+            fitted.measurements, groups, fold_of, predictors_of(fitted.fit), threshold_dbm
         )
     except InputError as error:
         # Its row, if any, is one of a part of the log.

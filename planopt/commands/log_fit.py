@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit, Loss
     from planopt.channel.estimation.station_fit import StationMethod
     from planopt.channel.measurements import Measurements
-    from planopt.channel.parameters import ChannelParameters
     from planopt.channel.power_log import LogFormat
 
 DEGENERATE = 3
@@ -28,8 +27,7 @@ class LogFit:
     measurements: Measurements
     found: ChannelFit
     receivers: tuple[str, ...]  # Labels by the receivers' numbers; empty without --receiver
-    # Estimates parameters from other measurements with the same options
-    learn: Callable[[Measurements], ChannelParameters]
+    fit: Callable[[Measurements], ChannelFit]  # Fits other measurements with the same options
     log_format: LogFormat
     warnings: tuple[str, ...]  # From the fit, and about implausible values
 
@@ -42,7 +40,7 @@ class LogFit:
 def read_and_fit(options: LogOptions) -> LogFit:
     """Read a log and fit the channel."""
     from planopt.channel.estimation.channel_fit import require_loss, require_method
-    from planopt.channel.estimation.fit import fit_channel, fitted_parameters
+    from planopt.channel.estimation.fit import fit_channel
     from planopt.channel.estimation.station_fit import fit_channel_and_station
     from planopt.channel.power_log import at_file_line, parse_station, read_power_log
     from planopt.problems.plausibility import log_warnings
@@ -56,31 +54,19 @@ def read_and_fit(options: LogOptions) -> LogFit:
     forgetting_s = _forgetting_s(options)
     read = read_power_log(options.log, log_format)
 
-    def find(measurements: Measurements) -> ChannelFit:
-        return fit_channel_and_station(
-            measurements,
-            chosen,
-            forgetting_s=forgetting_s,
-            station_method=search,
-            loss=loss,
-        )
-
     def fit(measurements: Measurements) -> ChannelFit:
-        if site is None:
-            return find(measurements)
-        return fit_channel(measurements, site, chosen, forgetting_s, loss=loss)
-
-    def learn(measurements: Measurements) -> ChannelParameters:
-        if site is None:
-            return find(measurements).parameters
-        return fitted_parameters(measurements, site, chosen, forgetting_s, loss=loss)
+        if site is not None:
+            return fit_channel(measurements, site, chosen, forgetting_s, loss=loss)
+        return fit_channel_and_station(
+            measurements, chosen, forgetting_s=forgetting_s, station_method=search, loss=loss
+        )
 
     try:
         found = fit(read.measurements)
     except InputError as error:
         raise at_file_line(error, options.log, log_format) from None
     warnings = (*log_warnings(read.measurements, log_format), *found.warnings)
-    return LogFit(read.measurements, found, read.receivers, learn, log_format, warnings)
+    return LogFit(read.measurements, found, read.receivers, fit, log_format, warnings)
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:

@@ -13,7 +13,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.calibration import EDGES, Calibration, ReliabilityBin
 from planopt.channel.channel_map import PosteriorMap
 from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.estimation.lemma1 import BINS, empirical_correlation
+from planopt.channel.estimation.correlation_fit import BINS, empirical_correlation
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station, regressors, station_distance_m
 from planopt.errors import InputError

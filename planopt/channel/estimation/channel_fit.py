@@ -202,7 +202,7 @@ class ChannelFit:
         the diagonal where it is not determined; None where it was given.
     other_modes
         Other maxima of the likelihood, for ``reml``, that are lower by no more than
-        :data:`planopt.channel.estimation.likelihood_climb.NEARLY_AS_LIKELY`; the best first.
+        :data:`planopt.channel.estimation.reml.NEARLY_AS_LIKELY`; the best first.
     """
 
     method: FitMethod | Literal["given"]

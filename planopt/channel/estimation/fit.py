@@ -1,13 +1,12 @@
 """Estimate the channel from power measurements, by one of five methods.
 
-Every method reports a status, standard errors and, in words, which parameter the measurements do
-not determine and what stands in for it. Only :class:`planopt.errors.InputError` is raised.
+Every method reports a status, standard errors and, in words, which parameters the measurements do
+not determine and which values stand in for them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +17,6 @@ from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import (
     FALLBACK_TOTAL_VARIANCE_DB2,
     ChannelFit,
-    CovarianceBounds,
     CovarianceFit,
     FitMethod,
     Loss,
@@ -28,21 +26,12 @@ from planopt.channel.estimation.channel_fit import (
     require_loss,
     require_method,
 )
-from planopt.channel.estimation.correlation_solvers import convex_fit, nls_fit
+from planopt.channel.estimation.correlation_fit import empirical_correlation, fit_correlation
 from planopt.channel.estimation.least_squares import (
     Identifiability,
-    LeastSquares,
     coefficient_covariance,
     examine,
     least_squares,
-)
-from planopt.channel.estimation.lemma1 import (
-    EmpiricalCorrelation,
-    capped_bins,
-    empirical_correlation,
-    enough,
-    lemma1_fit,
-    printed_bins,
 )
 from planopt.channel.estimation.likelihood import Covariance
 from planopt.channel.estimation.reml import EXACT_ROWS, RemlFit, reml_fit
@@ -56,16 +45,16 @@ from planopt.channel.parameters import (
     mean_model,
 )
 from planopt.channel.posterior import condition
-from planopt.channel.vecchia import ReceiverOffset, receiver_offsets
+from planopt.channel.vecchia import receiver_offsets
 from planopt.errors import InputError
 
 PRIOR_K_PL_STD_DB = 20.0
-"""Deviation of K_PL where every measurement is censored."""
+"""Standard deviation of K_PL where every measurement is censored."""
 
 
 @dataclass(frozen=True)
-class GivenToFit:
-    """The input of a fit."""
+class _FitInput:
+    """Measurements, ordered by place, and the model of their mean."""
 
     model: MeanModel
     measurements: Measurements
@@ -76,7 +65,7 @@ class GivenToFit:
     def parameters(
         self, coefficients: NDArray[np.float64], covariance: Covariance
     ) -> ChannelParameters:
-        """An estimate as parameters."""
+        """Return an estimate as parameters."""
         k_pl, n_pl = self.model.theta(coefficients)
         shadow, nugget, beta = covariance
         return ChannelParameters(
@@ -91,8 +80,8 @@ class GivenToFit:
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """Covariance and mean before they are dressed as a `ChannelFit`."""
+class _Estimate:
+    """Covariance and mean, with what is to be noted."""
 
     covariance: CovarianceFit
     coefficients: NDArray[np.float64]
@@ -101,151 +90,98 @@ class Estimate:
     reml: RemlFit | None = None
 
 
-def by_likelihood(given: GivenToFit, *, errors: bool = True) -> Estimate:
-    """Restricted maximum likelihood of all measurements; `errors` as in :func:`reml_fit`."""
-    model, measurements, allows = given.model, given.measurements, given.allows
-    line = least_squares(model, measurements)
-    bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
+def _by_likelihood(data: _FitInput) -> _Estimate:
+    """Return the restricted maximum likelihood estimate."""
+    line = least_squares(data.model, data.measurements)
+    beta_bounds = data.allows.decorrelation_bounds_m
+    bounds = covariance_bounds(line.variance_db2, beta_bounds)
     # Errors of path loss need n_PL before it is known: that of the least-squares line.
-    rough = fallback_fit(line.variance_db2, allows.decorrelation_bounds_m, "a first guess")
-    known = given.parameters(line.coefficients, rough.values)
-    found = reml_fit(model, measurements, bounds, known, errors=errors)
-    return Estimate(
-        found.covariance,
-        found.best.coefficients,
-        found.best.coefficient_covariance,
-        reml=found,
-    )
+    rough = fallback_fit(line.variance_db2, beta_bounds, "a first guess")
+    known = data.parameters(line.coefficients, rough.values)
+    found = reml_fit(data.model, data.measurements, bounds, known)
+    at = found.best.at
+    return _Estimate(found.covariance, at.coefficients, at.coefficient_covariance, reml=found)
 
 
-def by_correlation(given: GivenToFit, method: FitMethod, loss: Loss) -> Estimate:
-    """Least-squares line, then xi and beta from the empirical correlation of what it leaves."""
-    measurements, allows = given.measurements, given.allows
-    line = least_squares(given.model, measurements)
-    bounds = covariance_bounds(line.variance_db2, allows.decorrelation_bounds_m)
+def _by_correlation(data: _FitInput, method: FitMethod, loss: Loss) -> _Estimate:
+    """Fit a least-squares line, then xi and beta to the correlation of its residuals."""
+    measurements, allows = data.measurements, data.allows
+    line = least_squares(data.model, measurements)
+    alpha = line.variance_db2
+    bounds = covariance_bounds(alpha, allows.decorrelation_bounds_m)
     correlation = empirical_correlation(measurements.positions_m, line.residual_db, allows.extent_m)
-    covariance = _from_bins(correlation, line, allows, bounds, method, loss)
+    covariance = fit_correlation(
+        correlation, alpha, len(line.residual_db), allows.extent_m, bounds, method, loss
+    )
     notes: list[str] = []
     if measurements.censored.any():
         notes.append(
             "censored powers were replaced by their expected values; reml treats them better"
         )
-    if math.isfinite(given.forgetting_s) and np.ptp(measurements.time_s) > 0.0:
+    if math.isfinite(data.forgetting_s) and np.ptp(measurements.time_s) > 0.0:
         notes.append("xi, beta and omega were fitted without regard to age; reml regards it")
     if measurements.position_std_m.any():
         notes.append(
             "xi, beta and omega were fitted without regard to errors of position; reml regards them"
         )
-    return _with_line(line, given, covariance, tuple(notes))
+    return _with_line(line.coefficients, data, covariance, tuple(notes))
 
 
-def _from_bins(
-    correlation: EmpiricalCorrelation,
-    line: LeastSquares,
-    allows: Identifiability,
-    bounds: CovarianceBounds,
-    method: FitMethod,
-    loss: Loss,
-) -> CovarianceFit:
-    """xi, beta and omega by one of the methods on binned correlations."""
-    alpha, count = line.variance_db2, len(line.residual_db)
-    if alpha < bounds.shadow_db2[0]:
-        return fallback_fit(alpha, allows.decorrelation_bounds_m, "the powers lie on the line")
-    if method == "nls":
-        return nls_fit(correlation, alpha, count, bounds)
-    bins = (
-        printed_bins(correlation, alpha)
-        if method == "lemma1"
-        else capped_bins(correlation, alpha, allows.extent_m)
-    )
-    if not enough(bins):
-        return fallback_fit(
-            alpha,
-            allows.decorrelation_bounds_m,
-            "fewer than two lags have a correlation between 0 and alpha",
-        )
-    if method == "convex":
-        return convex_fit(bins, alpha, count, bounds, loss)
-    return lemma1_fit(bins, alpha, count, bounds)
-
-
-def by_assumption(given: GivenToFit, reason: str) -> Estimate:
-    """A line through few measurements, with a covariance that is assumed."""
-    covariance = fallback_fit(
-        FALLBACK_TOTAL_VARIANCE_DB2, given.allows.decorrelation_bounds_m, reason
-    )
-    return _with_line(least_squares(given.model, given.measurements), given, covariance, ())
+def _by_assumption(data: _FitInput, reason: str) -> _Estimate:
+    """Fit a line to few measurements and assume the covariance."""
+    beta_bounds = data.allows.decorrelation_bounds_m
+    covariance = fallback_fit(FALLBACK_TOTAL_VARIANCE_DB2, beta_bounds, reason)
+    if not data.measurements.censored.all():
+        line = least_squares(data.model, data.measurements)
+        return _with_line(line.coefficients, data, covariance)
+    # The highest path loss line of slope `PRIOR_N_PL` that no limit contradicts.
+    highest = float((data.measurements.power_dbm - data.model.offset_db).min())
+    return _Estimate(covariance, np.array([highest]), np.array([[PRIOR_K_PL_STD_DB**2]]))
 
 
 def _with_line(
-    line: LeastSquares, given: GivenToFit, covariance: CovarianceFit, notes: tuple[str, ...]
-) -> Estimate:
-    """A least-squares line, with its covariance under `covariance`."""
-    spread = coefficient_covariance(
-        given.model, given.measurements, given.parameters(line.coefficients, covariance.values)
-    )
-    return Estimate(covariance, line.coefficients, spread, notes)
-
-
-def from_limits_alone(given: GivenToFit) -> Estimate:
-    """The highest path loss line of slope `PRIOR_N_PL` that no limit contradicts."""
-    highest = float((given.measurements.power_dbm - given.model.offset_db).min())
-    return Estimate(
-        fallback_fit(
-            FALLBACK_TOTAL_VARIANCE_DB2,
-            given.allows.decorrelation_bounds_m,
-            "every measurement is censored",
-        ),
-        np.array([highest]),
-        np.array([[PRIOR_K_PL_STD_DB**2]]),
-    )
+    coefficients: NDArray[np.float64],
+    data: _FitInput,
+    covariance: CovarianceFit,
+    notes: tuple[str, ...] = (),
+) -> _Estimate:
+    """Return a least-squares line with its covariance under `covariance`."""
+    parameters = data.parameters(coefficients, covariance.values)
+    spread = coefficient_covariance(data.model, data.measurements, parameters)
+    return _Estimate(covariance, coefficients, spread, notes)
 
 
 WEAK_SHARE = 0.5
-"""A deviation or distance whose standard error is more than this share of itself is hardly
-determined: the ends of its 95 % interval are a factor of seven apart."""
-
-COVARIANCE_NAMES = ("shadow_std_db", "multipath_std_db", "decorrelation_m")
-"""Parameters of the covariance, as they are named in a :class:`ChannelParameters`."""
+"""A parameter whose standard error is more than this share of itself is hardly determined: the ends
+of its 95 % interval are a factor of seven apart."""
 
 WORDS: dict[str, tuple[str, str]] = {
     "n_pl": ("path loss exponent n_PL", ""),
     "shadow_std_db": ("deviation of shadowing", "dB"),
-    "decorrelation_m": ("decorrelation distance", "m"),
     "multipath_std_db": ("deviation of multipath", "dB"),
+    "decorrelation_m": ("decorrelation distance", "m"),
 }
 """Names of parameters in messages, and their units."""
 
 
-def weak_parameters(
-    parameters: ChannelParameters, standard_errors: Mapping[str, float], n_pl_is_assumed: bool
-) -> tuple[str, ...]:
-    """Names of the parameters with a standard error that is known, but large.
+def _weak_words(
+    parameters: ChannelParameters, standard_errors: dict[str, float], n_pl_is_assumed: bool
+) -> list[str]:
+    """Name the parameters with a standard error that is known but large.
 
-    That of n_PL is where it exceeds the deviation of its prior: it is as well known without
-    measurements.
+    That of n_PL is compared with its prior, which holds without measurements.
     """
-    weak = [
-        name
-        for name in COVARIANCE_NAMES
-        if WEAK_SHARE * getattr(parameters, name) < standard_errors[name] < math.inf
-    ]
-    if not n_pl_is_assumed and PRIOR_N_PL_STD < standard_errors["n_pl"] < math.inf:
-        weak.insert(0, "n_pl")
-    return tuple(weak)
+    said: list[str] = []
+    for name, (called, unit) in WORDS.items():
+        value, error = getattr(parameters, name), standard_errors[name]
+        most = PRIOR_N_PL_STD if name == "n_pl" else WEAK_SHARE * value
+        if most < error < math.inf and not (name == "n_pl" and n_pl_is_assumed):
+            known = f"{value:.3g} with standard error {error:.2g} {unit}".rstrip()
+            said.append(f"the {called} is hardly determined: {known}")
+    return said
 
 
-def weak_words(
-    name: str, parameters: ChannelParameters, standard_errors: Mapping[str, float]
-) -> str:
-    """Say that a parameter is hardly determined."""
-    called, unit = WORDS[name]
-    value, error = getattr(parameters, name), standard_errors[name]
-    known = f"{value:.3g} with standard error {error:.2g} {unit}".rstrip()
-    return f"the {called} is hardly determined: {known}"
-
-
-def mode_words(parameters: ChannelParameters, below: float) -> str:
+def _mode_words(parameters: ChannelParameters, below: float) -> str:
     """Say that other parameters are nearly as likely; their log likelihood is `below` less."""
     return (
         f"another set of parameters is nearly as likely (log likelihood {below:.2f} lower): "
@@ -281,7 +217,7 @@ probability than this: towards the end of a range values become rarer, not more 
 def implausible_values(
     parameters: ChannelParameters, measurements: Measurements, extent_m: float
 ) -> tuple[str, ...]:
-    """Say which values are not to be believed."""
+    """Name the values that are implausible."""
     said: list[str] = []
     low, high = PLAUSIBLE_POWER_DBM
     for power in (measurements.power_dbm.min(), measurements.power_dbm.max()):
@@ -361,7 +297,7 @@ def fit_channel(
         ``math.inf`` for a channel that does not drift.
     loss
         What ``convex`` makes of the scatter about its line
-        (:func:`planopt.channel.estimation.correlation_solvers.convex_fit`); others have squares.
+        (:func:`planopt.channel.estimation.correlation_fit.convex_fit`); others have squares.
 
     Raises
     ------
@@ -380,98 +316,73 @@ def fit_channel(
     >>> print(round(found.parameters.n_pl, 1))
     2.0
     """
-    given = _given(measurements, station, forgetting_s)
-    chosen = _chosen(method, loss)
-    return _dressed(_estimate(given, chosen, loss), given, chosen)
-
-
-@one_blas_thread()
-def fitted_parameters(
-    measurements: Measurements | Table,
-    station: Station,
-    method: FitMethod = "reml",
-    forgetting_s: float = math.inf,
-    *,
-    loss: Loss = "squares",
-) -> ChannelParameters:
-    """Return the parameters of :func:`fit_channel` alone, in less time than it takes.
-
-    How well they are known is not looked at, nor whether they are plausible. Parameters and errors
-    as there.
-    """
-    given = _given(measurements, station, forgetting_s)
-    estimate = _estimate(given, _chosen(method, loss), loss, errors=False)
-    return given.parameters(estimate.coefficients, estimate.covariance.values)
-
-
-def _chosen(method: FitMethod, loss: Loss) -> FitMethod:
-    """Return the method that is meant, which must have the loss."""
+    measurements = as_measurements(measurements)
     chosen = require_method(method, "method")
     require_loss(loss, chosen, "loss")
-    return chosen
-
-
-def _given(measurements: Measurements | Table, station: Station, forgetting_s: float) -> GivenToFit:
-    """Return what a fit starts from: measurements by place, and the model of their mean."""
-    measurements = as_measurements(measurements)
     if not forgetting_s > 0.0:
         raise InputError(
             f"{forgetting_s!r} s is no forgetting time",
             key="forgetting_s",
             remedy="give more than 0, or inf for a channel that does not drift",
         )
-    # Errors name a row as it was given; the rest does not depend on the order of rows.
+    # Errors name a row as in the input; the rest does not depend on the order of rows.
     allows = examine(measurements, station)
     measurements = measurements.by_place()
     exact = ~measurements.censored
     model = mean_model(measurements.positions_m, exact, station, allows.n_pl_reason is None)
-    return GivenToFit(model, measurements, station, allows, forgetting_s)
+    data = _FitInput(model, measurements, station, allows, forgetting_s)
+    if not exact.any():
+        return _channel_fit(_by_assumption(data, "every measurement is censored"), data, chosen)
+    if allows.covariance_reason is not None:
+        return _channel_fit(_by_assumption(data, allows.covariance_reason), data, chosen)
+    if chosen == "reml":
+        return _channel_fit(_by_likelihood(data), data, chosen)
+    return _channel_fit(_by_correlation(data, chosen, loss), data, chosen)
 
 
-def _estimate(given: GivenToFit, method: FitMethod, loss: Loss, *, errors: bool = True) -> Estimate:
-    """Estimate by the method, or by assumption; `errors` is for ``reml``."""
-    if given.measurements.censored.all():
-        return from_limits_alone(given)
-    if given.allows.covariance_reason is not None:
-        return by_assumption(given, given.allows.covariance_reason)
-    if method == "reml":
-        return by_likelihood(given, errors=errors)
-    return by_correlation(given, method, loss)
-
-
-def _dressed(estimate: Estimate, given: GivenToFit, method: FitMethod) -> ChannelFit:
-    """Everything as the user gets it."""
-    covariance, allows, measurements = estimate.covariance, given.allows, given.measurements
-    parameters = given.parameters(estimate.coefficients, covariance.values)
-    theta_covariance = given.model.theta_covariance(estimate.coefficient_covariance)
-    errors = _standard_errors(covariance, theta_covariance)
+def _channel_fit(estimate: _Estimate, data: _FitInput, method: FitMethod) -> ChannelFit:
+    """Return the estimate with standard errors, status, warnings and receivers' offsets."""
+    covariance, allows, measurements = estimate.covariance, data.allows, data.measurements
+    parameters = data.parameters(estimate.coefficients, covariance.values)
+    theta_covariance = data.model.theta_covariance(estimate.coefficient_covariance)
+    k_error, n_error = np.sqrt(np.maximum(np.diag(theta_covariance), 0.0)).tolist()
+    shadow_error, multipath_error, beta_error = covariance.standard_errors
+    errors = {
+        "k_pl_db": k_error,
+        "n_pl": n_error,
+        "shadow_std_db": shadow_error,
+        "decorrelation_m": beta_error,
+        "multipath_std_db": multipath_error,
+    }
     doubts = list(covariance.warnings)
     if allows.n_pl_reason is not None:
         doubts.insert(0, f"n_PL is assumed {PRIOR_N_PL:g}, not estimated: {allows.n_pl_reason}")
-    weak = weak_parameters(parameters, errors, allows.n_pl_reason is not None)
-    found = estimate.reml
-    modes = () if found is None else found.others
-    others = tuple(
-        OtherMode(given.parameters(mode.coefficients, mode.covariance), mode.log_likelihood)
-        for mode in modes
-    )
+    faults = _weak_words(parameters, errors, allows.n_pl_reason is not None)
+    log_likelihood, others = None, tuple[OtherMode, ...]()
+    if estimate.reml is not None:
+        log_likelihood = estimate.reml.best.at.log_likelihood
+        others = tuple(
+            OtherMode(
+                data.parameters(mode.at.coefficients, mode.covariance), mode.at.log_likelihood
+            )
+            for mode in estimate.reml.others
+        )
+        faults += [
+            _mode_words(other.parameters, log_likelihood - other.log_likelihood) for other in others
+        ]
+    faults += implausible_values(parameters, measurements, allows.extent_m)
     floor = suspected_floor(measurements)
-    faults = [
-        *(weak_words(name, parameters, errors) for name in weak),
-        *(
-            mode_words(other.parameters, found.best.log_likelihood - other.log_likelihood)
-            for other in others
-            if found is not None
-        ),
-        *implausible_values(parameters, measurements, allows.extent_m),
-        *([] if floor is None else [floor]),
-    ]
+    if floor is not None:
+        faults.append(floor)
     notes = list(estimate.notes)
     if (measurements.receiver != 0).all():
         notes.append(
             "receiver 0, for which powers are predicted, measured nothing: K_PL is known no better "
             "than the offsets"
         )
+    offsets = ()
+    if measurements.receiver.any():
+        offsets = receiver_offsets(condition(parameters, measurements, exact_limit=EXACT_ROWS))
     return ChannelFit(
         method=method,
         status="degenerate" if doubts else "weak" if faults else "ok",
@@ -481,30 +392,7 @@ def _dressed(estimate: Estimate, given: GivenToFit, method: FitMethod) -> Channe
         measurements=len(measurements),
         censored=int(measurements.censored.sum()),
         warnings=(*doubts, *faults, *notes),
-        log_likelihood=None if found is None else found.best.log_likelihood,
-        receiver_offsets=_offsets(measurements, parameters),
+        log_likelihood=log_likelihood,
+        receiver_offsets=offsets,
         other_modes=others,
     )
-
-
-def _standard_errors(
-    covariance: CovarianceFit, theta_covariance: NDArray[np.float64]
-) -> dict[str, float]:
-    k_error, n_error = np.sqrt(np.maximum(np.diag(theta_covariance), 0.0))
-    shadow_error, multipath_error, beta_error = covariance.standard_errors
-    return {
-        "k_pl_db": float(k_error),
-        "n_pl": float(n_error),
-        "shadow_std_db": shadow_error,
-        "decorrelation_m": beta_error,
-        "multipath_std_db": multipath_error,
-    }
-
-
-def _offsets(
-    measurements: Measurements, parameters: ChannelParameters
-) -> tuple[ReceiverOffset, ...]:
-    """Offsets of receivers under fitted parameters."""
-    if not measurements.receiver.any():
-        return ()
-    return receiver_offsets(condition(parameters, measurements, exact_limit=EXACT_ROWS))

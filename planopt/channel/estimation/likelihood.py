@@ -124,14 +124,9 @@ class LikelihoodData:
         return len(self.windows) == 1
 
     def part(self, taken: NDArray[np.bool_]) -> LikelihoodData:
-        """Return the data of some Gaussian measurements; windows without any are left out."""
-        number = np.cumsum(taken) - 1
-        windows = [
-            Window(number[one.beside[taken[one.beside]]], number[one.own[taken[one.own]]])
-            for one in self.windows
-        ]
-        kept = tuple(window for window in windows if len(window.own))
+        """Return the data of some Gaussian measurements as one window."""
         origins, every = self.origins.at(np.flatnonzero(taken)), np.ones(int(taken.sum()), np.bool_)
+        windows = (Window(np.zeros(0, dtype=np.intp), np.arange(len(every))),)
         return replace(
             self,
             origins=origins,
@@ -142,8 +137,8 @@ class LikelihoodData:
             measured=every,
             intervals=None,
             log_steps=0.0,
-            windows=kept,
-            distances_m=_distances_m(origins, kept),
+            windows=windows,
+            distances_m=_distances_m(origins, windows),
         )
 
     def flat_columns(self) -> NDArray[np.float64]:
@@ -233,12 +228,6 @@ required of the optimum, and it saves half of the sweeps."""
 MEAN_TOLERANCE = 0.03
 """Sites are matched again where the mean of an interval moved by more standard errors than this."""
 
-ROUGH_TOLERANCE, ROUGH_SITE_TOLERANCE = 1e-2, 1e-3
-"""Where log L may be off by the first, sites are matched once, to the second."""
-
-DIFFERENCE = 0.3
-"""Step of the differences of the gradient, in standard errors of the logarithms."""
-
 
 @dataclass(frozen=True, eq=False)
 class Precision:
@@ -288,18 +277,13 @@ class RestrictedLikelihood:
         nowhere = _Settled(np.zeros(3), -math.inf, None, coefficients)
         self._last = self._best = nowhere
 
-    def at(
-        self,
-        covariance: Covariance,
-        tolerance: float = 0.0,
-        site_tolerance: float = SITE_TOLERANCE,
-    ) -> Evaluation:
-        """Evaluate it; log L may be off by about `tolerance` where that is faster."""
+    def at(self, covariance: Covariance, site_tolerance: float = SITE_TOLERANCE) -> Evaluation:
+        """Evaluate the likelihood at (xi^2, omega^2, beta)."""
         logs = np.log(covariance)
         found: tuple[Evaluation, WindowSites | IntervalSites | None, NDArray[np.float64]] = (
             self._whole(covariance, site_tolerance)
             if self.data.is_whole
-            else self._blocks(covariance, logs, tolerance >= ROUGH_TOLERANCE)
+            else self._blocks(covariance, logs)
         )
         evaluation, sites, coefficients = found
         self._last = _Settled(logs, evaluation.log_likelihood, sites, coefficients)
@@ -308,26 +292,13 @@ class RestrictedLikelihood:
         return evaluation
 
     def information(self, covariance: Covariance, at: Evaluation) -> NDArray[np.float64]:
-        """Return the information (3, 3) whose inverse has the squared standard errors.
+        """Return the expected information (3, 3), whose inverse has the squared standard errors.
 
-        `at` is the evaluation there. In one window it is the expected information, in several the
-        observed one, by differences of the gradient.
+        `at` is the evaluation there.
         """
-        if at.precision is not None:
-            return _expected_information(self.data, covariance, at.precision.projection())
-        scale = np.array(covariance)
-        logs = np.log(scale)
-        steps = DIFFERENCE / (scale * np.sqrt(np.maximum(np.diag(at.information), scale**-2.0)))
-        rows: list[NDArray[np.float64]] = []
-        for axis, step in enumerate(np.diag(steps)):
-            ends = [np.exp(logs + step), np.exp(logs - step)]
-            above, below = (
-                self.at((float(x), float(n), float(b)), ROUGH_TOLERANCE) for x, n, b in ends
-            )
-            slopes = above.gradient * ends[0] - below.gradient * ends[1]
-            rows.append(-slopes / (2.0 * steps[axis]))
-        curvature = np.array(rows)
-        return 0.5 * (curvature + curvature.T) / np.outer(scale, scale)
+        if at.precision is None:
+            return at.information
+        return _expected_information(self.data, covariance, at.precision.projection())
 
     def _whole(
         self, covariance: Covariance, site_tolerance: float
@@ -392,9 +363,9 @@ class RestrictedLikelihood:
         return evaluation, sites, coefficients
 
     def _blocks(
-        self, covariance: Covariance, logs: NDArray[np.float64], rough: bool
+        self, covariance: Covariance, logs: NDArray[np.float64]
     ) -> tuple[Evaluation, WindowSites | None, NDArray[np.float64]]:
-        """Evaluate windows, sites and mean in turn until neither moves; once each if `rough`."""
+        """Evaluate windows, sites and mean in turn until neither moves."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
         start = min((self._last, self._best), key=lambda one: np.abs(one.logs - logs).max())
@@ -416,14 +387,14 @@ class RestrictedLikelihood:
                     rows,
                     data.columns @ coefficients,
                     sites,
-                    ROUGH_SITE_TOLERANCE if rough else SITE_TOLERANCE,
+                    SITE_TOLERANCE,
                 )
                 values, noise = _with_sites(
                     rows, values, noise, sites.values_db, 1.0 / sites.precision
                 )
             sums = _window_sums(data, covariance, np.column_stack([values, data.columns]), noise)
             before, (coefficients, spread) = coefficients, sums.estimate(data.prior_precision)
-            if rough or rows is None:
+            if rows is None:
                 break
             there = data.columns[rows.rows]
             error = np.sqrt(np.einsum("ij,jk,ik->i", there, spread, there))

@@ -1,14 +1,21 @@
 """Restricted maximum likelihood of xi, omega and beta, with generalised least squares for theta.
 
-The default fit: unlike Lemma 1 of [GM11] it has no selection bias, weighs every pair rightly, and
-takes censored measurements for what they are. Up to `EXACT_ROWS` measurements the likelihood is
-exact, from one factor; beyond, it is that of blocks
+The default fit: unlike Lemma 1 of [GM11] it has no selection bias, weighs every pair rightly and
+has censored measurements as a term of the likelihood. Up to `EXACT_ROWS` measurements the
+likelihood is exact, from one factor; beyond, it is that of blocks
 (:mod:`planopt.channel.estimation.likelihood`), whose cost is proportional to their number.
+
+The likelihood may have several maxima, above all two: a steep path loss with a short decorrelation
+distance, and a flat one with a long distance, in whose slow shadowing the slope is hidden. Their
+basins differ in beta, so a sample of the measurements is searched over a range of beta, and the
+likelihood of all is maximised from each maximum of the sample's.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,21 +29,19 @@ from planopt.channel.estimation.channel_fit import (
 )
 from planopt.channel.estimation.likelihood import (
     Covariance,
+    Evaluation,
+    LikelihoodData,
     RestrictedLikelihood,
     likelihood_data,
-)
-from planopt.channel.estimation.likelihood_climb import (
-    FINE,
-    LikelihoodClimb,
-    Top,
-    beyond_best,
-    block_starts,
-    dense_starts,
-    variances,
+    profiled_log_likelihood,
 )
 from planopt.channel.gaussian_sites import needs_site
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, MeanModel
+
+Vector = NDArray[np.float64]
+Objective = Callable[[Vector], tuple[float, Vector, Vector]]
+"""Value, gradient (k,) and curvature (k, k) at a point (k,)."""
 
 EXACT_ROWS = 2_000
 """Up to so many measurements the likelihood is exact. A fit of 1,900 takes 2 s of CPU, 8 s if 60 %
@@ -46,22 +51,58 @@ MOST_DENSE = 800
 """Measurements of a sample that stands for all where a fit is repeated: in the search for the
 station, and for the weights of covariances."""
 
-BLOCK_FINE = 2e-3
-"""What a step to the optimum of blocks may still promise in log L: a sixteenth of a standard error,
-no more than what blocks leave out."""
+FINE, BLOCK_FINE = 1e-5, 2e-3
+"""A climb ends where a Newton step promises less log likelihood than this. For blocks that is a
+sixteenth of a standard error, no more than the error of the approximation."""
+
+SAMPLED_ROWS, SAMPLED_BLOCKS = 250, 12
+"""The sample has at most so many exact measurements, or the exact ones of so many blocks, which are
+spread over all places."""
+
+START_SHARES = (0.3, 0.7, 0.95)
+"""Correlated shares xi^2 / alpha of the starts."""
+
+START_DECORRELATIONS = 5
+"""Values of beta of the starts, spaced geometrically within its bounds."""
+
+STARTS_FOLLOWED = 2
+"""Minimum number of starts that are followed to their optimum, the best by the likelihood."""
+
+ROUGH = 3e-2
+"""The same as `FINE` for climbs of the sample."""
+
+SAME_LOGS = 0.05
+"""Optima nearer than this in every logarithm are one."""
+
+NO_DIP = 0.1
+"""Two optima belong to one ridge if log L halfway is lower than at either by no more than this."""
+
+FLAT = 1e-6
+"""Information of a logarithm below which the likelihood counts as flat."""
+
+NEARLY_AS_LIKELY = 2.0
+"""Optima whose log L is lower by no more than this are reported with the best."""
+
+LITTLE_MULTIPATH = 0.03
+"""omega^2 / alpha of a point that is to all intents without multipath."""
 
 MAX_CONDITION = 1e12
-"""Of the information of three logarithms: beyond, they are not told apart."""
+"""Condition of the information beyond which the three parameters are not told apart."""
+
+THINNING_SEED = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
     """One maximum of the likelihood."""
 
-    covariance: Covariance  # xi^2, omega^2 and beta
-    coefficients: NDArray[np.float64]  # Of the mean model, by generalised least squares
-    coefficient_covariance: NDArray[np.float64]
-    log_likelihood: float  # Restricted
+    logs: Vector  # (3,) logarithms of xi^2, omega^2 and beta
+    at: Evaluation  # The likelihood there, with the mean by generalised least squares
+
+    @property
+    def covariance(self) -> Covariance:
+        """(xi^2, omega^2, beta)."""
+        return variances(self.logs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,92 +119,258 @@ def reml_fit(
     measurements: Measurements,
     bounds: CovarianceBounds,
     known: ChannelParameters,
-    *,
-    errors: bool = True,
 ) -> RemlFit:
     """Maximise the restricted likelihood within `bounds`."""
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
-    whole = len(measurements) <= EXACT_ROWS
-    blocks, fine = (None, FINE) if whole else (bounds.decorrelation_m, BLOCK_FINE)
+    blocks = None if len(measurements) <= EXACT_ROWS else bounds.decorrelation_m
+    fine = FINE if blocks is None else BLOCK_FINE
     data = likelihood_data(model, measurements, known, None, blocks)
     likelihood = RestrictedLikelihood(data)
-    starts = dense_starts(data, bounds, box) if whole else block_starts(likelihood, box)
-    climb = LikelihoodClimb(likelihood, fine)
-    modes = climb.modes(starts, box)
-    further = beyond_best(climb, modes[0], box)
-    if further:
-        modes = climb.modes([*further, *(logs for logs, _ in modes)], box)
-    as_interval = needs_site(measurements, math.exp(modes[0][0][1]))
+    modes = _modes(likelihood, _starts(data, bounds, box), box, fine)
+    further = _beyond_best(likelihood, modes[0], box)
+    if further is not None:
+        modes = _modes(likelihood, [further, *(mode.logs for mode in modes)], box, fine)
+    as_interval = needs_site(measurements, math.exp(modes[0].logs[1]))
     if as_interval.sum() > measurements.censored.sum():
         # Chosen once, from the fit with Sheppard's correction: the likelihood stays smooth.
         data = likelihood_data(model, measurements, known, as_interval, blocks)
         likelihood = RestrictedLikelihood(data)
-        climb = LikelihoodClimb(likelihood, fine)
-        modes = climb.modes([logs for logs, _ in modes], box)
-    best, *others = (_mode(top) for top in modes)
-    covariance = (
-        _covariance_fit(likelihood, modes[0], box)
-        if errors
-        else CovarianceFit(*best.covariance, (math.inf, math.inf, math.inf), ())
+        modes = _modes(likelihood, [mode.logs for mode in modes], box, fine)
+    return RemlFit(_covariance_fit(likelihood, modes[0], box), modes[0], tuple(modes[1:]))
+
+
+def thinned(count: int, limit: int) -> NDArray[np.intp]:
+    """Return indices of at most `limit` of `count` measurements, a fixed uniform draw in order."""
+    if count <= limit:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(THINNING_SEED).permutation(count)[:limit])
+
+
+def variances(logs: Vector) -> Covariance:
+    """Return (xi^2, omega^2, beta) from their logarithms."""
+    shadow, nugget, beta = np.exp(logs)
+    return float(shadow), float(nugget), float(beta)
+
+
+def _starts(data: LikelihoodData, bounds: CovarianceBounds, box: Vector) -> list[Vector]:
+    """Return the maxima of the likelihood of a sample."""
+    taken = data.gaussian.copy()
+    if data.is_whole:
+        rows = np.flatnonzero(taken)
+        taken[np.delete(rows, thinned(len(rows), SAMPLED_ROWS))] = False
+    else:
+        first = np.concatenate([window.own for window in data.windows[:SAMPLED_BLOCKS]])
+        taken[np.delete(np.arange(len(taken)), first)] = False
+    sample = data.part(taken)
+    likelihood = RestrictedLikelihood(sample)
+    tops = [_climbed(likelihood, start, box, ROUGH) for start in _grid_starts(sample, bounds)]
+    return [mode.logs for mode in _distinct(likelihood, tops)]
+
+
+def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Vector]:
+    """Return the best points and the local maxima over beta of a grid, alpha profiled out."""
+    low, high = bounds.decorrelation_m
+    # Ends of the range are no use as starts: the gradient there is nearly flat.
+    betas = np.geomspace(low, high, START_DECORRELATIONS + 2)[1:-1]
+    values = np.empty((len(betas), len(START_SHARES)))
+    logs = np.empty((*values.shape, 3))
+    for row, beta in enumerate(betas):
+        for column, share in enumerate(START_SHARES):
+            values[row, column], total = profiled_log_likelihood(sample, share, float(beta))
+            logs[row, column] = np.log([share * total, (1.0 - share) * total, beta])
+    walled = np.pad(values.max(axis=1), 1, constant_values=-math.inf)
+    peaks = np.flatnonzero((walled[1:-1] >= walled[:-2]) & (walled[1:-1] > walled[2:]))
+    peaks = peaks[np.argsort(-values[peaks].max(axis=1), kind="stable")]
+    best = np.argsort(-values, axis=None, kind="stable")[:STARTS_FOLLOWED]
+    chosen = [len(START_SHARES) * peaks + values[peaks].argmax(axis=1), best]
+    return [logs.reshape(-1, 3)[place] for place in dict.fromkeys(np.concatenate(chosen).tolist())]
+
+
+def _modes(
+    likelihood: RestrictedLikelihood, starts: Iterable[Vector], box: Vector, fine: float
+) -> list[Mode]:
+    """Return the distinct optima reached from `starts` that are nearly as likely as the best."""
+    found = _distinct(likelihood, [_climbed(likelihood, start, box, fine) for start in starts])
+    least = found[0].at.log_likelihood - NEARLY_AS_LIKELY
+    return [mode for mode in found if mode.at.log_likelihood >= least]
+
+
+def _climbed(
+    likelihood: RestrictedLikelihood, start: Vector, box: Vector, tolerance: float
+) -> Mode:
+    """Return the optimum reached from `start` (3,) within `box` (3, 2), all in logarithms."""
+    best: Mode | None = None
+
+    def objective(logs: Vector) -> tuple[float, Vector, Vector]:
+        nonlocal best
+        at, values = likelihood.at(variances(logs)), np.exp(logs)
+        if best is None or at.log_likelihood > best.at.log_likelihood:
+            best = Mode(logs, at)
+        information = values[:, None] * at.information * values
+        return -at.log_likelihood, -at.gradient * values, information
+
+    minimise_damped(objective, start, box[:, 0], box[:, 1], tolerance)
+    if best is None:
+        raise AssertionError("the start is evaluated")
+    return best
+
+
+def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[Mode]:
+    """Return those modes that share no ridge with a better one, the best first."""
+    kept: list[Mode] = []
+
+    def is_on_ridge_of(better: Mode, mode: Mode) -> bool:
+        if np.abs(mode.logs - better.logs).max() < SAME_LOGS:
+            return True
+        halfway = likelihood.at(variances(0.5 * (mode.logs + better.logs)))
+        return halfway.log_likelihood > mode.at.log_likelihood - NO_DIP
+
+    for mode in sorted(modes, key=lambda one: -one.at.log_likelihood):
+        if not any(is_on_ridge_of(better, mode) for better in kept):
+            kept.append(mode)
+    return kept
+
+
+def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> Vector | None:
+    """Return a start on the other side of the multipath if the likelihood rises away from `best`.
+
+    Shadowing over a short distance may look like multipath, and vice versa.
+    """
+    shadow, nugget, beta = best.covariance
+    total = shadow + nugget
+    much = nugget > LITTLE_MULTIPATH * total
+    there = (
+        (total, LITTLE_MULTIPATH * total, beta * shadow / total)
+        if much
+        else (0.5 * total, 0.5 * total, 2.0 * beta)
     )
-    return RemlFit(
-        covariance,
-        best,
-        tuple(others),
-    )
+    logs = np.clip(np.log(there), *box.T)
+    # The slope over log omega^2 along the ridge that passes near this point.
+    at, values = likelihood.at(variances(logs)), np.exp(logs)
+    gradient = at.gradient * values
+    information = values[:, None] * at.information * values + FLAT * np.eye(3)
+    onto = np.linalg.solve(information[np.ix_([0, 2], [0, 2])], gradient[[0, 2]])
+    slope = float(gradient[1] - information[1, [0, 2]] @ onto)
+    return logs if (slope < 0.0) == much else None
 
 
-def _mode(top: Top) -> Mode:
-    logs, at = top
-    return Mode(variances(logs), at.coefficients, at.coefficient_covariance, at.log_likelihood)
-
-
-def _covariance_fit(
-    likelihood: RestrictedLikelihood, top: Top, box: NDArray[np.float64]
-) -> CovarianceFit:
-    """Standard errors and warnings at the optimum."""
-    logs, at = top
-    shadow, nugget, beta = covariance = variances(logs)
-    bound = (logs - box[:, 0] < BOUND_TOLERANCE) | (box[:, 1] - logs < BOUND_TOLERANCE)
-    errors = _standard_errors(likelihood.information(covariance, at), covariance, ~bound)
-    roots = math.sqrt(shadow), math.sqrt(nugget)
-    names = zip(
-        bound,
-        ("xi", "omega", "beta"),
-        (*roots, beta),
-        ("dB", "dB", "m"),
-        strict=True,
-    )
-    return CovarianceFit(
-        shadow,
-        nugget,
-        beta,
-        (errors[0] / (2.0 * roots[0]), errors[1] / (2.0 * roots[1]), errors[2]),
-        (
-            *(at_bound(name, value, unit) for hit, name, value, unit in names if hit),
-            *_not_told_apart(errors, ~bound),
-        ),
-    )
-
-
-def _not_told_apart(errors: tuple[float, float, float], free: NDArray[np.bool_]) -> tuple[str, ...]:
-    """The warning that parameters inside their range have no finite errors."""
-    unknown = free & np.isinf(errors)
-    if not unknown.any():
-        return ()
-    names = [name for name, own in zip(("xi", "omega", "beta"), unknown, strict=True) if own]
-    return (f"the measurements do not tell {', '.join(names)} apart: they are not determined",)
-
-
-def _standard_errors(
-    information: NDArray[np.float64], covariance: Covariance, free: NDArray[np.bool_]
-) -> tuple[float, float, float]:
-    """Errors of xi^2, omega^2 and beta; ``inf`` for those at a bound, which are held fixed."""
+def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Vector) -> CovarianceFit:
+    """Return the covariance at the optimum with standard errors and warnings."""
+    shadow, nugget, beta = mode.covariance
+    free = (mode.logs - box[:, 0] >= BOUND_TOLERANCE) & (box[:, 1] - mode.logs >= BOUND_TOLERANCE)
     errors = np.full(3, math.inf)
     # In logarithms, so that the condition of the information does not depend on units.
-    scale = np.asarray(covariance)[free]
-    information = information[np.ix_(free, free)] * np.outer(scale, scale)
+    scale = np.array(mode.covariance)[free]
+    information = likelihood.information(mode.covariance, mode.at)[np.ix_(free, free)]
+    information = information * np.outer(scale, scale)
     spread = np.linalg.eigvalsh(information)
     if free.any() and spread[0] * MAX_CONDITION > spread[-1]:
         errors[free] = scale * np.sqrt(np.diag(np.linalg.inv(information)))
-    return float(errors[0]), float(errors[1]), float(errors[2])
+    deviations = np.array([math.sqrt(shadow), math.sqrt(nugget), beta])
+    errors[:2] /= 2.0 * deviations[:2]
+    names, units = np.array(["xi", "omega", "beta"]), ("dB", "dB", "m")
+    warnings = [
+        at_bound(str(name), float(value), unit)
+        for name, value, unit, is_free in zip(names, deviations, units, free, strict=True)
+        if not is_free
+    ]
+    unknown = free & np.isinf(errors)
+    if unknown.any():
+        warnings.append(
+            f"the measurements do not tell {', '.join(names[unknown])} apart: they are not "
+            "determined"
+        )
+    xi_error, omega_error, beta_error = errors.tolist()
+    return CovarianceFit(shadow, nugget, beta, (xi_error, omega_error, beta_error), tuple(warnings))
+
+
+MAX_EVALUATIONS = 60
+
+MAX_STEP = 1.5
+"""Maximum move of a variable in one step: the curvature says nothing beyond."""
+
+CURVATURE_FLOOR = 1e-3
+"""Added to the damping's diagonal, for directions in which the objective is flat."""
+
+LEAST_SHARE = 1e-8
+"""A move along which the curvature is less than this does not update it."""
+
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-8, 1e8
+
+
+def minimise_damped(
+    objective: Objective, start: Vector, lower: Vector, upper: Vector, tolerance: float
+) -> tuple[float, Vector]:
+    """Return the least value found within a box, and where, by damped Newton steps.
+
+    The curvature of the objective is corrected by the latest moves (BFGS updates).
+    """
+    point = np.clip(start, lower, upper)
+    value, gradient, curvature = objective(point)
+    moves: deque[tuple[Vector, Vector]] = deque(maxlen=len(point))
+    damping = FIRST_DAMPING
+    for _ in range(MAX_EVALUATIONS - 1):
+        model = _updated(curvature, moves)
+        low, high = np.maximum(lower - point, -MAX_STEP), np.minimum(upper - point, MAX_STEP)
+        free = ~(((low >= 0.0) & (gradient > 0.0)) | ((high <= 0.0) & (gradient < 0.0)))
+        if _gain(gradient, model, free) < tolerance or damping > MOST_DAMPING:
+            break
+        floored = np.diag(model) + CURVATURE_FLOOR
+        step = _step(gradient, model + damping * np.diag(floored), free, low, high)
+        promised = -float(gradient @ step) - 0.5 * float(step @ model @ step)
+        if promised <= 0.0:
+            # Clipping several variables at once can turn a step uphill; a shorter one is not.
+            damping *= 10.0
+            continue
+        trial = objective(point + step)
+        moves.append((step, trial[1] - gradient))
+        gained = value - trial[0]
+        if gained > 0.75 * promised:
+            damping = max(0.1 * damping, LEAST_DAMPING)
+        elif gained < 0.25 * promised:
+            damping *= 10.0
+        if gained > 0.0:
+            point = point + step
+            value, gradient, curvature = trial
+    return value, point
+
+
+def _updated(curvature: Vector, moves: Iterable[tuple[Vector, Vector]]) -> Vector:
+    """Return `curvature` after BFGS updates by (step, change of the gradient) that are positive."""
+    for step, change in moves:
+        along = curvature @ step
+        observed, expected = float(step @ change), float(step @ along)
+        if min(observed, expected) > LEAST_SHARE * float(step @ step):
+            curvature = (
+                curvature - np.outer(along, along) / expected + np.outer(change, change) / observed
+            )
+    return curvature
+
+
+def _gain(gradient: Vector, curvature: Vector, free: NDArray[np.bool_]) -> float:
+    """Return the gain that a Newton step on the free variables promises."""
+    if not free.any():
+        return 0.0
+    part = curvature[np.ix_(free, free)] + CURVATURE_FLOOR * np.eye(int(free.sum()))
+    return 0.5 * float(gradient[free] @ np.linalg.solve(part, gradient[free]))
+
+
+def _step(
+    gradient: Vector, damped: Vector, free: NDArray[np.bool_], low: Vector, high: Vector
+) -> Vector:
+    """Return the damped Newton step; variables that it would move out of the box stop at its side.
+
+    Each round fixes at least one variable, so there are at most k.
+    """
+    step = np.zeros_like(gradient)
+    free = free.copy()
+    while free.any():
+        fixed = ~free
+        pull = gradient[free] + damped[np.ix_(free, fixed)] @ step[fixed]
+        step[free] = -np.linalg.solve(damped[np.ix_(free, free)], pull)
+        outside = free & ((step < low) | (step > high))
+        if not outside.any():
+            break
+        step = np.where(free, np.clip(step, low, high), step)
+        free &= ~outside
+    return step

@@ -36,8 +36,7 @@ from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower
 from planopt.channel.estimation.channel_fit import MIN_VARIANCE_DB2, ChannelFit, FitMethod, Loss
 from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.least_squares import least_squares, require_usable
-from planopt.channel.estimation.likelihood_climb import minimise_damped, thinned
-from planopt.channel.estimation.reml import MOST_DENSE
+from planopt.channel.estimation.reml import MOST_DENSE, minimise_damped, thinned
 from planopt.channel.gaussian_sites import gaussian_sites
 from planopt.channel.measurement_covariance import (
     measured_origins,

@@ -17,7 +17,6 @@ from planopt.channel import (
     fit_channel,
     read_log,
 )
-from planopt.channel.estimation.fit import fitted_parameters
 from planopt.channel.parameters import PRIOR_N_PL, regressors
 
 METHODS = ("lemma1", "capped", "convex", "nls", "reml")
@@ -41,15 +40,6 @@ def assert_usable(fit):
     eigenvalues = np.linalg.eigvalsh(fit.theta_covariance)
     assert eigenvalues[0] >= -1e-9 * eigenvalues[1]
     assert fit.status == "ok" or fit.warnings
-
-
-@pytest.mark.parametrize("count", [7, 120, 2_100])
-@pytest.mark.parametrize("method", ["capped", "reml"])
-def test_parameters_alone_are_those_of_the_fit(method: str, count: int):
-    """Few that allow an assumption alone, one factor, and blocks."""
-    data = simulated(CHANNEL, 3, count, 300.0)
-    whole = fit_channel(data, CHANNEL.station, method)
-    assert fitted_parameters(data, CHANNEL.station, method) == whole.parameters
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -1,26 +1,99 @@
-"""The convex programme against the closed form, other solvers and its own optimality."""
+"""Fits to the empirical correlation: direct sums, closed forms and other solvers."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
-from scipy.optimize import linprog, minimize
+from scipy.optimize import curve_fit, linprog, minimize
 from simulated_channel import simulated
 
 from planopt import InputError
 from planopt.channel import ChannelParameters, Station, fit_channel
 from planopt.channel.estimation.channel_fit import covariance_bounds
-from planopt.channel.estimation.correlation_solvers import (
+from planopt.channel.estimation.correlation_fit import (
+    BINS,
     HUBER_DEVIATIONS,
     NORMAL_MEDIAN,
+    EmpiricalCorrelation,
+    LogBins,
     convex_fit,
+    empirical_correlation,
+    lemma1_fit,
+    log_bins,
+    nls_fit,
 )
-from planopt.channel.estimation.lemma1 import LogBins, lemma1_fit
 
+
+def test_correlation_is_a_sum_over_pairs():
+    """Bins, mean lags and mean products agree with a double loop over 40 points."""
+    rng = np.random.default_rng(0)
+    positions, residual = rng.uniform(0, 10, (40, 2)), rng.standard_normal(40)
+    extent = float(np.hypot(*np.ptp(positions, axis=0)))
+    found = empirical_correlation(positions, residual, extent)
+    sums = {}
+    for i in range(40):
+        for j in range(i):
+            lag = np.hypot(*(positions[i] - positions[j]))
+            sums.setdefault(int(lag / (extent / BINS)), []).append((lag, residual[i] * residual[j]))
+    expected = np.array([np.mean(sums[k], axis=0) for k in sorted(sums)])
+    np.testing.assert_allclose(found.lag_m, expected[:, 0])
+    np.testing.assert_allclose(found.covariance_db2, expected[:, 1])
+    np.testing.assert_array_equal(found.pairs, [len(sums[k]) for k in sorted(sums)])
+
+
+def test_blocks_do_not_lose_pairs():
+    """More points than one block holds: every pair is counted once, the largest lag included."""
+    positions = np.random.default_rng(1).uniform(0, 1, (1200, 2))
+    positions[:2] = [[0, 0], [1, 1]]
+    found = empirical_correlation(positions, np.ones(1200), np.sqrt(2.0))
+    assert found.pairs.sum() == 1200 * 1199 / 2
+    np.testing.assert_allclose(found.covariance_db2, 1.0)
+    assert found.lag_m[-1] == pytest.approx(np.sqrt(2.0), rel=0.02)
+
+
+FREE = covariance_bounds(30.0, (1.0, 100.0))
 LAGS = np.linspace(1.0, 40.0, 25)
 RNG = np.random.default_rng(3)
 SCATTER = 0.3 * RNG.standard_normal(25)
 WEIGHT = RNG.uniform(1.0, 9.0, 25)
+
+
+def test_lemma1_is_weighted_regression():
+    """Estimates are those of NumPy's polynomial fit, and with equal weights so are the errors."""
+    logs = np.log(16.0) - LAGS / 12.0 + SCATTER
+    for weight in (np.ones(25), WEIGHT):
+        found = lemma1_fit(LogBins(LAGS, logs, weight), 30.0, 100, FREE)
+        (slope, intercept), covariance = np.polyfit(LAGS, logs, 1, w=np.sqrt(weight), cov=True)
+        assert found.warnings == ()
+        assert found.shadow_variance_db2 == pytest.approx(math.exp(intercept))
+        assert found.decorrelation_m == pytest.approx(-1.0 / slope)
+        assert found.multipath_variance_db2 == pytest.approx(30.0 - math.exp(intercept))
+        if weight is not WEIGHT:
+            xi, _, beta = found.standard_errors
+            assert xi == pytest.approx(math.exp(0.5 * intercept) * covariance[1, 1] ** 0.5 / 2)
+            assert beta == pytest.approx(covariance[0, 0] ** 0.5 / slope**2)
+
+
+def test_two_bins_fix_the_line_but_not_its_error():
+    """With two bins the scatter, hence the error, is unknown."""
+    found = lemma1_fit(LogBins(np.array([1.0, 3.0]), np.array([2.0, 1.0]), np.ones(2)), 30, 9, FREE)
+    assert found.shadow_variance_db2 == pytest.approx(math.exp(2.5))
+    assert found.decorrelation_m == pytest.approx(2.0)
+    assert found.standard_errors == (math.inf, math.inf, math.inf)
+
+
+def test_the_printed_set_and_its_repair():
+    """L keeps 0 < r < alpha at all lags; the cap drops long ones and weights by n r^2."""
+    r = np.array([25.0, 10.0, -1.0, 5.0, 0.5])
+    lag, pairs = np.array([1.0, 2, 3, 20, 60]), np.array([4.0, 5, 6, 7, 8])
+    correlation = EmpiricalCorrelation(lag, r, pairs)
+    printed = log_bins(correlation, 20.0)
+    np.testing.assert_array_equal(printed.lag_m, [2, 20, 60])
+    np.testing.assert_array_equal(printed.weight, [5, 7, 8])
+    capped = log_bins(correlation, 20.0, 100.0)
+    np.testing.assert_array_equal(capped.lag_m, [2, 20])
+    assert capped.weight[1] / capped.weight[0] == pytest.approx(7 * 25.0 / (5 * 100.0))
 
 
 def bins(xi2, beta):
@@ -66,7 +139,6 @@ def test_is_the_constrained_optimum_when_one_binds(data, alpha, beta_bounds, wor
     assert found.warnings[0].startswith(words)
 
 
-FREE = covariance_bounds(30.0, (1.0, 100.0))
 DESIGN = np.column_stack([np.ones(25), -LAGS])
 
 
@@ -129,25 +201,6 @@ def test_huber_by_reweighted_least_squares():
     assert 1.0 / found.decorrelation_m == pytest.approx(line[1], abs=1e-7)
 
 
-def test_outlying_measurements_hurt_squares_alone():
-    """Two spots 60 m apart where all is 12 dB too strong pull squares' beta to hundreds of m."""
-    channel = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
-    spots = np.repeat([[200.0, 100.0], [260.0, 100.0]], 8, axis=0)
-    estimates = {"squares": [], "huber": []}
-    for seed in range(10):
-        rng = np.random.default_rng(seed)
-        uniform = rng.uniform(0.0, 300.0, (134, 2))
-        positions = np.concatenate([spots + rng.uniform(-1.0, 1.0, (16, 2)), uniform])
-        measurements = simulated(channel, seed, 150, 300.0, positions=positions)
-        power = measurements.power_dbm + 12.0 * (np.arange(150) < 16)
-        wrong = dataclasses.replace(measurements, power_dbm=power)
-        for loss, found in estimates.items():
-            fit = fit_channel(wrong, channel.station, "convex", loss=loss)
-            found.append(fit.parameters.decorrelation_m)
-    assert np.median(estimates["squares"]) > 200.0
-    assert 20.0 < np.median(estimates["huber"]) < 70.0
-
-
 @pytest.mark.parametrize("loss", ["huber", "absolute"])
 def test_robust_errors_are_the_spread(loss):
     """Over normal scatter the estimates of 1 / beta scatter as the standard errors say."""
@@ -173,3 +226,30 @@ def test_losses_that_cannot_be_had():
         fit_channel(measurements, Station((50.0, 50.0)), "convex", loss="cauchy")
     with pytest.raises(InputError, match="no choice of loss"):
         fit_channel(measurements, Station((50.0, 50.0)), "reml", loss="huber")
+
+
+NLS_LAGS = np.linspace(0.5, 80.0, 60)
+PAIRS = np.random.default_rng(0).uniform(10.0, 90.0, 60)
+NLS_BOUNDS = covariance_bounds(20.0, (0.5, 100.0))
+
+
+def test_nls_equals_curve_fit_on_noisy_bins():
+    """Estimate and errors agree with SciPy's weighted curve fit, negative bins included."""
+    r = 16.0 * np.exp(-NLS_LAGS / 12.0) + np.random.default_rng(1).standard_normal(60)
+    assert (r < 0).any()
+    found = nls_fit(EmpiricalCorrelation(NLS_LAGS, r, PAIRS), 20.0, 90, NLS_BOUNDS)
+    best, covariance = curve_fit(
+        lambda d, xi2, rate: xi2 * np.exp(-rate * d), NLS_LAGS, r, (10.0, 0.1), PAIRS**-0.5
+    )
+    assert found.shadow_variance_db2 == pytest.approx(best[0], rel=1e-5)
+    assert 1.0 / found.decorrelation_m == pytest.approx(best[1], rel=1e-5)
+    xi_error = math.sqrt(covariance[0, 0]) / (2.0 * math.sqrt(best[0]))
+    assert found.standard_errors[0] == pytest.approx(xi_error, rel=1e-4)
+
+
+def test_no_correlation_and_too_few_bins():
+    """Nothing positive puts xi at its bound; one bin leaves errors unknown."""
+    none = nls_fit(EmpiricalCorrelation(NLS_LAGS, -np.ones(60), PAIRS), 20.0, 90, NLS_BOUNDS)
+    assert any("xi is at a bound" in text for text in none.warnings)
+    one = nls_fit(EmpiricalCorrelation(NLS_LAGS[:1], np.ones(1), PAIRS[:1]), 20.0, 90, NLS_BOUNDS)
+    assert one.standard_errors[2] == math.inf

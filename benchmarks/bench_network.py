@@ -10,7 +10,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import MoveLimits
-from planopt.coverage.region import convex_region
+from planopt.coverage.voronoi import convex_region
 
 
 def test_laws(benchmark: BenchmarkFixture) -> None:

@@ -26,8 +26,7 @@ from planopt.coverage.assignment import (
     deferred_acceptance,
     optimal_assignment,
 )
-from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
-from planopt.coverage.control.movers import LawMover
+from planopt.coverage.control.movers import Gains, LawMover, coverage_aims, law_moves
 from planopt.coverage.events import Event, Sensing, ring_places
 from planopt.coverage.ground import ConvexGround, coverage
 from planopt.coverage.localisation import (
@@ -43,9 +42,8 @@ from planopt.coverage.localisation import (
 from planopt.coverage.network import (
     Counting,
 )
-from planopt.coverage.region import ConvexRegion, convex_region
 from planopt.coverage.simulation import Scene, simulate_network
-from planopt.coverage.voronoi import voronoi_cells
+from planopt.coverage.voronoi import ConvexRegion, convex_region, voronoi_cells
 
 GAINS = Gains(0.5, 1.0)
 SETTLED_SHARE = 0.01

@@ -18,15 +18,16 @@ import shapely
 from numpy.typing import NDArray
 from scipy.stats import t
 
-from planopt.coverage.control.movers import plan_moves, stopping_ways
+from planopt.coverage.control.movers import braking_offsets_m, plan_moves
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.density import GaussianMixture, UniformDensity
 from planopt.coverage.events import packed_places
-from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
+from planopt.coverage.geodesic import Ground, geodesic_ground
+from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits, packing_reach_m
 from planopt.coverage.optima import best_deployment
-from planopt.coverage.region import convex_region
 from planopt.coverage.verify import verify_moves
+from planopt.coverage.voronoi import convex_region
 
 SIDE_M = 100.0
 GAIN = 0.5
@@ -75,7 +76,7 @@ def drive(
                 event = event + limits.time_step_s * event_m_s
         kept = None
         if radio is not None:
-            stops = agents if inert is None else agents + stopping_ways(velocities, inert)
+            stops = agents if inert is None else agents + braking_offsets_m(velocities, inert)
             kept = radio_tree(agents, radio, stops).kept
         moves = plan_moves(
             ground,
@@ -89,8 +90,8 @@ def drive(
             kept=kept,
             target_velocities_m_s=drifts if lead else None,
         )
-        after = moves.velocities_m_s[:, 1]
-        turned = None if moves.headings_rad is None else (headings, moves.headings_rad)
+        after = moves.velocities_m_s
+        turned = headings, moves.headings_rad
         speeds = None if inert is None else (velocities, after)
         sums["faults"] += len(
             verify_moves(
@@ -111,7 +112,7 @@ def drive(
             off = np.linalg.norm(moves.next_m[: len(agents) // 3] - event, axis=1)
             sums["lag"] += float(off.mean()) / steps
         agents, velocities = moves.next_m, after
-        headings = headings if moves.headings_rad is None else moves.headings_rad
+        headings = moves.headings_rad
     return sums | {"final": ground.cover(agents).cost}
 
 

@@ -19,10 +19,9 @@ import numpy as np
 import shapely
 
 import planopt
-from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
-from planopt.coverage.control.movers import MoveLimits, plan_moves
+from planopt.coverage.control.movers import Gains, MoveLimits, coverage_aims, law_moves, plan_moves
 from planopt.coverage.ground import ConvexGround
-from planopt.coverage.region import convex_region
+from planopt.coverage.voronoi import convex_region
 from planopt.report import (
     animate_network,
     draw_costs,

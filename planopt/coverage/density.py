@@ -15,8 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.region import ConvexRegion, positive
-from planopt.coverage.voronoi import Boundary, Moments, region_boundary
+from planopt.coverage.voronoi import Boundary, ConvexRegion, Moments, positive, region_boundary
 from planopt.errors import InputError
 from planopt.world.raster import Raster
 

@@ -25,7 +25,7 @@ from planopt.coverage.localisation import (
     pooled,
     single_readings,
 )
-from planopt.coverage.region import ConvexRegion
+from planopt.coverage.voronoi import ConvexRegion
 
 LOOSE = 0.02
 """Bodies that crowd around an event keep this share of their radius more apart than they must."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.region import ConvexRegion, positive
+from planopt.coverage.voronoi import ConvexRegion, positive
 from planopt.errors import InputError
 
 GRID = 48

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from planopt.coverage.assignment import HEXAGON
 from planopt.coverage.density import GaussianMixture, RasterDensity, UniformDensity
-from planopt.coverage.ground import ConvexGround, GeodesicGround, Ground
+from planopt.coverage.geodesic import GeodesicGround, Ground
+from planopt.coverage.ground import ConvexGround
 from planopt.errors import InputError
 
 LEAP = 1.7
@@ -108,14 +109,14 @@ def _candidates(
 ) -> tuple[Floats, Floats]:
     """Places (m, 2) where agents may be, and masses (m,) that stand for the density."""
     if isinstance(ground, GeodesicGround):
-        return ground.region.nodes_m, ground.region.mass
+        return ground.ends_m, ground.mass
     corners = ground.hull.corners_m
     low, high = corners.min(axis=0), corners.max(axis=0)
     found = np.zeros((0, 2))
     while len(found) < count:
         drawn = low + (high - low) * generator.random((2 * count, 2))
         found = np.concatenate((found, drawn[ground.allows(drawn)]))
-    mass = ground.density.at(found) if isinstance(ground, ConvexGround) else np.ones(len(found))
+    mass = ground.density.at(found)
     return found, mass if mass.sum() > 0.0 else np.ones(len(found))
 
 

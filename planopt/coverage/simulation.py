@@ -21,12 +21,12 @@ from planopt.coverage.assignment import (
     fair_shares,
     propagate_flags,
 )
-from planopt.coverage.control.laws import Gains, Partition, coverage_aims
-from planopt.coverage.control.movers import Motion, Mover
+from planopt.coverage.control.movers import Gains, Motion, Mover, Partition, coverage_aims
 from planopt.coverage.events import Event, Sensing, Watch, event_places, signals, watched
-from planopt.coverage.ground import Ground, neighbour_network
+from planopt.coverage.geodesic import Ground
+from planopt.coverage.ground import neighbour_network
 from planopt.coverage.network import Counting, LinkModel, Loss, Network, Tally, tally_step
-from planopt.coverage.region import positive
+from planopt.coverage.voronoi import positive
 from planopt.errors import InputError
 
 
@@ -283,7 +283,7 @@ class NetworkController:
         states = np.where(members, np.maximum(self._states, NONE), ABSENT)
         who, sent = np.flatnonzero(members), [0, 0, 0]
         talks = len(scene.events) > 0 or scene.counting.method != "known"
-        network = neighbour_network(scene.ground, here[who]) if talks else None
+        network = neighbour_network(scene.ground.hull, here[who]) if talks else None
         counts = np.where(members, float(len(who)), np.nan)
         if network is not None:
             loss = _loss(scene, network, here[who])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.events import Event
-from planopt.coverage.ground import Ground
+from planopt.coverage.geodesic import Ground
 from planopt.coverage.limits import RadioLimits
 from planopt.coverage.simulation import ABSENT, NetworkRun
 from planopt.report.animation import animate

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.region import ConvexRegion
+from planopt.coverage.voronoi import ConvexRegion
 
 
 def scattered(

@@ -20,8 +20,7 @@ from planopt.coverage.density import (
     checked_mass,
 )
 from planopt.coverage.ground import coverage
-from planopt.coverage.region import ConvexRegion, convex_region
-from planopt.coverage.voronoi import voronoi_cells
+from planopt.coverage.voronoi import ConvexRegion, convex_region, voronoi_cells
 from planopt.errors import InputError
 from planopt.world.raster import Raster
 

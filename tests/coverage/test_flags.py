@@ -10,8 +10,7 @@ from scattered import scattered
 
 from planopt.coverage.assignment import propagate_flags
 from planopt.coverage.network import Network
-from planopt.coverage.region import ConvexRegion
-from planopt.coverage.voronoi import agent_neighbours, voronoi_cells
+from planopt.coverage.voronoi import ConvexRegion, agent_neighbours, voronoi_cells
 from planopt.errors import InputError
 
 

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
+import networkx as nx
 import numpy as np
 import pytest
 import shapely
 from scattered import scattered
 
-from planopt.coverage.control.laws import Gains, coverage_aims, law_moves
-from planopt.coverage.geodesic import geodesic_distances_m, geodesic_region
-from planopt.coverage.ground import (
-    ConvexGround,
-    GeodesicGround,
-    coverage,
-    geodesic_ground,
-    neighbour_network,
-)
-from planopt.coverage.network import is_connected
-from planopt.coverage.region import ConvexRegion
-from planopt.coverage.voronoi import voronoi_cells
+from planopt.coverage.control.movers import Gains, coverage_aims, law_moves
+from planopt.coverage.geodesic import GeodesicGround, geodesic_ground
+from planopt.coverage.ground import ConvexGround, coverage, neighbour_network
+from planopt.coverage.voronoi import ConvexRegion, voronoi_cells
 from planopt.errors import InputError
 
 OUTLINE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 60.0], [0.0, 60.0]])
@@ -120,7 +113,7 @@ def test_agents_drive_round_walls_to_their_event(walled: GeodesicGround) -> None
         share = float(gains.shares(responds, 1.0)[0])
         targets = walled.steered(agents, event, share)
         moved = law_moves(agents, targets, responds, gains, 1.0, 3.0)
-        assert walled.region.sees(agents, moved).all()
+        assert walled.sees(agents, moved).all()
         after = walled.distances_m(moved, event[:1])[:, 0]
         driven = np.linalg.norm(moved - agents, axis=1)
         assert before - after == pytest.approx(driven, abs=1e-6)
@@ -134,7 +127,7 @@ def test_distances_keep_the_clearance(walled: GeodesicGround) -> None:
     corner = np.array([[29.0, 46.0], [35.0, 46.0]])
     wanted = np.linalg.norm(np.diff(np.concatenate((agents, corner, places)), axis=0), axis=1).sum()
     assert walled.distances_m(agents, places)[0, 0] == pytest.approx(wanted, rel=1e-6)
-    free = geodesic_distances_m(geodesic_region(OUTLINE, WALLS, 9.0), agents, places)[0, 0]
+    free = geodesic_ground(OUTLINE, WALLS, 9.0).distances_m(agents, places)[0, 0]
     assert free < wanted - 1.0
 
 
@@ -152,12 +145,10 @@ def test_coverage_with_walls_stays_free_and_improves(walled: GeodesicGround) -> 
         agents = moved
     assert (np.diff(costs) <= 1e-9 * costs[0]).all()
     assert costs[-1] < 0.2 * costs[0]
-    assert is_connected(neighbour_network(walled, agents))
+    assert nx.is_connected(nx.Graph(neighbour_network(walled.hull, agents).links.tolist()))
 
 
 def test_steps_that_overshoot_are_refused() -> None:
     """A gain of more than one over the step would pass the target."""
     with pytest.raises(InputError, match="overshoot"):
         law_moves(np.zeros((1, 2)), np.ones((1, 2)), np.array([True]), Gains(2.0, 1.0), 0.6)
-    with pytest.raises(InputError, match="coverage_gain_per_s"):
-        Gains(1.0, 0.0)

@@ -21,7 +21,7 @@ from planopt.coverage.localisation import (
     pooled,
     single_readings,
 )
-from planopt.coverage.region import convex_region
+from planopt.coverage.voronoi import convex_region
 from planopt.errors import InputError
 
 FIELD = convex_region(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 16.0], [0.0, 16.0]]))

@@ -10,15 +10,14 @@ import pytest
 from scattered import scattered
 
 from planopt.coverage.assignment import Demand, optimal_assignment
-from planopt.coverage.control.laws import Gains
-from planopt.coverage.control.movers import LawMover, RecedingMover
+from planopt.coverage.control.movers import Gains, LawMover, RecedingMover
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import MoveLimits
 from planopt.coverage.localisation import EventSensor
 from planopt.coverage.network import Counting, LinkModel
-from planopt.coverage.region import convex_region
 from planopt.coverage.simulation import ABSENT, NetworkRun, Scene, simulate_network
+from planopt.coverage.voronoi import convex_region
 
 REGION = convex_region(np.array([[0, 0], [60, 0], [60, 40], [0, 40]]))
 SENSING = Sensing(EventSensor(0.2, 60.0, 3.0))

@@ -9,9 +9,10 @@ import pytest
 import shapely
 
 from planopt.coverage.density import CallableDensity, GaussianMixture, RasterDensity, UniformDensity
-from planopt.coverage.ground import ConvexGround, geodesic_ground
+from planopt.coverage.geodesic import geodesic_ground
+from planopt.coverage.ground import ConvexGround
 from planopt.coverage.optima import best_deployment, cost_bound, draw_start, settle
-from planopt.coverage.region import ConvexRegion, convex_region
+from planopt.coverage.voronoi import ConvexRegion, convex_region
 from planopt.errors import InputError
 from planopt.world.raster import Raster
 from tests.coverage.scattered import scattered
@@ -112,7 +113,7 @@ def test_obstacles_and_repetition() -> None:
     one, other = (best_deployment(ground, 4, 2, np.random.default_rng(3)) for _ in range(2))
     assert ground.allows(one.places_m).all()
     np.testing.assert_array_equal(one.places_m, other.places_m)
-    assert one.cost <= settle(ground, ground.region.nodes_m[:4])[1]
+    assert one.cost <= settle(ground, ground.nodes_m[:4])[1]
 
 
 def test_nothing_to_deploy(square: ConvexRegion) -> None:

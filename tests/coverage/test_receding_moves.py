@@ -11,19 +11,18 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from planopt.coverage.control.laws import Gains, law_moves
-from planopt.coverage.control.movers import MoveLimits, plan_moves
+from planopt.coverage.control.movers import Gains, MoveLimits, law_moves, plan_moves
 from planopt.coverage.control.programme import (
     Inertia,
     Programmes,
-    saturated_paths,
     solve_programme,
     solve_programmes,
 )
 from planopt.coverage.control.safe_sets import SafeSets, ground_sets, half_planes
-from planopt.coverage.ground import ConvexGround, GeodesicGround, geodesic_ground
-from planopt.coverage.region import ConvexRegion
+from planopt.coverage.geodesic import GeodesicGround, geodesic_ground
+from planopt.coverage.ground import ConvexGround
 from planopt.coverage.verify import verify_moves
+from planopt.coverage.voronoi import ConvexRegion
 from planopt.errors import InputError
 from tests.coverage.scattered import scattered
 
@@ -123,13 +122,13 @@ def test_added_constraints_reach_the_constrained_optimum() -> None:
     )
     found = solve_programmes(given)
     assert found is not None
-    lengths = np.linalg.norm(given.way_map @ found, axis=2)
+    lengths = np.linalg.norm(given.move_map @ found, axis=2)
     assert (lengths <= given.longest + 1e-6).all()
     assert (lengths > given.longest - 1e-5).any(axis=1).sum() > 20
     for which in (0, 7, 31, 59):
         z = cp.Variable((steps, 2))
         places = given.place_map[which] @ z + given.place_offset[which]
-        limits = [cp.norm(given.way_map @ z, axis=1) <= given.longest[which]]
+        limits = [cp.norm(given.move_map @ z, axis=1) <= given.longest[which]]
         for normal, room in zip(given.normals[which], given.rooms[which], strict=True):
             limits.append(places @ normal <= room)
         for centre, radius in zip(given.centres[which], given.radii[which], strict=True):
@@ -167,17 +166,18 @@ def test_drifting_targets_are_led(square: ConvexRegion, horizon: int) -> None:
     np.testing.assert_allclose(moves.next_m, [[22.0, 50.0]], atol=1e-4)
 
 
-def test_free_way_needs_no_programme() -> None:
-    """The closed form of agents whose way is free is the optimum of the programme."""
+def test_free_path_needs_no_programme() -> None:
+    """The clipped law, repeated, is the optimum of the programme of agents with a free path."""
     rng = np.random.default_rng(2)
     starts, aims = rng.random((8, 2)) * 10.0, rng.random((8, 2)) * 10.0
-    share, free = (
-        np.linspace(0.1, 1.0, 8),
-        half_planes(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0)),
-    )
-    found = solve_programme(starts, aims, share, 6, 0.8, free)
-    assert found is not None
-    np.testing.assert_allclose(saturated_paths(starts, aims, share, 6, 0.8), found[0], atol=1e-3)
+    free = half_planes(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0))
+    for share in (0.1, 0.5, 1.0):
+        found = solve_programme(starts, aims, np.full(8, share), 6, 0.8, free)
+        assert found is not None
+        here = starts
+        for step in range(1, 7):
+            here = law_moves(here, aims, np.zeros(8, bool), Gains(1.0, share), 1.0, 0.8)
+            np.testing.assert_allclose(here, found[0][:, step], atol=1e-3)
 
 
 def test_inertia_agrees_with_reference() -> None:
@@ -224,13 +224,13 @@ def test_bodies_never_touch(square: ConvexRegion, kind: str) -> None:
             headings_rad=headings,
         )
         shares = np.linspace(0.0, 1.0, 9)[:, None, None]
-        bend = 0.25 * (velocities - moves.velocities_m_s[:, 1]) if kind == "double" else 0.0
+        bend = 0.25 * (velocities - moves.velocities_m_s) if kind == "double" else 0.0
         swept = agents + shares * (moves.next_m - agents) + shares * (1.0 - shares) * bend
         apart = np.linalg.norm(swept[:, :, None] - swept[:, None], axis=3)
         least = min(least, float((apart + 99.0 * np.eye(24)).min()))
         assert (square.excess_m(moves.next_m) <= -1.0 + 1e-9).all()
-        agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
-        headings = headings if moves.headings_rad is None else moves.headings_rad
+        agents, velocities = moves.next_m, moves.velocities_m_s
+        headings = moves.headings_rad
         assert (np.linalg.norm(velocities, axis=1) <= 4.0 + 1e-9).all()
         if step == 31:
             near = np.sort(np.linalg.norm(agents - 50.0, axis=1))
@@ -257,14 +257,14 @@ def test_agents_pass_obstacles(blocks: GeodesicGround, kind: str) -> None:
             velocities_m_s=velocities,
             headings_rad=headings,
         )
-        speed = velocities if kind == "double" else moves.velocities_m_s[:, 1]
+        speed = velocities if kind == "double" else moves.velocities_m_s
         shares = np.linspace(0.0, 1.0, 9)[:, None, None]
         bend = speed - (moves.next_m - agents)
         swept = agents + shares * (moves.next_m - agents) + shares * (1.0 - shares) * bend
         away = shapely.distance(shapely.boundary(blocks.free), shapely.points(swept))
         assert away.min() > 0.6 - 1e-6
-        agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
-        headings = headings if moves.headings_rad is None else moves.headings_rad
+        agents, velocities = moves.next_m, moves.velocities_m_s
+        headings = moves.headings_rad
     assert np.linalg.norm(agents - aims, axis=1).max() < 0.1
 
 
@@ -283,7 +283,7 @@ def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:
     """Places of a corridor keep the clearance, and the free straight way is within it."""
     rng = np.random.default_rng(6)
     drawn = rng.random((400, 2)) * [60.0, 40.0]
-    agents = drawn[blocks.region.contains(drawn)][:60]
+    agents = drawn[blocks.allows(drawn)][:60]
     agents[:4] = [[14.4, 24.6], [20.6, 10.0], [14.4, 10.0], [0.6, 0.6]]
     aims = rng.random((len(agents), 2)) * [60.0, 40.0]
     aims[:3] = [[20.6, 24.6], [20.6, 24.6], [14.4, 24.6]]
@@ -297,7 +297,7 @@ def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:
         assert shapely.contains(blocks.free, shapely.points(near[inside])).all()
         away = shapely.distance(shapely.boundary(blocks.free), shapely.points(near[inside]))
         assert away.min() >= 0.6 - 1e-6
-        if blocks.region.sees(agent[None], aim[None])[0]:
+        if blocks.sees(agent[None], aim[None])[0]:
             length = float(np.linalg.norm(aim - agent))
             reached = agent + (aim - agent) * min(1.0, 25.0 / length)
             assert (one.normals @ reached <= one.offsets_m + 1e-9).all()
@@ -328,12 +328,12 @@ def test_double_integrators_can_always_stop(square: ConvexRegion) -> None:
         moves = plan_moves(
             ConvexGround(square), agents, targets, limits, 0.8, 6, velocities_m_s=velocities
         )
-        change = np.linalg.norm(moves.velocities_m_s[:, 1] - velocities, axis=1)
+        change = np.linalg.norm(moves.velocities_m_s - velocities, axis=1)
         assert change.max() <= 1.0 + 1e-6
         np.testing.assert_allclose(
-            moves.next_m - agents, 0.5 * (velocities + moves.velocities_m_s[:, 1]), atol=1e-6
+            moves.next_m - agents, 0.5 * (velocities + moves.velocities_m_s), atol=1e-6
         )
-        agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
+        agents, velocities = moves.next_m, moves.velocities_m_s
         stops = agents + velocities * (0.5 * np.ceil(np.linalg.norm(velocities, axis=1)))[:, None]
         ways = shapely.linestrings(np.stack((agents, stops), axis=1))
         apart = shapely.distance(ways[:, None], ways) + 99.0 * np.eye(len(agents))
@@ -342,30 +342,22 @@ def test_double_integrators_can_always_stop(square: ConvexRegion) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "key"),
+    ("agents", "speed", "more", "key"),
     [
-        ({"agents": np.array([[1.0, 1.0], [1.5, 1.0]])}, "agents"),
-        ({"agents": np.array([[1.0, np.nan], [9.5, 1.0]])}, "agents"),
-        ({"targets": np.zeros((3, 2))}, "targets"),
-        ({"gain": 1.5}, "control.time_step_s"),
-        ({"velocities": np.full((2, 2), 9.0)}, "velocities"),
-        ({"limits": {"turn_rate_rad_s": 1.0}}, "limits.turn_rate_rad_s"),
-        ({"limits": {"speed_m_s": -1.0}}, "limits.speed_m_s"),
+        ([[1.0, 1.0], [1.5, 1.0]], 0.0, {}, "agents"),
+        ([[10.0, 10.0], [20.0, 10.0]], 9.0, {}, "velocities"),
+        ([[10.0, 10.0], [20.0, 10.0]], 0.0, {"turn_rate_rad_s": 1.0}, "limits.turn_rate_rad_s"),
+        ([[10.0, 10.0], [20.0, 10.0]], 0.0, {"speed_m_s": math.inf}, "limits.acceleration_m_s2"),
     ],
 )
-def test_wrong_input_is_named(square: ConvexRegion, change: dict[str, object], key: str) -> None:
-    """What cannot be planned is refused with its key."""
-    agents = change.get("agents", np.array([[10.0, 10.0], [20.0, 10.0]]))
-    limits: dict[str, float] = {"speed_m_s": 1.0, "body_radius_m": 1.0, "acceleration_m_s2": 1.0}
-    limits |= change.get("limits", {})  # type: ignore[arg-type]
+def test_wrong_input_is_named(
+    square: ConvexRegion, agents: list[list[float]], speed: float, more: dict[str, float], key: str
+) -> None:
+    """Touching bodies, agents that are too fast, and limits that do not fit are refused."""
+    limits = {"speed_m_s": 1.0, "body_radius_m": 1.0, "acceleration_m_s2": 1.0} | more
+    here, now = np.array(agents), np.full((2, 2), speed)
     with pytest.raises(InputError) as caught:
         plan_moves(
-            ConvexGround(square),
-            agents,  # type: ignore[arg-type]
-            change.get("targets", agents),  # type: ignore[arg-type]
-            MoveLimits(**limits),
-            change.get("gain", 0.5),  # type: ignore[arg-type]
-            3,
-            velocities_m_s=change.get("velocities"),  # type: ignore[arg-type]
+            ConvexGround(square), here, here, MoveLimits(**limits), 0.5, 3, velocities_m_s=now
         )
     assert caught.value.key == key

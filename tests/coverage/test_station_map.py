@@ -17,7 +17,6 @@ from planopt.coverage.limits import (
     station_map,
 )
 from planopt.coverage.verify import verify_moves
-from planopt.errors import InputError
 
 BOUNDS = (0.0, 0.0, 120.0, 90.0)
 THRESHOLD_DBM = -80.0
@@ -75,12 +74,3 @@ def test_places_that_are_kept_hold_all_links(learnt: StationMap, inert: bool) ->
         again = radio_tree(after, radio)
         assert again.connected[who].all()
     assert moved > 0.5
-
-
-def test_a_map_for_each_station_is_needed(learnt: StationMap) -> None:
-    """Numbers of stations and maps agree."""
-    law = LinkLaw(np.array([-30.0, 3.0]), 4.0, np.zeros((2, 2)))
-    with pytest.raises(InputError, match="for each station"):
-        RadioLimits(np.zeros((1, 2)), learnt, law, THRESHOLD_DBM, 0.9)
-    with pytest.raises(InputError, match="no station"):
-        station_map([], THRESHOLD_DBM, BOUNDS)

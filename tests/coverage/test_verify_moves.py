@@ -9,12 +9,13 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from planopt.coverage.control.movers import plan_moves, stopping_ways
+from planopt.coverage.control.movers import braking_offsets_m, plan_moves
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.ground import ConvexGround, geodesic_ground
+from planopt.coverage.geodesic import geodesic_ground
+from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
-from planopt.coverage.region import ConvexRegion
 from planopt.coverage.verify import Fault, verify_moves
+from planopt.coverage.voronoi import ConvexRegion
 from planopt.errors import InputError
 
 HALL = shapely.box(0, 0, 60, 40) - shapely.box(20, 10, 30, 25)
@@ -136,7 +137,7 @@ def test_planned_moves_have_no_fault(kind: str) -> None:
         if step % 8 == 0:
             away = 200.0 * (rng.random((16, 2)) - 0.2)
         targets = ground.steered(agents, np.clip(away, 2.0, 98.0), 0.5)
-        stops = agents + stopping_ways(velocities, 1.0) if kind == "double" else agents
+        stops = agents + braking_offsets_m(velocities, 1.0) if kind == "double" else agents
         tree = radio_tree(agents, radio, stops)
         assert tree.connected.all()
         loosest = max(loosest, float(tree.failure.max()))
@@ -151,8 +152,8 @@ def test_planned_moves_have_no_fault(kind: str) -> None:
             headings_rad=headings,
             kept=tree.kept,
         )
-        turned = None if moves.headings_rad is None else (headings, moves.headings_rad)
-        speeds = (velocities, moves.velocities_m_s[:, 1]) if kind == "double" else None
+        turned = headings, moves.headings_rad
+        speeds = (velocities, moves.velocities_m_s) if kind == "double" else None
         faults = verify_moves(
             ground.free,
             agents,
@@ -164,8 +165,8 @@ def test_planned_moves_have_no_fault(kind: str) -> None:
         )
         assert faults == ()
         held += moves.solved
-        agents, velocities = moves.next_m, moves.velocities_m_s[:, 1]
-        headings = headings if moves.headings_rad is None else moves.headings_rad
+        agents, velocities = moves.next_m, moves.velocities_m_s
+        headings = moves.headings_rad
     # Radio and cells have been in the way: otherwise nothing was tested.
     assert 0.06 < loosest <= 0.1 and held > 50
 

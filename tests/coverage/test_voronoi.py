@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scattered import scattered
 from scipy.spatial import Delaunay
 
-from planopt.coverage.region import ConvexRegion
 from planopt.coverage.voronoi import (
     Cells,
+    ConvexRegion,
     adjacent_cells,
     agent_neighbours,
     merge_coincident,

@@ -4,59 +4,133 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.control.laws import Gains, law_moves
-from planopt.coverage.control.programme import Inertia, saturated_paths, solve_programme
+from planopt.coverage.control.programme import Inertia, solve_programme
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.control.safe_sets import SafeSets, ground_sets, joined, separate_cells
-from planopt.coverage.ground import Ground
+from planopt.coverage.geodesic import Ground
+from planopt.coverage.ground import Cover
 from planopt.coverage.limits import MoveLimits, RadioLimits
+from planopt.coverage.voronoi import merge_coincident
 from planopt.errors import InputError
 
 BLENDS = (1.0, 0.999, 0.99, 0.9, 0.5)
-"""Shares of the planned move that are tried, the rest braking, before an agent only brakes."""
+"""Shares of the planned move, the rest braking, that are tried before an agent only brakes."""
 
 ROUNDING = 1e-12
-"""Places may be outside of their sets by this share of the ground's radius."""
+"""Positions may be outside of their sets by this share of the ground's radius."""
 
 Floats = NDArray[np.float64]
+
+SPLIT = 1e-9
+"""Covering agents at one position are separated by this share of the region's radius: their common
+cell is then cut into sectors, one for each, and they leave each other."""
+
+Partition = Literal["all", "coverage_only"]
+"""Whose cells divide the region: those of all agents, or of the covering ones alone."""
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains of the laws."""
+
+    event_per_s: float = 1.0  # k_1, of agents that respond to an event, in 1/s
+    coverage_per_s: float = 1.0  # k_2, of agents that cover, in 1/s
+
+    def shares(self, responds: NDArray[np.bool_], time_step_s: float) -> Floats:
+        """Return the share of the distance to its target that each agent covers in a step; (n,)."""
+        largest = max(self.event_per_s, self.coverage_per_s) * time_step_s
+        if not 0.0 < largest <= 1.0 + 1e-12:
+            raise InputError(
+                f"{time_step_s:g} s times the largest gain is {largest:g}",
+                key="control.time_step_s",
+                remedy="keep it above 0 and at most 1, or agents overshoot",
+            )
+        return np.minimum(
+            time_step_s * np.where(responds, self.event_per_s, self.coverage_per_s), 1.0
+        )
+
+
+def coverage_aims(
+    ground: Ground,
+    agents_m: Floats,  # (n, 2) all agents
+    responds: NDArray[np.bool_],  # (n,) whether an agent responds to an event
+    partition: Partition = "all",
+) -> Cover:
+    """Return the targets of covering agents, and the cost of the partition."""
+    alone = partition == "coverage_only" and not responds.all()
+    counted = ~responds if alone else np.ones_like(responds)
+    found = ground.cover(_apart(ground, agents_m, ~responds)[counted])
+    targets = agents_m.copy()
+    targets[~responds] = found.targets_m[~responds[counted]]
+    return Cover(found.cost, targets)
+
+
+def _apart(ground: Ground, agents_m: Floats, covers: NDArray[np.bool_]) -> Floats:
+    """Return agents (n, 2), covering ones at one position moved onto a tiny ring about it."""
+    within_m = 0.5 * SPLIT * ground.hull.radius_m
+    if np.diff(np.sort(agents_m[covers, 0])).min(initial=np.inf) > within_m:
+        return agents_m
+    group = merge_coincident(agents_m[covers], within_m)[1]
+    size = np.bincount(group)[group]
+    order = np.argsort(group, kind="stable")
+    rank = np.empty(len(group), dtype=np.intp)
+    rank[order] = np.arange(len(group)) - np.searchsorted(group[order], group[order])
+    angle = 2.0 * np.pi * rank / size
+    ring = np.stack((np.cos(angle), np.sin(angle)), axis=1) * (size > 1)[:, None]
+    moved = agents_m.copy()
+    moved[covers] = ground.nearest(agents_m[covers] + SPLIT * ground.hull.radius_m * ring)
+    return moved
+
+
+def law_moves(
+    agents_m: Floats,
+    targets_m: Floats,
+    responds: NDArray[np.bool_],
+    gains: Gains,
+    time_step_s: float,
+    speed_m_s: float | None = None,
+) -> Floats:
+    """Return positions ``(n, 2)`` after a step of the laws, with speeds clipped."""
+    most_m = math.inf if speed_m_s is None else speed_m_s * time_step_s
+    return _clipped_moves(agents_m, targets_m, gains.shares(responds, time_step_s), most_m)
+
+
+def _clipped_moves(agents: Floats, targets: Floats, share: Floats, most_m: float) -> Floats:
+    """Return the ends of moves over a share (n,) of the distance, clipped to the largest move."""
+    move = share[:, None] * (targets - agents)
+    length = np.linalg.norm(move, axis=1)
+    return agents + move * np.minimum(1.0, most_m / np.where(length > 0.0, length, 1.0))[:, None]
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkMoves:
-    """Planned moves of all agents. The first one is meant to be driven; then plan again."""
+    """The first moves of plans of all agents."""
 
-    paths_m: Floats  # (n, N + 1, 2) places at the ends of the steps, the present one first
-    # (n, N + 1, 2) velocities on arrival there, the present one first. A double integrator changes
-    # its velocity evenly during a step; other agents have that of the step's end at once.
+    next_m: Floats  # (n, 2) positions after the move
+    # (n, 2) velocities on arrival. A double integrator changes its velocity evenly during a step;
+    # other agents have that of the step's end at once.
     velocities_m_s: Floats
-    headings_rad: Floats | None  # (n,) headings of unicycles after the first move; None for others
-    # (n,) whether an agent stands still or brakes because no other move was found
-    stopping: NDArray[np.bool_]
-    solved: int  # How many agents needed a programme; the others' way was free
-
-    @property
-    def next_m(self) -> Floats:
-        """Places ``(n, 2)`` after the first move."""
-        return self.paths_m[:, 1]
+    headings_rad: Floats  # (n,) headings on arrival; unicycles alone change them
+    solved: int  # Number of agents that needed a programme; the paths of others are free
 
 
 def plan_moves(
     ground: Ground,
-    positions_m: Floats,  # (n, 2) where agents are
+    positions_m: Floats,  # (n, 2) present positions
     targets_m: Floats,  # (n, 2)
     limits: MoveLimits,
     gain_per_s: float | Floats,
     horizon: int,
     *,
-    velocities_m_s: Floats | None = None,  # (n, 2)
-    headings_rad: Floats | None = None,  # (n,) present headings of unicycles
-    kept: SafeSets | None = None,
-    target_velocities_m_s: Floats | None = None,  # (n, 2)
+    velocities_m_s: Floats | None = None,  # (n, 2) present velocities; zero if None
+    headings_rad: Floats | None = None,  # (n,) present headings of unicycles; zero if None
+    kept: SafeSets | None = None,  # Further sets that agents stay in
+    target_velocities_m_s: Floats | None = None,  # (n, 2); zero if None
 ) -> NetworkMoves:
     """Plan the moves of all agents over a horizon, with targets that stand or drift.
 
@@ -64,173 +138,151 @@ def plan_moves(
     touch, and keep off obstacles and the border, during the whole move; stopping always stays
     possible.
     """
-    places, aims = (
-        _checked(values, len(positions_m), key)
-        for values, key in ((positions_m, "agents"), (targets_m, "targets"))
-    )
-    share = np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64), (len(places),))
-    share = share * limits.time_step_s
-    if horizon < 1 or not ((share > 0.0) & (share <= 1.0 + ROUNDING)).all():
-        raise InputError(
-            f"a horizon of {horizon} steps of {limits.time_step_s:g} s at these gains",
-            key="control.time_step_s",
-            remedy="keep gain times step above 0 and at most 1, and the horizon at least 1",
-        )
-    share = np.minimum(share, 1.0)
-    drifts = np.zeros_like(places)
-    if target_velocities_m_s is not None:
-        velocities = _checked(target_velocities_m_s, len(places), "target_velocities")
-        drifts = limits.time_step_s * velocities
-    most_m = limits.speed_m_s * limits.time_step_s
+    count, step_s = len(positions_m), limits.time_step_s
+    share = np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64) * step_s, (count,))
+    none = np.zeros((count, 2))
+    rates = none if velocities_m_s is None else step_s * velocities_m_s
+    headings = np.zeros(count) if headings_rad is None else headings_rad
+    drifts = none if target_velocities_m_s is None else step_s * target_velocities_m_s
+    task = _Task(ground, positions_m, targets_m, drifts, limits, np.minimum(share, 1.0), horizon)
     if limits.acceleration_m_s2 is not None:
-        velocities = np.zeros_like(places) if velocities_m_s is None else velocities_m_s
-        velocities = _checked(velocities, len(places), "velocities")
-        return _inert_moves(ground, places, aims, limits, share, horizon, velocities, kept, drifts)
-    step_m = share * np.linalg.norm(aims - places, axis=1) + np.linalg.norm(drifts, axis=1)
-    step_m = np.minimum(most_m, step_m)
-    sets = _sets(ground, places, places, aims, limits, step_m, float(horizon * step_m.max()), kept)
-    clear = (sets.share_inside(places, aims) >= 1.0) & ~drifts.any(axis=1)
-    paths = saturated_paths(places, aims, share, horizon, most_m)
-    stopping = np.zeros(len(places), dtype=np.bool_)
-    blocked = np.flatnonzero(~clear)
-    if len(blocked):
-        mine = sets.of(blocked).thinned(places[blocked], horizon * step_m[blocked])
-        found = solve_programme(
-            places[blocked], aims[blocked], share[blocked], horizon, most_m, mine,
-            drifts_m=drifts[blocked],
-        )  # fmt: skip
-        paths[blocked] = places[blocked, None] if found is None else found[0]
-        stopping[blocked] = found is None
-    headings = None
+        after, rates = _inert_moves(task, rates, kept)
+        return NetworkMoves(after, rates / step_s, headings, count)
+    after, sets, solved = _instant_moves(task, kept)
     if limits.turn_rate_rad_s is not None:
-        headings = np.zeros(len(places)) if headings_rad is None else headings_rad
-        paths[:, 1], headings = _driven(places, paths[:, 1], headings, limits)
-    inside = sets.share_inside(places, paths[:, 1])
-    paths[:, 1] = places + inside[:, None] * (paths[:, 1] - places)
-    velocities = np.diff(paths, axis=1, prepend=paths[:, :1]) / limits.time_step_s
-    return NetworkMoves(paths, velocities, headings, stopping, len(blocked))
+        after, headings = _driven(positions_m, after, headings, limits)
+    move = sets.share_inside(positions_m, after)[:, None] * (after - positions_m)
+    return NetworkMoves(positions_m + move, move / step_s, headings, solved)
 
 
-def _sets(
-    ground: Ground,
-    places: Floats,
-    stops: Floats,
-    aims: Floats,
-    limits: MoveLimits,
-    step_m: Floats,
-    reach_m: float,
-    kept: SafeSets | None,
-) -> SafeSets:
-    """Return all sets that agents with reserves from places to stops (n, 2) stay in."""
-    sets = [
-        separate_cells(places, stops, limits.body_radius_m, step_m),
-        ground_sets(ground, places, stops, aims, limits.keep_m, reach_m),
-    ]
-    return joined(*sets, *([] if kept is None else [kept]))
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """A step to plan; `n` agents."""
+
+    ground: Ground
+    places: Floats  # (n, 2)
+    targets: Floats  # (n, 2), and their motion in a step
+    drifts: Floats
+    limits: MoveLimits
+    share: Floats  # (n,) share of the distance to its target that an agent covers in a step
+    horizon: int
+
+    @property
+    def most_m(self) -> float:
+        """Return the largest move in a step."""
+        return self.limits.speed_m_s * self.limits.time_step_s
+
+    def sets(
+        self, stops: Floats, step_m: Floats, reach_m: float, kept: SafeSets | None
+    ) -> SafeSets:
+        """Return all sets that agents with reserves to stops (n, 2) stay in."""
+        cells = separate_cells(self.places, stops, self.limits.body_radius_m, step_m)
+        keep_m = self.limits.keep_m
+        free = ground_sets(self.ground, self.places, stops, self.targets, keep_m, reach_m)
+        return joined(cells, free, *([] if kept is None else [kept]))
 
 
-def _inert_moves(
-    ground: Ground,
-    places: Floats,
-    aims: Floats,
-    limits: MoveLimits,
-    share: Floats,
-    horizon: int,
-    velocities: Floats,
-    kept: SafeSets | None,
-    drifts: Floats,
-) -> NetworkMoves:
-    """Moves of double integrators at velocities (n, 2) to aims that drift (n, 2) in a step."""
-    assert limits.acceleration_m_s2 is not None
-    most = limits.speed_m_s * limits.time_step_s
-    change = limits.acceleration_m_s2 * limits.time_step_s**2
-    now = velocities * limits.time_step_s
+def _instant_moves(task: _Task, kept: SafeSets | None) -> tuple[Floats, SafeSets, int]:
+    """Plan moves of agents whose velocity may jump; they stop at once.
+
+    Returns the ends of the first moves (n, 2), the sets to stay in, and the number of programmes.
+    """
+    places, share, drifts = task.places, task.share, task.drifts
+    step_m = share * np.linalg.norm(task.targets - places, axis=1)
+    step_m = np.minimum(task.most_m, step_m + np.linalg.norm(drifts, axis=1))
+    sets = task.sets(places, step_m, float(task.horizon * step_m.max()), kept)
+    after = _clipped_moves(places, task.targets, share, task.most_m)
+    clear = (sets.share_inside(places, task.targets) >= 1.0) & ~drifts.any(axis=1)
+    who = np.flatnonzero(~clear)
+    if len(who):
+        mine = sets.of(who).thinned(places[who], task.horizon * step_m[who])
+        found = solve_programme(
+            places[who], task.targets[who], share[who], task.horizon, task.most_m, mine,
+            drifts_m=drifts[who],
+        )  # fmt: skip
+        after[who] = places[who] if found is None else found[0][:, 1]
+    return after, sets, len(who)
+
+
+def _inert_moves(task: _Task, now: Floats, kept: SafeSets | None) -> tuple[Floats, Floats]:
+    """Plan moves of double integrators with velocities (n, 2) per step.
+
+    Returns positions and velocities (n, 2) after the first move. Agents brake where no other move
+    was found.
+    """
+    assert task.limits.acceleration_m_s2 is not None
+    places, most, horizon = task.places, task.most_m, task.horizon
+    change = task.limits.acceleration_m_s2 * task.limits.time_step_s**2
     speed = np.linalg.norm(now, axis=1)
     if not _shorter(now, most).all():
-        which = int(speed.argmax())
-        raise InputError(f"agent {which} is faster than {limits.speed_m_s:g} m/s", key="velocities")
-    stops = places + stopping_ways(now, change)
+        raise InputError(
+            f"agent {int(speed.argmax())} is faster than {task.limits.speed_m_s:g} m/s",
+            key="velocities",
+        )
+    stops = places + braking_offsets_m(now, change)
     fastest = np.minimum(speed + change, most)
     later = np.maximum(np.ceil(fastest / change - 1e-9), 1.0)
     inertia = Inertia(now, change, later.astype(np.intp))
     # A step and then the longest reserve; over the horizon that of the largest speed.
-    step_m = fastest * (1.0 + 0.5 * later)
     reach_m = most * (horizon + 0.5 * math.ceil(most / change))
-    sets = _sets(ground, places, stops, aims, limits, step_m, reach_m, kept)
-    braking = _braking(places, now, change, horizon)
-    wide = _widened(sets, np.concatenate((braking[0], _ends(*braking, inertia)), axis=1))
+    sets = task.sets(stops, fastest * (1.0 + 0.5 * later), reach_m, kept)
+    path, rates = _braking(places, now, change, horizon)
+    reserves = path + 0.5 * later[:, None, None] * rates
+    wide = sets.widened(np.concatenate((path, reserves), axis=1))
     wide = wide.thinned(places, np.full(len(places), reach_m))
-    found = solve_programme(places, aims, share, horizon, most, wide, inertia, drifts)
-    paths, ways = braking if found is None else found
-    stopping = np.ones(len(places), dtype=np.bool_)
-    slack = ROUNDING * ground.hull.radius_m
-    first, way = braking[0][:, 1].copy(), braking[1][:, 1].copy()
-    for blend in BLENDS if found is not None else ():
-        tried = blend * paths[:, 1] + (1.0 - blend) * braking[0][:, 1]
-        speeds = blend * ways[:, 1] + (1.0 - blend) * braking[1][:, 1]
-        reserve = np.stack((places + 0.5 * now, tried, tried + stopping_ways(speeds, change)), 1)
-        fine = stopping & sets.holds(reserve, slack) & _shorter(speeds, most)
+    found = solve_programme(
+        places, task.targets, task.share, horizon, most, wide, inertia, task.drifts
+    )
+    planned, faster = (path, rates) if found is None else found
+    after, rate, brakes = path[:, 1].copy(), rates[:, 1].copy(), np.ones(len(places), dtype=bool)
+    slack = ROUNDING * task.ground.hull.radius_m
+    for blend in BLENDS:
+        ends = blend * planned[:, 1] + (1.0 - blend) * path[:, 1]
+        speeds = blend * faster[:, 1] + (1.0 - blend) * rates[:, 1]
+        reserve = np.stack((places + 0.5 * now, ends, ends + braking_offsets_m(speeds, change)), 1)
+        fine = brakes & sets.holds(reserve, slack) & _shorter(speeds, most)
         fine &= _shorter(speeds - now, change)
-        first[fine], way[fine] = tried[fine], speeds[fine]
-        stopping &= ~fine
-    paths[:, 1], ways[:, 1] = first, way
-    paths[stopping], ways[stopping] = braking[0][stopping], braking[1][stopping]
-    return NetworkMoves(paths, ways / limits.time_step_s, None, stopping, len(places))
+        after[fine], rate[fine] = ends[fine], speeds[fine]
+        brakes &= ~fine
+    return after, rate
 
 
-def stopping_ways(ways_m: Floats, change_m: float) -> Floats:
-    """Return the ways ``(n, 2)`` on which double integrators brake straight to rest."""
-    # Shapes: ways_m (n, 2).
-    return 0.5 * _stop_steps(ways_m, change_m)[:, None] * ways_m
+def braking_offsets_m(velocities_m: Floats, change_m: float) -> Floats:
+    """Return the offsets ``(n, 2)`` on which double integrators brake straight to rest.
+
+    Velocities ``(n, 2)`` are per step, and so is the largest change of velocity.
+    """
+    return 0.5 * _stop_steps(velocities_m, change_m)[:, None] * velocities_m
 
 
-def _shorter(ways: Floats, most: float) -> NDArray[np.bool_]:
-    """Return whether ways (n, 2) are at most that long, but for rounding; (n,)."""
-    return np.linalg.norm(ways, axis=1) <= most * (1.0 + 1e-9)
+def _shorter(vectors: Floats, most: float) -> NDArray[np.bool_]:
+    """Return whether vectors (n, 2) are at most that long, but for rounding; (n,)."""
+    return np.linalg.norm(vectors, axis=1) <= most * (1.0 + 1e-9)
 
 
-def _stop_steps(ways: Floats, change: float) -> Floats:
-    """Least number of steps in which velocities (n, 2) end; (n,)."""
-    return np.ceil(np.linalg.norm(ways, axis=1) / change - 1e-9)
+def _stop_steps(rates: Floats, change: float) -> Floats:
+    """Return the least number of steps in which velocities (n, 2) end; (n,)."""
+    return np.ceil(np.linalg.norm(rates, axis=1) / change - 1e-9)
 
 
 def _braking(places: Floats, now: Floats, change: float, horizon: int) -> tuple[Floats, Floats]:
-    """Paths and velocities (n, N + 1, 2) of agents that brake straight and evenly."""
+    """Return paths and velocities (n, N + 1, 2) of agents that brake straight and evenly."""
     steps = _stop_steps(now, change)[:, None]
     left = np.maximum(1.0 - np.arange(horizon + 1) / np.maximum(steps, 1.0), 0.0)
-    ways = left[:, :, None] * now[:, None]
-    paths = np.zeros_like(ways) + places[:, None]
-    paths[:, 1:] += np.cumsum(0.5 * (ways[:, 1:] + ways[:, :-1]), axis=1)
-    return paths, ways
-
-
-def _ends(paths: Floats, ways: Floats, inertia: Inertia) -> Floats:
-    """Ends (n, N + 1, 2) of the reserves that a programme keeps for paths."""
-    return paths + 0.5 * inertia.stop_steps[:, None, None] * ways
-
-
-def _widened(sets: SafeSets, places: Floats) -> SafeSets:
-    """Sets that are just wide enough to hold places (n, j, 2) as well."""
-    height = np.einsum("kjx,kx->kj", places[sets.agent], sets.normals).max(axis=1)
-    away = np.linalg.norm(places[sets.disc_agent] - sets.centres_m[:, None], axis=2).max(axis=1)
-    return SafeSets(
-        sets.agent,
-        sets.normals,
-        np.maximum(sets.offsets_m, height),
-        sets.disc_agent,
-        sets.centres_m,
-        np.maximum(sets.radii_m, away),
-    )
+    rates = left[:, :, None] * now[:, None]
+    paths = np.zeros_like(rates) + places[:, None]
+    paths[:, 1:] += np.cumsum(0.5 * (rates[:, 1:] + rates[:, :-1]), axis=1)
+    return paths, rates
 
 
 def _driven(
     places: Floats, ends: Floats, headings: Floats, limits: MoveLimits
 ) -> tuple[Floats, Floats]:
-    """Return places and headings of unicycles (n, 2) that turn toward ends (n, 2) and drive."""
+    """Return positions and headings of unicycles (n, 2) that turn toward ends (n, 2) and drive."""
     assert limits.turn_rate_rad_s is not None
-    way = ends - places
-    length = np.linalg.norm(way, axis=1)
-    turn = np.arctan2(way[:, 1], way[:, 0]) - headings
+    offset = ends - places
+    length = np.linalg.norm(offset, axis=1)
+    turn = np.arctan2(offset[:, 1], offset[:, 0]) - headings
     # Driving backwards needs no more than a quarter turn.
     turn -= np.pi * np.round(turn / np.pi)
     turn[length == 0.0] = 0.0
@@ -238,29 +290,16 @@ def _driven(
     left_s = limits.time_step_s - np.abs(turn) / limits.turn_rate_rad_s
     move = np.where(left_s > 0.0, np.minimum(length, limits.speed_m_s * left_s), 0.0)
     share = np.where(length > 0.0, move / np.where(length > 0.0, length, 1.0), 0.0)
-    return places + share[:, None] * way, headings + np.clip(turn, -most, most)
-
-
-def _checked(values: Floats, count: int, key: str) -> Floats:
-    """Finite values (count, 2)."""
-    found = np.asarray(values, dtype=np.float64)
-    if found.shape != (count, 2) or not count or not np.isfinite(found).all():
-        raise InputError(
-            f"an array of shape {found.shape} with {int((~np.isfinite(found)).sum())} numbers that "
-            "are not finite is given",
-            key=key,
-            remedy=f"give finite numbers of shape ({count}, 2)",
-        )
-    return found
+    return places + share[:, None] * offset, headings + np.clip(turn, -most, most)
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Places, velocities and headings of agents."""
+    """Positions, velocities and headings of agents."""
 
-    places_m: NDArray[np.float64]  # (n, 2)
-    velocities_m_s: NDArray[np.float64]  # (n, 2) velocities at the end of the last step
-    headings_rad: NDArray[np.float64]  # (n,); they matter for unicycles alone
+    places_m: Floats  # (n, 2)
+    velocities_m_s: Floats  # (n, 2) velocities at the end of the last step
+    headings_rad: Floats  # (n,); used by unicycles alone
 
 
 class Mover(Protocol):
@@ -270,22 +309,19 @@ class Mover(Protocol):
         self,
         ground: Ground,
         motion: Motion,
-        targets_m: NDArray[np.float64],
-        responds: NDArray[np.bool_],
-        drifts_m_s: NDArray[np.float64],
+        targets_m: Floats,  # (n, 2), and their velocities as estimated
+        responds: NDArray[np.bool_],  # (n,)
+        drifts_m_s: Floats,
     ) -> Motion:
-        """Return where agents are after the step, and how they move then.
-
-        Targets move at velocities `drifts_m_s` (n, 2) as far as agents have estimated that.
-        """
+        """Return the motion after the step."""
         ...
 
 
 @dataclass(frozen=True)
 class LawMover:
-    """Drives by the laws, with the speed clipped."""
+    """Moves by the laws, with the speed clipped."""
 
-    gains: Gains  # As for :func:`planopt.coverage.control.laws.law_moves`
+    gains: Gains
     time_step_s: float
     speed_m_s: float | None
 
@@ -293,11 +329,11 @@ class LawMover:
         self,
         ground: Ground,
         motion: Motion,
-        targets_m: NDArray[np.float64],
+        targets_m: Floats,
         responds: NDArray[np.bool_],
-        drifts_m_s: NDArray[np.float64],
+        drifts_m_s: Floats,
     ) -> Motion:
-        """Return where agents are after a step of the laws."""
+        """Return the motion after a step of the laws."""
         here, gains = motion.places_m, self.gains
         moved = law_moves(here, targets_m, responds, gains, self.time_step_s, self.speed_m_s)
         return Motion(moved, (moved - here) / self.time_step_s, motion.headings_rad)
@@ -305,31 +341,29 @@ class LawMover:
 
 @dataclass(frozen=True)
 class RecedingMover:
-    """Plans over a horizon with the targets held, and drives the first move."""
+    """Plans over a horizon, and drives the first move."""
 
-    gains: Gains  # As for :func:`planopt.coverage.control.movers.plan_moves`
+    gains: Gains
     limits: MoveLimits
     horizon: int
-    # Links to base stations that agents keep over a tree; None for none
-    radio: RadioLimits | None = None
-    # Whether plans follow targets that move; else targets are held over the horizon
-    lead: bool = False
+    radio: RadioLimits | None = None  # Required links to base stations
+    lead: bool = False  # Whether plans follow targets that move; else targets are held
 
     def __call__(
         self,
         ground: Ground,
         motion: Motion,
-        targets_m: NDArray[np.float64],
+        targets_m: Floats,
         responds: NDArray[np.bool_],
-        drifts_m_s: NDArray[np.float64],
+        drifts_m_s: Floats,
     ) -> Motion:
-        """Return where agents are after the first move of a plan."""
+        """Return the motion after the first move of a plan."""
         step_s, kept = self.limits.time_step_s, None
         most = self.limits.acceleration_m_s2
         if self.radio is not None:
             stops = motion.places_m
             if most is not None:
-                stops = stops + stopping_ways(motion.velocities_m_s * step_s, most * step_s**2)
+                stops = stops + braking_offsets_m(motion.velocities_m_s * step_s, most * step_s**2)
             kept = radio_tree(motion.places_m, self.radio, stops).kept
         moves = plan_moves(
             ground,
@@ -343,9 +377,4 @@ class RecedingMover:
             kept=kept,
             target_velocities_m_s=drifts_m_s if self.lead else None,
         )
-        if most is not None:
-            velocities = moves.velocities_m_s[:, 1]
-        else:
-            velocities = (moves.next_m - motion.places_m) / step_s
-        turned = motion.headings_rad if moves.headings_rad is None else moves.headings_rad
-        return Motion(moves.next_m, velocities, turned)
+        return Motion(moves.next_m, moves.velocities_m_s, moves.headings_rad)

@@ -29,8 +29,8 @@ class Programmes:
     """Convex programmes of n agents with V variables in each of two dimensions, z of shape (V, 2).
 
     Minimise ``1/2 z' hessian z + linear' z``, the same Hessian for both dimensions. Places
-    ``place_map @ z + place_offset`` stay in half-planes and discs, and displacements ``way_map @ z
-    + way_offset`` are at most as long as `longest`.
+    ``place_map @ z + place_offset`` stay in half-planes and discs, and displacements ``move_map @ z
+    + move_offset`` are at most as long as `longest`.
     """
 
     hessian: Floats  # (n, V, V), positive definite
@@ -41,14 +41,14 @@ class Programmes:
     rooms: Floats  # (n, K)
     centres: Floats  # (n, D, 2)
     radii: Floats  # (n, D)
-    way_map: Floats  # (R, V)
-    way_offset: Floats  # (n, R, 2)
+    move_map: Floats  # (R, V)
+    move_offset: Floats  # (n, R, 2)
     longest: Floats  # (n, R)
 
     def of(self, agents: NDArray[np.intp]) -> Programmes:
         """Return the programmes of some agents."""
         every = {each.name: getattr(self, each.name) for each in fields(self)}
-        return Programmes(**{k: v if k == "way_map" else v[agents] for k, v in every.items()})
+        return Programmes(**{k: v if k == "move_map" else v[agents] for k, v in every.items()})
 
 
 def solve_programmes(given: Programmes) -> Floats | None:
@@ -78,7 +78,7 @@ def _violated(given: Programmes, z: Floats) -> tuple[Mask, Mask, Mask]:
     places = given.place_map @ z + given.place_offset
     heights = given.normals @ places.transpose(0, 2, 1) - given.rooms[..., None]
     away = np.linalg.norm(places[:, None] - given.centres[:, :, None], axis=3)
-    lengths = np.linalg.norm(given.way_map @ z + given.way_offset, axis=2)
+    lengths = np.linalg.norm(given.move_map @ z + given.move_offset, axis=2)
     return (
         heights > VIOLATION,
         away - given.radii[..., None] > VIOLATION,
@@ -100,9 +100,9 @@ def _solve_block(given: Programmes, planes: Mask, discs: Mask, ways: Mask) -> Fl
     disc_agent, disc, disc_step = np.nonzero(discs)
     way_agent, way = np.nonzero(ways)
     # Cones are (radius, offset - matrix @ z).
-    matrix = np.concatenate((given.place_map[disc_agent, disc_step], given.way_map[way]))
+    matrix = np.concatenate((given.place_map[disc_agent, disc_step], given.move_map[way]))
     from_centre = given.place_offset[disc_agent, disc_step] - given.centres[disc_agent, disc]
-    offset = np.concatenate((from_centre, given.way_offset[way_agent, way]))
+    offset = np.concatenate((from_centre, given.move_offset[way_agent, way]))
     radius = np.concatenate((given.radii[disc_agent, disc], given.longest[way_agent, way]))
     round_rows = np.zeros((len(matrix), 3, size, 2))
     round_rows[:, 1, :, 0] = round_rows[:, 2, :, 1] = -matrix
@@ -161,23 +161,6 @@ def stage_weights(share: Floats, horizon: int) -> tuple[Floats, Floats]:
     places = np.ones((len(share), horizon))
     places[:, -1] = 1.0 / share
     return places, (1.0 - share) / share**2
-
-
-def saturated_paths(
-    starts_m: Floats, aims_m: Floats, share: Floats, horizon: int, most_m: float
-) -> Floats:
-    """Return the optimal paths ``(n, N + 1, 2)`` of agents whose way to the aim is free.
-
-    They lie on the straight line, each move is the law's clipped to the largest move `most_m`.
-    """
-    paths = np.empty((len(starts_m), horizon + 1, 2))
-    paths[:, 0] = starts_m
-    for step in range(horizon):
-        way = aims_m - paths[:, step]
-        length = np.linalg.norm(way, axis=1)
-        part = np.minimum(share, most_m / np.where(length > 0.0, length, 1.0))
-        paths[:, step + 1] = paths[:, step] + part[:, None] * way
-    return paths
 
 
 def solve_programme(

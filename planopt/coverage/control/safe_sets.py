@@ -7,7 +7,7 @@ The reserve is always within both, so that an agent may stop whatever the others
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import cast
 
 import numpy as np
@@ -15,9 +15,9 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
-from planopt.coverage.ground import ConvexGround, GeodesicGround, Ground
-from planopt.coverage.region import ON_BORDER
-from planopt.coverage.voronoi import FAR
+from planopt.coverage.geodesic import GeodesicGround, Ground
+from planopt.coverage.ground import ConvexGround
+from planopt.coverage.voronoi import FAR, ON_BORDER
 from planopt.errors import InputError
 
 SPARE = 1e-3
@@ -78,6 +78,14 @@ class SafeSets:
         inside[self.disc_agent[away.max(axis=1) > self.radii_m + slack_m]] = False
         return inside
 
+    def widened(self, places_m: Floats) -> SafeSets:
+        """Return sets that are just wide enough to hold positions ``(n, j, 2)`` as well."""
+        height = np.einsum("kjx,kx->kj", places_m[self.agent], self.normals).max(axis=1)
+        away = np.linalg.norm(places_m[self.disc_agent] - self.centres_m[:, None], axis=2)
+        offsets = np.maximum(self.offsets_m, height)
+        radii = np.maximum(self.radii_m, away.max(axis=1))
+        return replace(self, offsets_m=offsets, radii_m=radii)
+
     def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
         """Return the sets without half-planes that hardly matter near starts ``(n, 2)``.
 
@@ -92,14 +100,8 @@ class SafeSets:
         first = np.repeat(reach_m[:, None], LOOKS, axis=1)
         np.minimum.at(first, self.agent, view)
         kept = (view <= NEARLY * first[self.agent]).any(axis=1)
-        return SafeSets(
-            self.agent[kept],
-            self.normals[kept],
-            self.offsets_m[kept],
-            self.disc_agent,
-            self.centres_m,
-            self.radii_m,
-        )
+        agent, normals, offsets = self.agent[kept], self.normals[kept], self.offsets_m[kept]
+        return replace(self, agent=agent, normals=normals, offsets_m=offsets)
 
     def of(self, chosen: NDArray[np.intp]) -> SafeSets:
         """Return the sets of some agents, numbered in that order."""
@@ -119,14 +121,8 @@ class SafeSets:
 
 def joined(*sets: SafeSets) -> SafeSets:
     """Return the intersections of sets of the same agents."""
-    return SafeSets(
-        np.concatenate([one.agent for one in sets]),
-        np.concatenate([one.normals for one in sets]),
-        np.concatenate([one.offsets_m for one in sets]),
-        np.concatenate([one.disc_agent for one in sets]),
-        np.concatenate([one.centres_m for one in sets]),
-        np.concatenate([one.radii_m for one in sets]),
-    )
+    names = [each.name for each in fields(SafeSets)]
+    return SafeSets(*(np.concatenate([getattr(one, name) for one in sets]) for name in names))
 
 
 def half_planes(agent: NDArray[np.intp], normals: Floats, offsets_m: Floats) -> SafeSets:
@@ -214,12 +210,8 @@ def ground_sets(
 ) -> SafeSets:
     """Return for each agent a convex part of the ground that keeps off obstacles and border."""
     # Shapes: places_m, stops_m (n, 2).
-    free = ground.free if isinstance(ground, GeodesicGround) else None
-    if free is None:
-        outside = ~ground.hull.contains(places_m)
-    else:
-        slack_m = ON_BORDER * ground.hull.radius_m
-        outside = ~np.asarray(shapely.dwithin(free, shapely.points(places_m), slack_m))
+    slack_m = ON_BORDER * ground.hull.radius_m
+    outside = ~np.asarray(shapely.dwithin(ground.free, shapely.points(places_m), slack_m))
     if outside.any():
         which = int(outside.argmax())
         x, y = places_m[which]
@@ -230,14 +222,8 @@ def ground_sets(
         agent, side = np.nonzero(heights > region.offsets_m - keep_m - reach_m)
         offsets = np.maximum(region.offsets_m[side] - keep_m, heights[agent, side])
         return half_planes(agent, region.normals[side], offsets)
-    if not isinstance(ground, GeodesicGround):
-        raise InputError(
-            f"moves in a {type(ground).__name__} cannot be planned",
-            key="ground",
-            remedy="give a ConvexGround or a GeodesicGround",
-        )
     border = shapely.boundary(ground.free)
-    kept_m = float(shapely.distance(border, ground.region.free))  # pyright: ignore[reportUnknownMemberType]
+    kept_m = float(shapely.distance(border, ground.allowed))  # pyright: ignore[reportUnknownMemberType]
     if kept_m < keep_m - ON_BORDER * ground.hull.radius_m:
         raise InputError(
             f"the ground keeps {kept_m:g} m from obstacles, agents have to keep {keep_m:g} m",
@@ -248,15 +234,15 @@ def ground_sets(
     way = aims_m - places_m
     length = np.linalg.norm(way, axis=1)
     ends = places_m + way * np.minimum(1.0, reach_m / np.where(length > 0.0, length, 1.0))[:, None]
-    blind = np.flatnonzero(~ground.region.sees(places_m, ends))
+    blind = np.flatnonzero(~ground.sees(places_m, ends))
     for which in blind:
         ends[which] = _last_free(ground, places_m[which], ends[which])
     hulls = shapely.convex_hull(
         shapely.multipoints(np.stack((places_m, stops_m, ends), axis=1))  # pyright: ignore[reportArgumentType, reportCallIssue]
     )
-    meets = np.asarray(shapely.intersects(ground.region.free_border, hulls), dtype=np.bool_)
+    meets = np.asarray(shapely.intersects(ground.border, hulls), dtype=np.bool_)
     # Clearances of corners are round, the region's are mitred: an agent may be outside of it.
-    meets |= ~ground.region.contains(places_m)
+    meets |= ~ground.allows(places_m)
     ends[meets] = stops_m[meets]
     seeds = np.stack((places_m, stops_m, ends), axis=1)
     touch_m = TOUCHES * ground.hull.radius_m
@@ -265,13 +251,13 @@ def ground_sets(
 
 def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
     """The last place (2,) on a straight way before it leaves where agents may be."""
-    crossed = shapely.intersection(ground.region.free_border, shapely.LineString([start, end]))
+    crossed = shapely.intersection(ground.border, shapely.LineString([start, end]))
     met = np.asarray(shapely.get_coordinates(crossed), dtype=np.float64)
     if not len(met):
         return start
     first = float(np.linalg.norm(met - start, axis=1).min())
     length = float(np.linalg.norm(end - start))
-    return start + (end - start) * max(first - 4.0 * ground.region.slack_m, 0.0) / length
+    return start + (end - start) * max(first - 4.0 * ground.slack_m, 0.0) / length
 
 
 def _border(free: shapely.Polygon) -> Floats:

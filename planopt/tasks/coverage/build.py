@@ -14,18 +14,17 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from planopt.coverage.assignment import LEAST_ON_RING, Demand, demanded
-from planopt.coverage.control.laws import Gains
-from planopt.coverage.control.movers import LawMover, Mover, RecedingMover
+from planopt.coverage.control.movers import Gains, LawMover, Mover, RecedingMover
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.density import Density, RasterDensity, checked_mass
 from planopt.coverage.events import Event, Sensing
-from planopt.coverage.geodesic import MAX_NODES
-from planopt.coverage.ground import ConvexGround, Ground, geodesic_ground
+from planopt.coverage.geodesic import MAX_NODES, Ground, geodesic_ground
+from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import MoveLimits, RadioLimits, StationMap
 from planopt.coverage.localisation import EventSensor
 from planopt.coverage.network import Counting, LinkModel
-from planopt.coverage.region import checked_polygon, convex_region
 from planopt.coverage.simulation import Scene
+from planopt.coverage.voronoi import checked_polygon, convex_region
 from planopt.errors import InputError
 from planopt.problems.tasks import TaskProblem
 from planopt.problems.world_tables import obstacle_table, obstacles_of

@@ -20,7 +20,7 @@ from planopt.channel import (
     model_truth,
     read_log,
 )
-from planopt.coverage.ground import Ground
+from planopt.coverage.geodesic import Ground
 from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, station_map
 from planopt.errors import InputError
 from planopt.problems.tables import FileName, Metres, Pair, Table

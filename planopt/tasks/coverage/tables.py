@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.coverage.control.laws import Partition
+from planopt.coverage.control.movers import Partition
 from planopt.coverage.density import Density, GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.events import Sensing
-from planopt.coverage.ground import Ground
+from planopt.coverage.geodesic import Ground
 from planopt.coverage.network import Counting, Method
 from planopt.errors import InputError
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON

@@ -16,8 +16,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.coverage.assignment import NONE
-from planopt.coverage.control.laws import Gains
-from planopt.coverage.control.movers import Motion
+from planopt.coverage.control.movers import Gains, Motion
 from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network

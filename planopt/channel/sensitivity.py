@@ -2,7 +2,7 @@
 
 From all measurements, with the uncertainty of theta counted, so that plans and maps can be judged
 by what they claim to descend. The kernel exp(-d / beta) has a cusp at every measured place; nothing
-is rounded here (solvers round it, `planopt.objectives.rounded_kernel`), so there is no
+is rounded here (solvers round it, `planopt.objectives.stage_power`), so there is no
 derivative there, and the answer is an error that says so.
 
 Delta^2(q): the mean squared error of the posterior with wrong parameters (equation 1.16).

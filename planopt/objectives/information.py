@@ -36,7 +36,7 @@ from planopt.objectives.path_derivatives import (
     by_lengths,
     length_jacobian,
 )
-from planopt.objectives.rounded_kernel import CUSP_ROUNDING
+from planopt.objectives.stage_power import CUSP_ROUNDING
 from planopt.targets.rounding import rounded_length, rounded_positive_part
 
 

@@ -1,18 +1,19 @@
-"""The places of a path that bring a measurement: one rule for loop, objectives and solvers.
+"""The places of a path that bring a measurement, and places whose connection is known.
 
 A robot measures at the end of a step, but not nearer than the spacing to an earlier measurement:
-there multipath is known already, and another reading of it would tell nothing. The same holds
-between the steps of one plan. :meth:`MeasuringRule.takes` is that rule. Solvers cannot climb it;
-they climb :meth:`MeasuringRule.gates` instead, a smooth amplitude for every place that rises from
+multipath is known there already, and another reading adds no information. The same holds
+between the steps of one plan. :meth:`MeasuringRule.takes` is that rule. Because it is not smooth,
+solvers use :meth:`MeasuringRule.gates` instead, an amplitude for every place that rises from
 zero to one about the spacing: steep enough that the best place of a solver is one that the loop
-measures, and all of it at a distance that robots whose steps are as long as the spacing come to.
-What a solver returns is valued by the rule.
+measures, and fully open at the distance of robots whose steps are as long as the spacing. The
+solution of a solver is evaluated by the rule.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -297,3 +298,61 @@ def _nearest(
 
 def _no_offsets(distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.zeros((*distance_m.shape, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class KnownLinks:
+    """Places where connection was found, and those where it was missed.
+
+    Multipath stays what it is at a place. A robot that was connected there will be again; a little
+    beside it is predicted as anywhere else. Nearer than the spacing of measurements to a place
+    without connection there is none: a robot does not try what it would not measure either.
+    """
+
+    connected_m: NDArray[np.float64]  # (n, 2) places with connection
+    lost_m: NDArray[np.float64]  # (m, 2) places without
+    spacing_m: float  # Nearer than this to a place without connection there is none
+
+    def chances(
+        self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the probability of connection at places; unobserved ones keep `predicted`."""
+        # Shapes: places_m (..., 2); predicted (...).
+        flat, found = places_m.reshape(-1, 2), predicted.reshape(-1).copy()
+        for tree, within_m, chance in self._trees:
+            _, away = tree.nearest(flat, 1, within_m)
+            found[np.isfinite(away[:, 0])] = chance
+        return found.reshape(predicted.shape)
+
+    @cached_property
+    def _trees(self) -> list[tuple[PlaceTree, float, float]]:
+        """Places with how far they reach and the chance there; what comes later counts."""
+        known = (self.lost_m, self.spacing_m, 0.0), (self.connected_m, SAME_PLACE_M, 1.0)
+        return [
+            (PlaceTree(places), reach, chance) for places, reach, chance in known if len(places)
+        ]
+
+
+def known_links(
+    stations: Sequence[ChannelPosterior],
+    thresholds_dbm: Sequence[float],
+    missed_m: NDArray[np.float64],  # (k, 2) where steps ended without connection
+    here_m: NDArray[np.float64],  # (2,) where the robot is
+    is_connected: bool | None,
+    spacing_m: float,
+) -> KnownLinks:
+    """Return what measurements and the run so far tell of connection."""
+    up: list[NDArray[np.float64]] = []
+    down = [missed_m]
+    for station, threshold in zip(stations, thresholds_dbm, strict=True):
+        measured = station.measurements
+        places = measured.positions_m
+        # Of a censored power only an upper limit is known.
+        arrives = (measured.power_dbm >= threshold) & ~measured.censored
+        up.append(places[arrives])
+        if len(stations) == 1:
+            # Of several stations another one may serve the place.
+            down.append(places[measured.power_dbm < threshold])
+    if is_connected is not None:
+        (up if is_connected else down).append(here_m[None])
+    return KnownLinks(np.vstack(up), np.vstack(down), max(spacing_m, SAME_PLACE_M))

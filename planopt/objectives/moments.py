@@ -35,7 +35,7 @@ from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 from planopt.errors import InputError
 from planopt.objectives.measuring import Gates
-from planopt.objectives.rounded_kernel import CUSP_ROUNDING, rounded_log_distance
+from planopt.objectives.stage_power import CUSP_ROUNDING, rounded_log_distance
 from planopt.plain_values import require_weights
 
 Real = TypeVar("Real", np.float32, np.float64)

@@ -23,7 +23,7 @@ from planopt.channel.local_channel import LocalChannel, LocalGrid
 from planopt.channel.parameters import require_places
 from planopt.objectives.measuring import Gates
 from planopt.objectives.moments import blind_variance_db2
-from planopt.objectives.rounded_kernel import rounded_kernel, rounded_log_distance
+from planopt.objectives.stage_power import rounded_kernel, rounded_log_distance
 from planopt.targets.rounding import Derivatives
 
 

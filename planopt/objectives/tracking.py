@@ -1,7 +1,21 @@
-"""Tracking: the settings of a target and its sensor, and the station's Kalman filter.
+"""Tracking: settings of a target and its sensor, the station's filter, and plans with recourse.
 
 The first estimate, the sensor and the process noise are alike along x and y, so that the covariance
 of one axis, three numbers, describes both.
+
+With recourse, the end of a path is probed, and left if it has no connection. If a packet arrives
+from there, later ones do too, because multipath does not change; if not, the robot goes to another
+place: at every later step it may be at any *retreat* that it reaches in time, a place that is known
+to be connected, or one that the target is expected at, with the probability of connection there
+(equation 4.22). After a successful probe it stays for some steps, and may then be at a retreat too,
+because the target moves on. So a step out of the known coverage costs little if the way back is
+short, and may find a place that is connected from then on.
+
+If packets have estimates, a failed probe loses nothing but time: once the robot is back at a
+place that is known to be connected, its packet contains all that it measured on the way (equation
+4.23). What counts is how long the station goes without. Because a robot that is back may leave
+again, later steps are discounted; otherwise the one return that is valued would be put off step by
+step, to bring fresher measurements for all steps thereafter.
 """
 
 from __future__ import annotations
@@ -13,9 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.parameters import require_finite, require_places
+from planopt.objectives.measuring import SAME_PLACE_M
 from planopt.plain_values import require_weights
 from planopt.targets.information_filter import TargetModel, covariance_of, require_covariance
-from planopt.targets.sensor import Sensor
+from planopt.targets.sensor import Sensor, sensing_information
 
 Criterion = Literal["trace", "determinant", "norm"]
 """Of the covariance of the target's position: m^2, m^4, and its largest eigenvalue in m^2."""
@@ -142,3 +157,255 @@ def _axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """(a, b, c) of a covariance (4, 4) of place and velocity, the mean over the axes."""
     blocks = covariance.reshape(2, 2, 2, 2).trace(axis1=1, axis2=3) / 2.0
     return np.array([blocks[0, 0], blocks[0, 1], blocks[1, 1]])
+
+
+RECOURSE_STEPS = 20
+"""Steps beyond the horizon over which a probe is valued."""
+
+STAYED_STEPS = 10
+"""Maximum number of steps that a stationary robot, or one after a successful probe, stays."""
+
+MOST_CONNECTED = 80
+"""Of the places known to be connected so many are retreats, those that sense the target best."""
+
+WHOLE_STEPS = 1e-9
+"""A distance that is longer than whole steps by less than this share of one takes no further."""
+
+DISCOUNT = 0.8
+"""Factor of the weight of each step to that of the step before it."""
+
+STEPS_OF_ESTIMATES = 10
+"""Steps beyond the horizon that a try is valued over: later ones hardly count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Retreats:
+    """Places where a robot may be instead of where its path ends (equation 4.21)."""
+
+    places_m: NDArray[np.float64]  # (m, 2)
+    # (m, k) expected information of a packet from there at every step, per m^2
+    information: NDArray[np.float64]
+    longest_m: float  # Length of the longest step
+    connected: int  # So many of the places, the first ones, are known to be connected
+
+    def nearest_connected(
+        self, stops_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the nearest other place known to be connected, and how many steps it is away.
+
+        ``(c, 2)`` and ``(c,)`` for stops (c, 2); the stop itself, infinitely far, if there is none.
+        """
+        if not self.connected:
+            return stops_m, np.full(len(stops_m), np.inf)
+        places = self.places_m[: self.connected]
+        away = np.linalg.norm(stops_m[:, None] - places, axis=2)
+        away[away <= SAME_PLACE_M] = np.inf
+        nearest = away.argmin(axis=1)
+        steps = np.ceil(away.min(axis=1) / self.longest_m - WHOLE_STEPS)
+        return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
+
+    def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Return the largest information that can be had at every step, ``(c, k)``."""
+        # Shapes: stops_m (c, 2); arrivals (c,).
+        found = np.zeros((len(stops_m), self.information.shape[1]))
+        away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
+        away[away <= SAME_PLACE_M] = np.inf
+        steps = arrivals[:, None] + np.ceil(away / self.longest_m - WHOLE_STEPS)
+        for k in range(found.shape[1]):
+            reached = np.where(steps <= k, self.information[:, k], 0.0)
+            found[:, k] = reached.max(axis=1, initial=0.0)
+        return found
+
+
+def retreats_of(
+    connected_m: NDArray[np.float64],  # (n, 2)
+    target_chance: NDArray[np.float64],  # (k,)
+    settings: FilteredTracking,
+    longest_m: float,
+) -> Retreats:
+    """Return the places known to be connected, and those where the target is expected."""
+    tracking = settings.tracking
+    target = tracking.target_m
+    told = sensing_information(tracking.sensor, connected_m[:, None], target)
+    if len(told) > MOST_CONNECTED:
+        kept = np.sort(np.argsort(-told.sum(axis=1), kind="stable")[:MOST_CONNECTED])
+        connected_m, told = connected_m[kept], told[kept]
+    beside = target_chance[:, None] * sensing_information(tracking.sensor, target[:, None], target)
+    return Retreats(
+        np.vstack([connected_m, target]), np.vstack([told, beside]), longest_m, len(connected_m)
+    )
+
+
+def recourse_costs(
+    ways_m: NDArray[np.float64],  # (c, N, 2)
+    chance: NDArray[np.float64],  # (c, N) chance of connection after every step
+    retreats: Retreats,
+    others: NDArray[np.float64],  # (k,) expected information of the other robots' packets, per m^2
+    settings: FilteredTracking,
+) -> NDArray[np.float64]:
+    """Return what tries of the ends of paths leave of the covariance, m^2; ``(c,)``.
+
+    Equation 4.22 has what they remove: this is less than what is left without them.
+    """
+    steps, tracking = chance.shape[1], settings.tracking
+    arrivals = last_arrivals(ways_m)
+    at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
+    told = np.zeros(at_stop.shape)
+    told[:, :steps] = chance * sensing_information(
+        tracking.sensor, ways_m, tracking.target_m[:steps]
+    )
+    ends = np.where(at_stop, at_ends(ways_m, arrivals, retreats, settings), told)
+    # The filter of a coordinate is told half of the information of a packet.
+    costs = left(0.5 * (ends + others), settings)
+    tried = chance[:, -1]
+    return tried * costs[0] + (1.0 - tried) * costs[1]
+
+
+def last_arrivals(ways_m: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the step, from 0 on, at whose end paths (c, N, 2) come to where they end; ``(c,)``."""
+    count, steps, _ = ways_m.shape
+    moving = np.linalg.norm(ways_m - ways_m[:, -1:], axis=2) > SAME_PLACE_M
+    return steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
+
+
+def stayed_steps(ways_m: NDArray[np.float64]) -> int:
+    """Return M of equation 4.21, for how many steps of paths (c, N, 2) ends are stayed at."""
+    return min(ways_m.shape[1], STAYED_STEPS)
+
+
+def at_ends(
+    ways_m: NDArray[np.float64],  # (c, N, 2)
+    arrivals: NDArray[np.intp],
+    retreats: Retreats,
+    settings: FilteredTracking,
+) -> NDArray[np.float64]:
+    """Return s_k and e_k of equation 4.21, from the ends of paths on; ``(2, c, k)``.
+
+    In the first `STAYED_STEPS` steps a try that succeeds is stayed at, and a path that ends with
+    its first step tries nothing. Otherwise a robot that stands would be worth as much as one that
+    drives: the model lets it leave at any step, without the obstacles and robots that real paths
+    keep from.
+    """
+    tracking, stops = settings.tracking, ways_m[:, -1]
+    staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
+    later = np.arange(len(tracking.target_m)) >= stayed_steps(ways_m)
+    failed = np.where(later | (arrivals > 0)[:, None], retreats.best(stops, arrivals), 0.0)
+    return np.stack([np.where(later, np.maximum(staying, failed), staying), failed])
+
+
+def discounted(settings: FilteredTracking) -> FilteredTracking:
+    """Return the settings with the weights w_k of steps k = 1, 2, .. times `DISCOUNT`^(k - 1)."""
+    weight = settings.tracking.weight
+    return settings.weighted(weight * DISCOUNT ** np.arange(len(weight)))
+
+
+def told_later_costs(
+    ways_m: NDArray[np.float64],
+    chance: NDArray[np.float64],
+    retreats: Retreats,
+    others: NDArray[np.float64],
+    settings: FilteredTracking,
+) -> NDArray[np.float64]:
+    """Return what tries of the ends of paths leave of the covariance, m^2; ``(c,)``.
+
+    As :func:`recourse_costs`, by equation 4.23; `settings` say what the robot holds.
+    """
+    held, tracking = settings.held, settings.tracking
+    if held is None:
+        raise AssertionError("packets have measurements")
+    count, length, total = len(chance), chance.shape[1], len(tracking.target_m)
+    arrivals, stops = last_arrivals(ways_m), ways_m[:, -1]
+    ends = at_ends(ways_m, arrivals, retreats, settings)
+    # Who stands, or stops with the first step, tries nothing, and stays for a while.
+    leaving = np.where(arrivals > 0, arrivals, stayed_steps(ways_m) - 1)
+    back_m, home = _ways_back(stops, leaving, retreats, total)
+    returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
+    sensed = sensing_information(tracking.sensor, ways_m, tracking.target_m[:length])
+    stage = np.arange(total)
+    # What is known in the end: if the try succeeds, and once the robot is back.
+    told = ends.copy()
+    told[1] = np.where(stage < home[:, None], np.maximum(returning, ends[1]), ends[1])
+    on_way = stage[:length] < arrivals[:, None]
+    told[..., :length] = np.where(on_way, sensed, told[..., :length])
+    # The filter of a coordinate is told half of the information of a packet.
+    known_then, known_before = 0.5 * (told + others), 0.5 * (ends[1] + others)
+    before = _known_on_way(0.5 * sensed, chance, 0.5 * others, settings)
+    axis, full = Axis.of(settings), np.empty((3, 2, count))
+    full[:] = Axis.of(replace(settings, information=held.information)).start[:, None, None]
+    less = np.repeat(axis.start[:, None], count, axis=1)
+    for known, sent in zip(held.known, held.sent, strict=True):
+        axis.predict(full)
+        axis.update(full, known + sent)
+    costs, tried = np.zeros(count), chance[:, -1]
+    for k in range(total):
+        if 0 < k < length:
+            arrived = arrivals == k
+            less[:, arrived] = before[:, k - 1, arrived]
+        axis.predict(full)
+        axis.update(full, known_then[..., k])
+        axis.predict(less)
+        axis.update(less, known_before[:, k])
+        failed: NDArray[np.float64] = full[0, 1]
+        failed = np.where(k < home, less[0], failed)
+        variance: NDArray[np.float64] = tried * full[0, 0] + (1.0 - tried) * failed
+        if k < length:
+            variance = np.where(on_way[:, k], before[0, k], variance)
+        costs += tracking.weight[k] * criterion_of(variance, settings.criterion)
+    return costs
+
+
+def chance_told(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
+    """Return the chance that step s is known at step k, by packets of the way; (N, M + N, c).
+
+    The largest chance of the packets since: as shadowing has it, they arrive or are lost together.
+    Zero for steps after k.
+    """
+    # Shapes: chance (c, N).
+    count, length = chance.shape
+    found = np.zeros((length, held + length, count))
+    for k in range(length):
+        since = np.maximum.accumulate(chance[:, k::-1], axis=1)[:, ::-1].T
+        found[k, held : held + k + 1] = since
+        found[k, :held] = since[0]
+    return found
+
+
+def _known_on_way(
+    sensed: NDArray[np.float64],  # (c, N) information per axis of each step's measurement, per m^2
+    chance: NDArray[np.float64],
+    others: NDArray[np.float64],  # (k,) of the others' packets
+    settings: FilteredTracking,
+) -> NDArray[np.float64]:
+    """(a, b, c) of the station's filter after each step of the ways; ``(3, N, c)``."""
+    held = settings.held
+    if held is None:
+        raise AssertionError("packets have measurements")
+    axis, told = Axis.of(replace(settings, information=held.information)), held.steps
+    known = chance_told(chance, told)
+    variance = np.empty((3, chance.shape[1], len(chance)))
+    variance[:] = axis.start[:, None, None]
+    for s in range(known.shape[1]):
+        # Filters of earlier steps are at their end.
+        first = max(s - told, 0)
+        now = variance[:, first:]
+        axis.predict(now)
+        if s < told:
+            axis.update(now, held.known[s] + held.sent[s] * known[:, s])
+        else:
+            axis.update(now, known[first:, s] * sensed[:, first] + others[first])
+    return variance
+
+
+def _ways_back(
+    stops_m: NDArray[np.float64], leaving: NDArray[np.intp], retreats: Retreats, total: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Straight ways to the nearest place known to be connected ``(c, k, 2)``, and the step of it.
+
+    Until the end of step `leaving` (c,) a robot is taken for standing at its stop. The step is
+    infinite where no such place is known.
+    """
+    home_m, steps = retreats.nearest_connected(stops_m)
+    driven = np.maximum(np.arange(total) - leaving[:, None], 0.0)
+    share = np.where(np.isfinite(steps)[:, None], driven / np.maximum(steps, 1.0)[:, None], 0.0)
+    ways = stops_m[:, None] + np.minimum(share, 1.0)[..., None] * (home_m - stops_m)[:, None]
+    return ways, leaving + steps

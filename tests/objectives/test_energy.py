@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from planopt.objectives.terms.motion_energy import MotionEnergyTerm
+from planopt.objectives.terms.distance import MotionEnergyTerm
 
 MOTION = MotionEnergyTerm(weight=1.0, per_metre_j_m=3.5, power_w=0.3)
 

@@ -304,8 +304,8 @@ def test_derivatives_are_those_of_central_differences(name, path):
 @pytest.mark.parametrize("name", GAINS)
 def test_with_tiny_roundings_the_value_is_exact(name, count, monkeypatch):
     """All measurements used and roundings a billionth: the objective itself, to 1e-7."""
-    monkeypatch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 1e-9)
-    monkeypatch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
+    monkeypatch.setattr("planopt.objectives.stage_power.CUSP_ROUNDING", 1e-9)
+    monkeypatch.setattr("planopt.objectives.stage_power.MIN_DISTANCE_M", 0.0)
     monkeypatch.setattr("planopt.objectives.information.CUSP_ROUNDING", 1e-9)
     monkeypatch.setattr("planopt.objectives.information.THRESHOLD_ROUNDING", 1e-9)
     posterior = condition(CHANNEL, drawn(count) if count else NOTHING)

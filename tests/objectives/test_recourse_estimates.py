@@ -20,9 +20,9 @@ from test_tracking_recourse import (
     WAYS,
 )
 
-from planopt.objectives.tracking import Held
-from planopt.objectives.tracking_recourse import (
+from planopt.objectives.tracking import (
     DISCOUNT,
+    Held,
     Retreats,
     chance_told,
     discounted,

@@ -6,7 +6,7 @@ from path_scene import CHANNEL
 
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import regressors
-from planopt.objectives.rounded_kernel import CUSP_ROUNDING, rounded_kernel, rounded_log_distance
+from planopt.objectives.stage_power import CUSP_ROUNDING, rounded_kernel, rounded_log_distance
 
 OFFSETS = np.array([[0.0, 0.0], [0.05, -0.02], [0.12, 0.0], [3.0, 4.0], [-20.0, 9.0]])
 
@@ -50,8 +50,8 @@ def test_rounding_costs_what_is_said():
 
 def test_without_rounding_both_are_exact(monkeypatch):
     """The limits are the channel's own formulas."""
-    monkeypatch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 0.0)
-    monkeypatch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
+    monkeypatch.setattr("planopt.objectives.stage_power.CUSP_ROUNDING", 0.0)
+    monkeypatch.setattr("planopt.objectives.stage_power.MIN_DISTANCE_M", 0.0)
     far, blur = OFFSETS[1:], np.array([0.0, 0.3, 0.0, 1.0])
     np.testing.assert_allclose(
         rounded_kernel(far, CHANNEL, blur).value,

@@ -12,12 +12,14 @@ from terms_scene import TRACKING, situation_of, terms_problem
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
-from planopt.objectives.known_links import KnownLinks, known_links
-from planopt.objectives.tracking import FilteredTracking, Tracking, left
-from planopt.objectives.tracking_recourse import (
+from planopt.objectives.measuring import KnownLinks, known_links
+from planopt.objectives.tracking import (
+    FilteredTracking,
     Retreats,
+    Tracking,
     at_ends,
     last_arrivals,
+    left,
     recourse_costs,
     retreats_of,
 )

@@ -14,8 +14,8 @@ from planopt.objectives.until_connected import (
     charged_distance_m,
     charged_distances_m,
     filtered_failing,
+    passage_programme,
 )
-from planopt.objectives.until_connected_derivatives import passage_programme
 
 POSTERIOR = condition(CHANNEL, drawn(15))
 THRESHOLD = float(np.median(predict(POSTERIOR, PATH).mean_db)) + 2.0

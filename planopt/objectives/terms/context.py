@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from planopt.channel.local_channel import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.objectives.known_links import KnownLinks
-from planopt.objectives.measuring import Gates, MeasuringRule
+from planopt.objectives.measuring import Gates, KnownLinks, MeasuringRule
 from planopt.objectives.moments import KnownPlaces, LocalPaths, Moments, Region
 from planopt.objectives.path_derivatives import LocalPath, PathDerivatives
 from planopt.objectives.stage_power import StagePower

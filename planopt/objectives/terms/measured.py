@@ -1,16 +1,27 @@
-"""Terms whose value is what measurements along a path tell of the channel."""
+"""Terms whose value is the information of measurements: ``path_loss_learning`` and ``mapping``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.information import Gain
+from planopt.errors import InputError
+from planopt.objectives.information import (
+    Gain,
+    Information,
+    PathUncertainty,
+    VarianceRemoved,
+    map_criterion,
+    require_estimated_path_loss,
+    square_root,
+)
 from planopt.objectives.moments import KnownPlaces, Moments, Pull, posterior_moments
 from planopt.objectives.path_derivatives import PathDerivatives, by_positions
 from planopt.objectives.terms.context import (
@@ -21,7 +32,8 @@ from planopt.objectives.terms.context import (
     Paths,
     TermContext,
 )
-from planopt.objectives.terms.term import Term
+from planopt.objectives.terms.distance import SteeredTerm
+from planopt.objectives.terms.term import Steers, Structure, Term, TermSetting
 
 
 @dataclass(frozen=True)
@@ -125,3 +137,185 @@ def _anticipated(
     deviation = station.deviation_db.copy()
     deviation[nodes.window] = spread
     return _Anticipated(station.mean_db, deviation, station.trend)
+
+
+LearningCriterion = Literal["T", "D", "A", "V"]
+
+
+@dataclass(frozen=True)
+class LearningTerm(MeasuredTerm):
+    """Information on the path loss that measurements along the path give.
+
+    All criteria rest on M_{t+h}^-1 = M_t^-1 + B' S^-1 B, which is exact. [GM11] maximises the trace
+    of the increment, T, which (10 log10 d)^2 dominates, so that the robot drives to the far walls;
+    D, the default, and A and V count what remains unknown. If the measurements do not identify
+    theta, the posterior's weak prior is part of M_t, so that every criterion is finite.
+    """
+
+    # T (trace), D, A or V (prediction over the workspace)
+    criterion: Annotated[
+        LearningCriterion,
+        Field(
+            description="T (trace of the information), D (volume), A (variances) or V (prediction "
+            "over the workspace)."
+        ),
+    ] = "D"
+
+    kind: ClassVar[str] = "path_loss_learning"
+    summary: ClassVar[str] = "Learn the path loss."
+    task: ClassVar[str | None] = "learn"
+
+    def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
+        """Return the gain of the criterion over measuring nowhere (equations 4.1 and 4.2)."""
+        if self.criterion == "T":
+            return VarianceRemoved(np.eye(2), universal=False)
+        require_estimated_path_loss(posterior)
+        if self.criterion == "D":
+            return Information("path loss", factor=2.0)
+        spread = posterior.theta_covariance
+        if self.criterion == "A":
+            return VarianceRemoved(spread)
+        return VarianceRemoved(spread @ square_root(map_criterion(posterior, at.region)))
+
+    def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
+        """Return the trace for T, and the information of D for all others."""
+        trend, covariance = station.trend, posterior.theta_covariance
+        spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
+        latent = np.maximum(station.deviation_db**2 - spread, 1e-12)
+        if self.criterion == "T":
+            return np.einsum("yxi,yxi->yx", trend, trend) / latent
+        return np.log1p(spread / latent)
+
+
+MappingForm = Literal["two_layer", "path", "information", "average"]
+
+FORMS_WITH_KEYS: tuple[MappingForm, ...] = ("path", "two_layer")
+"""The forms that weigh the variance above a threshold by its distance (J_CH)."""
+
+FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")
+"""The keys that only these have."""
+
+DISTANCE = SteeredTerm()
+"""Value of the two-layer form: distance gained towards the place that is steered to."""
+
+Nonnegative = Annotated[float, Field(ge=0, le=1e6)]
+
+
+@dataclass(frozen=True)
+class MappingTerm(MeasuredTerm):
+    """Uncertainty of the channel that measurements along the path remove."""
+
+    # two_layer (steer to the maximiser of J_CH), path (J_CH summed along the path), information or
+    # average (over the workspace)
+    form: Annotated[
+        MappingForm,
+        Field(
+            description="two_layer (steer to the most uncertain place), path (uncertainty of the "
+            "places along the path, near ones preferred), information (in nats), or "
+            "average (variance over the workspace)."
+        ),
+    ] = "information"
+    # sigma_TH^2 in dB^2
+    variance_threshold_db2: Annotated[
+        Nonnegative,
+        Field(description="Variances up to this count as none, sigma_TH^2 in dB^2."),
+    ] = 0.0
+    # zeta of psi(d) = exp(-zeta d)
+    closeness_per_m: Annotated[
+        Nonnegative,
+        Field(description="zeta of exp(-zeta d), in 1/m: how much near places are preferred."),
+    ] = 0.0
+
+    kind: ClassVar[str] = "mapping"
+    summary: ClassVar[str] = "Map the channel."
+    task: ClassVar[str | None] = "map"
+
+    @classmethod
+    def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
+        """Threshold and closeness are keys of two forms only."""
+        for key in FORM_KEYS:
+            if key in given & term.left_out:
+                return f'has {key}, which goes only with form = "path" and "two_layer"'
+        return None
+
+    @property
+    def left_out(self) -> frozenset[str]:
+        """The keys that other forms have."""
+        return frozenset() if self.form in FORMS_WITH_KEYS else frozenset(FORM_KEYS)
+
+    @property
+    def structure(self) -> Structure:
+        """Only distances to the steering place add up over the steps."""
+        return "stagewise" if self.form == "two_layer" else "full"
+
+    @property
+    def is_measured(self) -> bool:
+        """The two-layer form counts distances, the others measurements."""
+        return self.form != "two_layer"
+
+    @property
+    def averages_map(self) -> bool:
+        """The form ``average`` does."""
+        return self.form == "average"
+
+    @property
+    def variance_threshold(self) -> float | None:
+        """Forms of J_CH have one."""
+        return self.variance_threshold_db2 if self.form in FORMS_WITH_KEYS else None
+
+    @property
+    def steers(self) -> Steers | None:
+        """The two-layer form steers to the place of the largest J_CH."""
+        return "variance" if self.form == "two_layer" else None
+
+    def check(self, setting: TermSetting) -> None:
+        """The two-layer form is for one station."""
+        if self.form == "two_layer" and setting.stations > 1:
+            raise InputError(
+                f"two_layer steers by one station's map, and there are {setting.stations}",
+                key="form",
+                remedy="information, average or path, or leave one entry of stations",
+            )
+
+    def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
+        """Return the gain of the form (equations 4.4 to 4.6)."""
+        if self.form == "path":
+            x, y = (float(each) for each in at.position_m)
+            return PathUncertainty((x, y), self.variance_threshold_db2, self.closeness_per_m)
+        return Information() if self.form == "information" else VarianceRemoved()
+
+    def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
+        """Return the gain of the form at each node alone; the variance there for averages."""
+        variance = station.deviation_db**2
+        match self.form:
+            case "path":
+                return np.maximum(variance - self.variance_threshold_db2, 0.0)
+            case "information":
+                floor = max(posterior.parameters.multipath_std_db, 1e-6)
+                return np.log(station.deviation_db / floor)
+            case _:
+                return variance
+
+    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+        """Return what the measurements along one path tell of the map, or the metres gained."""
+        return DISTANCE.value(at, path_m) if self.form == "two_layer" else super().value(at, path_m)
+
+    def values(self, paths: Paths) -> NDArray[np.float64]:
+        """Return the same of many paths."""
+        return DISTANCE.values(paths) if self.form == "two_layer" else super().values(paths)
+
+    def derivatives(self, path: NearPath) -> Part:
+        """Return the value of one path near the channel of its start."""
+        return DISTANCE.derivatives(path) if self.form == "two_layer" else super().derivatives(path)
+
+    def slope(self, paths: Paths, number: int) -> Pull:
+        """Return derivatives of :meth:`values` by one station's moments, or by the places."""
+        if self.form == "two_layer":
+            return DISTANCE.slope(paths, number)
+        return super().slope(paths, number)
+
+    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
+        """Return what measuring at each node alone would tell, or minus the distance to go."""
+        if self.form == "two_layer":
+            return DISTANCE.node_reward(at, nodes)
+        return super().node_reward(at, nodes)

@@ -14,12 +14,15 @@ from planopt.errors import InputError
 from planopt.objectives.stage_power import connectivity_derivatives
 from planopt.objectives.terms.context import NearPath, Paths, TermContext
 from planopt.objectives.terms.term import Structure, Term, TermSetting
-from planopt.objectives.tracking import Criterion, FilteredTracking, Tracking, left
-from planopt.objectives.tracking_recourse import (
+from planopt.objectives.tracking import (
     RECOURSE_STEPS,
     STEPS_OF_ESTIMATES,
+    Criterion,
+    FilteredTracking,
     Retreats,
+    Tracking,
     discounted,
+    left,
     recourse_costs,
     retreats_of,
     told_later_costs,

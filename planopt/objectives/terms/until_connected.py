@@ -15,6 +15,7 @@ from planopt.objectives.terms.term import Steers, Term
 from planopt.objectives.until_connected import (
     NOT_TRIED_DB,
     Search,
+    charged_distance_derivatives,
     charged_distance_m,
     charged_distances_m,
     counted_legs_m,
@@ -124,8 +125,6 @@ class UntilConnectedTerm(Term):
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
         """Return the value of one path near the channel of its start."""
-        from planopt.objectives.until_connected_derivatives import charged_distance_derivatives
-
         search = self.search(path.at)
         found = charged_distance_derivatives(
             path.channels,

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.objectives.known_links import KnownLinks, known_links
-from planopt.objectives.measuring import SAME_PLACE_M, MeasuringRule
+from planopt.objectives.measuring import SAME_PLACE_M, KnownLinks, MeasuringRule, known_links
 from planopt.objectives.moments import KnownPlaces, Region, known_places
 from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held

@@ -26,7 +26,7 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import connection_probability
 from planopt.channel.tile_map import TileMap
 from planopt.objectives.measuring import OPEN_SPACINGS
-from planopt.objectives.terms.mapping import MappingTerm
+from planopt.objectives.terms.measured import MappingTerm
 from planopt.objectives.terms.term import Term
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
 from planopt.planning.proof.context import search_power

@@ -13,7 +13,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db, bound_quantile
-from planopt.objectives.rounded_kernel import CUSP_ROUNDING
+from planopt.objectives.stage_power import CUSP_ROUNDING
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))
 THRESHOLD, P_MIN = -85.0, 0.9
@@ -54,8 +54,8 @@ def model_of(name, count=12):
 def unrounded_margin(model, places):
     """The margin with next to no rounding, which a test below compares to exact kriging."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 1e-9)
-        patch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
+        patch.setattr("planopt.objectives.stage_power.CUSP_ROUNDING", 1e-9)
+        patch.setattr("planopt.objectives.stage_power.MIN_DISTANCE_M", 0.0)
         return stage_margins(model, places, THRESHOLD, Z).value
 
 
@@ -163,8 +163,8 @@ def test_far_from_measurements_the_value_is_the_local_prediction(name):
 
 def test_without_rounding_it_is_the_local_prediction(monkeypatch):
     """With both roundings gone the value is the exact universal kriging of all measurements."""
-    monkeypatch.setattr("planopt.objectives.rounded_kernel.CUSP_ROUNDING", 0.0)
-    monkeypatch.setattr("planopt.objectives.rounded_kernel.MIN_DISTANCE_M", 0.0)
+    monkeypatch.setattr("planopt.objectives.stage_power.CUSP_ROUNDING", 0.0)
+    monkeypatch.setattr("planopt.objectives.stage_power.MIN_DISTANCE_M", 0.0)
     for name, posterior in POSTERIORS.items():
         model = LocalChannel.around_each(posterior, CENTRES, 40)
         power = predict(posterior, PLACES)

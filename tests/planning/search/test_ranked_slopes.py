@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, LEARNING, situation_of, terms_problem
 
-from planopt.objectives.rounded_kernel import CUSP_ROUNDING
+from planopt.objectives.stage_power import CUSP_ROUNDING
 from planopt.planning.search.local_ranking import LocalRanking, can_climb
 
 STEP_M = 1e-2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.objectives.tracking_recourse import RECOURSE_STEPS
+from planopt.objectives.tracking import RECOURSE_STEPS
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
 from planopt.planning.search import place_paths

@@ -28,7 +28,7 @@ from planopt.channel import measure
 from planopt.channel.posterior import extend
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.robot_run import true_serving_dbm
+from planopt.planning.loop.metrics import true_serving_dbm
 from planopt.planning.scene import Ground, build_ground
 
 LEAST_M = 30.0

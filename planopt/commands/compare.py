@@ -76,8 +76,8 @@ def compare(
     from planopt.problems.load import load
     from planopt.problems.tasks import task_of
     from planopt.report import comparison_text
+    from planopt.studies.compare import Lists, default_seeds, exit_code, own_settings, settings_of
     from planopt.studies.compare import compare as compared
-    from planopt.studies.compare import exit_code
     from planopt.studies.comparison import (
         COMPARISON,
         comparison_json,
@@ -87,7 +87,6 @@ def compare(
         save_no_comparison,
     )
     from planopt.studies.study import require_backend
-    from planopt.studies.variants import Lists, default_seeds, own_settings, settings_of
 
     require_backend(backend, "--backend")
     if parquet:

@@ -242,7 +242,7 @@ def fit(
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
     """Return the JSON keys of ``fit``; ``other_modes`` are parameters that are nearly as likely."""
-    from planopt.planning.files.record import finite
+    from planopt.files.typed_json import finite
 
     found, receivers = fitted.found, fitted.receivers
     parameters = found.parameters
@@ -280,7 +280,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
 
 def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
     """Return standard errors of the station's x and y; None if the station is given."""
-    from planopt.planning.files.record import finite
+    from planopt.files.typed_json import finite
 
     covariance = found.station_covariance_m2
     if covariance is None:

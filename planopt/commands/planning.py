@@ -1,10 +1,13 @@
-"""``planopt solve`` and ``planopt simulate``: one plan or one run of a problem of any task."""
+"""``planopt solve``, ``simulate`` and ``check``: results of one problem of any task."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from planopt.commands.options import AnimationOption, PlanningOptions, with_options
+import typer
+
+from planopt.commands.options import AnimationOption, JsonOption, PlanningOptions, with_options
 from planopt.commands.output import drawing, progress, results_folder, say, show
 from planopt.errors import InputError, NoPlanError
 
@@ -82,3 +85,50 @@ def _perform(action: Action, options: PlanningOptions, animation: bool = False) 
             if new is not None:
                 report.draw(new, animation=animation)
     return report.exit_code
+
+
+REJECTED = 3
+
+
+def check(
+    path: Annotated[
+        Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
+    ],
+    json: JsonOption = False,
+) -> int:
+    """Audit saved results from their files alone. Exit code 0 agrees, 3 rejects."""
+    from planopt.files.typed_json import encoded
+    from planopt.planning.certificate import excused_in_words, excused_steps
+    from planopt.planning.files.result_json import certificate_json, no_certificate_json
+    from planopt.planning.plan import Verdict
+    from planopt.tasks.calls import check as checked
+    from planopt.tasks.motion_words import apart_in_words, planned_in_words
+
+    with progress("checking"):
+        result = checked(path)
+    certificate = (
+        no_certificate_json(result.reasons)
+        if result.certificate is None
+        else certificate_json(result.certificate)
+    )
+    planned = planned_in_words(certificate["min_clearance_m"], certificate["min_connectivity"])
+    rule = None if result.certificate is None else result.certificate.rule
+    excused = excused_steps(result.certificates)
+    data = {
+        "verdict": result.verdict.value,
+        "certificate": certificate,
+        "excused": encoded(excused),
+        "reasons": list(result.reasons),
+        "remarks": list(result.remarks),
+    }
+    lines = [
+        f"{path}: {result.verdict.value}",
+        *([] if result.certificate is None else [f"  {planned}"]),
+        *apart_in_words(certificate["min_separation_m"], certificate["min_moving_clearance_m"]),
+        *([] if rule is None else [f"  {rule.words}"]),
+        *(f"  {line}" for line in excused_in_words(excused)),
+        *(f"  {reason}" for reason in result.reasons),
+        *(f"  remark: {remark}" for remark in result.remarks),
+    ]
+    show(json, data, "\n".join(lines))
+    return 0 if result.verdict is Verdict.VERIFIED else REJECTED

@@ -1,7 +1,7 @@
 """Plain data as JSON and back by its types: dataclasses, arrays, enumerations, tuples and numbers.
 
-What is read back has been checked against its type, so that a damaged file is found, and nothing
-is ever unpickled. Numbers that are not finite, which JSON does not have, are texts.
+Values are checked against their types when they are read, so that damaged files are found; nothing
+is unpickled. JSON has neither NaN nor infinity: null stands for both, and is read as NaN.
 """
 
 from __future__ import annotations
@@ -22,31 +22,34 @@ from planopt.errors import InputError
 Value = TypeVar("Value")
 
 NOT_FINITE = ("nan", "inf", "-inf")
+"""Texts that earlier versions wrote."""
 
 
 def encoded(value: object) -> Any:
-    """Return `value` as what JSON has."""
+    """Return a value as JSON data; dataclasses become tables of their fields."""
     match value:
-        case None | bool() | str() if not isinstance(value, Enum):
-            return value
         case Enum():
             return value.value
-        case np.ndarray():
-            array = cast("NDArray[Any]", value)
-            return encoded(array.tolist())
-        case int() | np.integer():
-            return int(value)
-        case float() | np.floating():
-            return float(value) if math.isfinite(value) else str(float(value))
+        case None | bool() | int() | str():
+            return value
+        case float():
+            return finite(value)
+        case np.ndarray() | np.generic():
+            return encoded(cast("NDArray[Any]", value).tolist())
         case list() | tuple():
             return [encoded(part) for part in cast("Sequence[object]", value)]
         case Mapping():
             table = cast("Mapping[str, object]", value)
             return {name: encoded(part) for name, part in table.items()}
-        case _ if is_dataclass(value):
+        case _ if is_dataclass(value) and not isinstance(value, type):
             return {part.name: encoded(getattr(value, part.name)) for part in fields(value)}
         case _:
             raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def finite(value: float | None) -> float | None:
+    """Return a number; None if it is missing or not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def decoded(kind: type[Value], data: object) -> Value:
@@ -96,6 +99,8 @@ def _dataclass(kind: type[Any], table: Mapping[str, Any]) -> Any:
 
 
 def _first_that_fits(kinds: Sequence[Any], data: Any) -> Any:
+    if data is None and type(None) in kinds:
+        return None
     for kind in kinds:
         try:
             return _decoded(kind, data)
@@ -114,6 +119,8 @@ def _numbers(dtype: np.dtype[Any], data: Any) -> Any:
 
 
 def _float(data: Any) -> float:
+    if data is None:
+        return math.nan
     if isinstance(data, str) and data in NOT_FINITE:
         return float(data)
     if isinstance(data, bool) or not isinstance(data, int | float):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.planning.certificate import BlockedWay, Hole
 from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
-from planopt.planning.loop.robot_run import true_serving_dbm
+from planopt.planning.loop.metrics import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.results import Run
 from planopt.problems.problem import Problem

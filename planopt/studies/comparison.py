@@ -7,7 +7,7 @@ import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,12 +18,11 @@ from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
 from planopt.files.compare import DIGEST, differences, digest_of, in_words
 from planopt.files.reading import read_text
 from planopt.files.tables import require_pandas
-from planopt.files.typed_json import decoded, encoded
+from planopt.files.typed_json import decoded, encoded, finite
 from planopt.files.writing import replaced_results, strict_text, write_text, write_whole
-from planopt.planning.files.record import finite
 from planopt.planning.files.result_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
-from planopt.planning.run_summary import RunSummary
+from planopt.planning.results import RunSummary
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 from planopt.short_repr import short_repr
@@ -128,7 +127,7 @@ def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = Fal
     tables = [
         task_of(problem).tables(problem) for problem in (comparison.problem, *comparison.others)
     ]
-    runs = "".join(_run_line(run) for run in comparison.runs)
+    runs = "".join(strict_text(encoded(run)) for run in comparison.runs)
     data = {
         **comparison_json(comparison),
         DIGEST: digest_of(runs),
@@ -195,7 +194,9 @@ def _load_comparison(folder: Path) -> Comparison:
         ]
         wall_s, resumed = float(data["wall_s"]), int(data["resumed"])
         file = folder / RUNS_FILE
-        runs = tuple(_run(line) for line in read_text(file).splitlines())
+        # Comparisons that were saved before there were traces lack them.
+        lines = [{"traces": {}, **json.loads(line)} for line in read_text(file).splitlines()]
+        runs = tuple(decoded(RunSummary, line) for line in lines)
         if not runs:
             raise InputError("has no run", file=file, remedy=REMEDY)
         rows = tuple(comparison_rows(runs))
@@ -204,30 +205,12 @@ def _load_comparison(folder: Path) -> Comparison:
     return Comparison(problems[0], runs, rows, wall_s, resumed, tuple(problems[1:]))
 
 
-def _run_line(run: RunSummary) -> str:
-    """A line of JSON: numbers that do not exist are null."""
-    data = encoded(run)
-    data["metrics"] = {name: None if v == "nan" else v for name, v in data["metrics"].items()}
-    data["verified_rate"] = finite(run.verified_rate)
-    return strict_text(data)
-
-
-def _run(line: str) -> RunSummary:
-    data = json.loads(line)
-    data["metrics"] = {name: "nan" if v is None else v for name, v in data["metrics"].items()}
-    if data["verified_rate"] is None:
-        data["verified_rate"] = "nan"
-    # Comparisons that were saved before there were any.
-    data.setdefault("traces", {})
-    return decoded(RunSummary, data)
-
-
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return the JSON keys of ``compare``."""
     return {
         "problem": comparison.problem.name,
         "outcome": "compared",
-        "rows": [_row_json(row) for row in comparison.rows],
+        "rows": encoded(comparison.rows),
         "reliability": {
             "all": reliability_json(comparison.reliability),
             "settings": [
@@ -257,11 +240,6 @@ def no_comparison_json(name: str, message: str) -> dict[str, Any]:
         "resumed": 0,
         "message": message,
     }
-
-
-def _row_json(row: Row) -> dict[str, Any]:
-    table = asdict(row)
-    return {name: finite(v) if isinstance(v, float) else v for name, v in table.items()}
 
 
 def _setting_json(run: RunSummary) -> dict[str, Any]:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from planopt.errors import NoPlanError
 from planopt.planning.certificate import BlockedError
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, save_no_plan
-from planopt.planning.results import Solution
-from planopt.planning.run_summary import RunSummary, summary_of
+from planopt.planning.results import RunSummary, Solution, summary_of
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem, problem_from_tables
@@ -156,7 +155,7 @@ class MotionTask(Task):
         from planopt.planning.initial_data import prepare
         from planopt.planning.scene import build_scenes
         from planopt.problems.plausibility import measured_warnings
-        from planopt.studies.variants import default_seeds, settings_of
+        from planopt.studies.compare import default_seeds, settings_of
 
         if problem.compare is not None:
             settings_of([problem])

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.files.record import finite
+from planopt.files.typed_json import finite
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.tables import SMALLEST, Metres, Table
 from planopt.problems.tasks import TaskProblem

@@ -19,7 +19,7 @@ from planopt.files.tables import Column, Data, comparable, dataframe, read_table
 from planopt.files.typed_json import whole_number
 from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
-from planopt.planning.run_summary import RunSummary, short_summary
+from planopt.planning.results import RunSummary, short_summary
 from planopt.problems.messages import located
 from planopt.problems.settings import ReportSettings
 from planopt.problems.tables import Name, Table

@@ -104,14 +104,14 @@ def test_why_a_hole_is_crossed(open_above_m: float, goal_m: tuple[float, float])
     below_m = sum(hole.length_m for hole in plan.holes)
     assert length_m < found.cost_m <= length_m + 10.0 * (below_m + 2.0)
     in_goal = goal_m[0] == 20.0
-    assert found.at_goal == in_goal == ("the goal is itself below it" in str(found))
+    assert found.at_goal == in_goal == ("also at the goal itself" in str(found))
     if np.isinf(open_above_m) or in_goal:
         assert 0.0 < found.outside_m < below_m + 2.0
-        assert "no way keeps it" in str(found)
+        assert "no route stays connected throughout" in str(found)
     else:
         round_m = 2.0 * np.hypot(15.0, 55.0)
         assert found.outside_m == 0.0 and round_m < found.kept_m < 1.1 * round_m
-        assert f"keeps it all along is {found.kept_m:.0f} m" in str(found)
+        assert f"stays connected throughout is {found.kept_m:.0f} m long" in str(found)
     assert found.kept_m + 10.0 * found.outside_m >= found.cost_m - 4.0
 
 

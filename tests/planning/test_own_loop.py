@@ -16,7 +16,7 @@ from planopt import Measurements, Planner, Verdict, load, simulate
 from planopt.channel import measure
 from planopt.errors import InputError
 from planopt.planning.initial_data import prepare, team_seeds
-from planopt.planning.loop.robot_run import true_serving_dbm
+from planopt.planning.loop.metrics import true_serving_dbm
 from planopt.planning.loop.target_watch import watch_target
 from planopt.problems.problem import Problem
 from planopt.robots.models import Unicycle

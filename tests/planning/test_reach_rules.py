@@ -11,8 +11,8 @@ from scenes import bad_band, belief_of, small_problem
 
 from planopt import check, load
 from planopt.errors import NoPlanError
-from planopt.planning.explain.keys import Trials, deadline_s
-from planopt.planning.explain.no_way import explain_blocked
+from planopt.planning.explain.changes import Trials, deadline_s
+from planopt.planning.explain.no_path import explain_blocked
 from planopt.planning.history import History
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict

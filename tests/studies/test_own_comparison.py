@@ -20,10 +20,10 @@ from planopt.problems.overrides import with_changes
 from planopt.problems.planner_kinds import planner_kind
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
+from planopt.studies.compare import settings_of
 from planopt.studies.comparison import run_columns
 from planopt.studies.comparison_rows import short_keys
 from planopt.studies.study import run_key
-from planopt.studies.variants import settings_of
 
 GIVEN = "channel.fit.given"
 GROUPS = (

@@ -17,7 +17,7 @@ from planopt.cli import main
 from planopt.commands.compare import asked_seeds, swept
 from planopt.files.typed_json import encoded
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.run_summary import RunSummary, summary_of
+from planopt.planning.results import RunSummary, summary_of
 from planopt.problems.overrides import with_changes
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of

@@ -20,8 +20,7 @@ from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import DIGEST, differences, digest, in_words
 from planopt.files.tables import REMEDY, comparable
 from planopt.planning.certificate import Certificate, worst_of
-from planopt.planning.check.replay import plan_reasons, replayed, start_of
-from planopt.planning.check.replay_belief import belief_reasons
+from planopt.planning.check.replay import belief_reasons, plan_reasons, replayed, start_of
 from planopt.planning.files.result_json import (
     NoPlanRecord,
     RunRecord,

@@ -7,7 +7,7 @@ the files. Nothing is planned.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 from planopt.channel.belief import Belief
 from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import Measurements
+from planopt.channel.posterior import condition
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
+from planopt.files.compare import differences, in_words
 from planopt.objectives.moments import Region
 from planopt.planning.certificate import BlockedError, holes_on, plan_message
-from planopt.planning.check.replay_belief import initial_belief
-from planopt.planning.files.belief_file import SavedBelief
+from planopt.planning.files.belief_file import Arrays, SavedBelief, station_prefix
 from planopt.planning.files.result_json import PlanRecord, RobotPlan, RunRecord
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
 from planopt.planning.files.saved import Saved, SavedPlan
 from planopt.planning.free_space import build_roads, is_joined, obstacles_met
-from planopt.planning.initial_data import InitialData, draw_initial_data, team_seeds
+from planopt.planning.initial_data import InitialData, draw_initial_data, learn_stations, team_seeds
 from planopt.planning.loop.drive import World, drive, true_world
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
@@ -48,6 +49,64 @@ from planopt.planning.values.steered_path import steering_way
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles
 from planopt.world.road_map import RoadMap
+
+VALUES, NOISE = "values_db", "noise_variance_db2"
+"""Arrays of the Gaussian sites."""
+
+
+def initial_belief(problem: Problem, first: Sequence[Measurements], saved: SavedBelief) -> Belief:
+    """Return the belief before the first step: the fit made again, predictions as they were saved.
+
+    Saved parameters are those of the predictions, because a fit on another machine differs a
+    little. They are compared with the fit made again.
+    """
+    learnt = learn_stations(problem, first)
+    each = [
+        _with_parameters(replace(own, further=()), said)
+        for own, said in zip((learnt, *learnt.further), saved.stations, strict=True)
+    ]
+    return replace(each[0], further=tuple(each[1:]))
+
+
+def _with_parameters(belief: Belief, saved: SavedBelief) -> Belief:
+    """Return a belief conditioned with the saved parameters."""
+    learnt = belief.posterior
+    if saved.parameters == learnt.parameters:
+        return belief
+    posterior = condition(
+        saved.parameters,
+        learnt.measurements,
+        theta="known" if learnt.theta_known else "estimated",
+    )
+    return replace(belief, posterior=posterior)
+
+
+def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
+    """Return the differences of the saved arrays from those found again."""
+    said = {
+        station_prefix(station) + name: array
+        for station, own in enumerate(saved.stations)
+        for name, array in own.arrays.items()
+    }
+    return in_words(
+        saved.file.name,
+        differences(_comparable(said), _comparable(found)),
+        f"found with seed {seed}",
+    )
+
+
+def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return arrays as lists, and Gaussian sites in natural units, in which they converge."""
+    lists: dict[str, Any] = {name: array.tolist() for name, array in arrays.items()}
+    for name, variance in arrays.items():
+        values = arrays.get(name.removesuffix(NOISE) + VALUES)
+        if name.endswith(NOISE) and values is not None and values.shape == variance.shape:
+            lists[name] = {"precision": (1.0 / variance).tolist()}
+            lists[name.removesuffix(NOISE) + VALUES] = {
+                "precision_mean": (values / variance).tolist()
+            }
+    return lists
+
 
 SAME_PLACE_M = 1e-6
 """A saved measurement belongs to the place of a step that is nearer than this."""

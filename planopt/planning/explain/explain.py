@@ -13,11 +13,10 @@ from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of
+from planopt.planning.explain.changes import Trials, deadline_s
 from planopt.planning.explain.explanation import Crossing, Explanation, Relaxation
-from planopt.planning.explain.faults import Case
-from planopt.planning.explain.keys import Trials, deadline_s
-from planopt.planning.explain.no_way import explain_blocked, explain_no_way, is_open
-from planopt.planning.explain.violated import explain_violated
+from planopt.planning.explain.no_path import explain_blocked, explain_no_path, is_open
+from planopt.planning.explain.violations import Case, explain_violated
 from planopt.planning.free_space import is_joined
 from planopt.planning.initial_data import prepare
 from planopt.planning.plan import Plan, Verdict
@@ -128,7 +127,7 @@ def explain_no_plan(
             one
             for own in owns
             if not is_open(own)
-            for one in explain_no_way(own, nothing, is_joined(own, own.constraints.clearance_m))
+            for one in explain_no_path(own, nothing, is_joined(own, own.constraints.clearance_m))
         )
     found: list[Relaxation] = []
     for own in owns:
@@ -141,11 +140,11 @@ def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Rel
     """Explain why the only robot of a problem has no path to its goal."""
     trials = Trials(partial(_planned, belief=belief), ends_s)
     if not is_joined(problem, problem.constraints.clearance_m):
-        return explain_no_way(problem, trials, joined=False)
+        return explain_no_path(problem, trials, joined=False)
     try:
         scene = build_scene(problem)
     except NoPlanError:
-        return explain_no_way(problem, trials, joined=True)
+        return explain_no_path(problem, trials, joined=True)
     # A chance constraint does not change the ground.
     trials = Trials(partial(_planned, belief=belief, scenes=[scene]), ends_s)
     radio, p_min = problem.stations[0], problem.constraints.p_min
@@ -155,8 +154,8 @@ def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Rel
     return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, trials)
 
 
-BY_ALL_MEANS = 1e4
-"""Price at which connection dominates length."""
+CONNECTION_PRICE = 1e4
+"""Price of a metre out of contact at which connection dominates length."""
 
 
 def crossings(
@@ -184,10 +183,12 @@ def explain_crossing(
     margins = NodeMargins(scene.road_map, threshold_dbm, constraints.p_min, everywhere)
     margins.refresh(connectivity_law(problem, posteriors))
     price, start = problem.reach.outage_price, plan.positions_m[0]
-    cost_m, _ = _way(problem, scene, margins, start, price * margins.outage_share)
-    _, way = _way(problem, scene, margins, start, np.where(margins.outside, BY_ALL_MEANS, 0.0))
-    lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
-    outside = margins.at(way)[0] < 0.0
+    cost_m, _ = _cheapest_path(problem, scene, margins, start, price * margins.outage_share)
+    _, path_m = _cheapest_path(
+        problem, scene, margins, start, np.where(margins.outside, CONNECTION_PRICE, 0.0)
+    )
+    lengths = np.linalg.norm(np.diff(path_m, axis=0), axis=1)
+    outside = margins.at(path_m)[0] < 0.0
     return Crossing(
         plan.robot,
         plan.holes,
@@ -199,7 +200,7 @@ def explain_crossing(
     )
 
 
-def _way(
+def _cheapest_path(
     problem: Problem,
     scene: Scene,
     margins: NodeMargins,

@@ -50,9 +50,9 @@ class Relaxation:
 
     def __str__(self) -> str:
         """One sentence for people."""
-        asked = self.constraint
+        key = self.constraint
         if self.value is not None:
-            asked += f" = {_shown(self.value, self.unit)}"
+            key += f" = {_shown(self.value, self.unit)}"
         fails = "stands in the way" if self.constraint.startswith(LIMITS) else "cannot be kept"
         where = f" at steps {_ranges(self.stages)}" if self.stages else ""
         short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
@@ -63,7 +63,7 @@ class Relaxation:
             else f"{_shown(self.relaxed_value, self.unit)} would do"
         )
         proof = "verified" if self.verified else "not verified"
-        return f"{asked} {fails}{where}{by}; {change} ({proof} by solving again)"
+        return f"{key} {fails}{where}{by}; {change} ({proof} by solving again)"
 
 
 @dataclass(frozen=True)
@@ -104,22 +104,22 @@ class Crossing:
     @property
     def why(self) -> str:
         """Return the cost of the path, and the alternative that stays connected."""
-        instead = (
-            f"the way that keeps it all along is {self.kept_m:.0f} m long"
-            if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal
-            else f"no way keeps it: the best is out of contact for {self.outside_m:.1f} of its "
-            f"{self.kept_m:.0f} m"
+        cost = (
+            f"the planned route costs {self.cost_m:.0f} m: its length, and {self.outage_price:g} m "
+            "for each metre out of contact"
         )
+        if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal:
+            return f"a route that stays connected throughout is {self.kept_m:.0f} m long; {cost}"
         return (
-            f"the way costs {self.cost_m:.0f} m at objective.outage_price {self.outage_price:g}, "
-            f"and {instead}"
+            f"no route stays connected throughout: the best is {self.kept_m:.0f} m long, "
+            f"{self.outside_m:.0f} m of it out of contact; {cost}"
         )
 
     def __str__(self) -> str:
         """Return where the holes are, how long, and why they are crossed."""
         where = "; ".join(hole.words for hole in self.holes)
-        goal = "; the goal is itself below it" if self.at_goal else ""
-        return f"crosses {where}: below constraints.p_min {self.p_min:g}{goal}; {self.why}"
+        goal = ", also at the goal itself" if self.at_goal else ""
+        return f"crosses {where}: P(connected) is below {self.p_min:g} there{goal}; {self.why}"
 
 
 class Explanation(tuple[Relaxation | Crossing, ...]):
@@ -134,7 +134,7 @@ class Explanation(tuple[Relaxation | Crossing, ...]):
     summary: str
 
     def __new__(cls, found: Iterable[Relaxation | Crossing] = (), summary: str = "") -> Explanation:
-        """Keep the entries, and the sentence."""
+        """Make the tuple with its summary."""
         made = super().__new__(cls, found)
         made.summary = summary
         return made

@@ -1,18 +1,15 @@
 """Records: JSON objects of results, each key declared once with its type and its source.
 
 The value of a key is the attribute of that name, or what its `Source` returns. A replay reads the
-typed keys; it computes those of type `Computed` again and compares them. Strict JSON has neither
-NaN nor infinity: null stands for both.
+typed keys; it computes those of type `Computed` again and compares them.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
-from enum import Enum
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self, cast
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic_core import PydanticCustomError
 
 from planopt.files.tables import LARGEST, REMEDY
+from planopt.files.typed_json import encoded
 from planopt.problems.messages import input_error
 
 
@@ -53,7 +51,7 @@ class Record(BaseModel):
                 own = next((each for each in declared.metadata if isinstance(each, Source)), None)
                 values[name] = getattr(source, name) if own is None else own.value(source)
             if values[name] is not OMITTED:
-                found[name] = plain(values[name])
+                found[name] = encoded(values[name])
         return found
 
     @classmethod
@@ -86,28 +84,3 @@ class Places(Record):
 def xy(positions_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Return the keys of places (n, 2)."""
     return {"x_m": positions_m[:, 0], "y_m": positions_m[:, 1]}
-
-
-def finite(value: float | None) -> float | None:
-    """Return `value`, or None where it is missing or not finite."""
-    return None if value is None or not math.isfinite(value) else float(value)
-
-
-def plain(value: object) -> Any:
-    """Return a value as JSON data; dataclasses become tables of their fields."""
-    match value:
-        case Enum():
-            return value.value
-        case np.ndarray() | np.generic():
-            return plain(cast("NDArray[Any]", value).tolist())
-        case float():
-            return finite(value)
-        case list() | tuple():
-            return [plain(part) for part in cast("Iterable[object]", value)]
-        case Mapping():
-            table = cast("Mapping[str, object]", value)
-            return {name: plain(part) for name, part in table.items()}
-        case _ if is_dataclass(value) and not isinstance(value, type):
-            return {part.name: plain(getattr(value, part.name)) for part in fields(value)}
-        case _:
-            return value

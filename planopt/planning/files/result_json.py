@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, TypeAdapter
 
 from planopt.channel.calibration import ReliabilityBin
+from planopt.files.typed_json import encoded
 from planopt.planning.certificate import BlockedWay, Certificate, Hole, excused_steps
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.record import (
@@ -27,7 +28,6 @@ from planopt.planning.files.record import (
     Places,
     Record,
     Source,
-    plain,
     xy,
 )
 from planopt.planning.files.run_tables import drive_table
@@ -35,8 +35,7 @@ from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import COSTS, run_holes, run_reliability
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
 from planopt.planning.reservations import worst_of_robots
-from planopt.planning.results import Run, Solution
-from planopt.planning.run_summary import RunSummary, summary_of
+from planopt.planning.results import Run, RunSummary, Solution, summary_of
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 
@@ -308,7 +307,7 @@ def no_plan_json(
         "certificate": no_certificate_json((message,)),
         "robots": [],
         "message": message,
-        "explanation": plain(list(explanation)),
+        "explanation": encoded(list(explanation)),
         "crossings": [],
         **_blocked(blocked),
     }
@@ -330,7 +329,7 @@ def _certificate(plans: Iterable[Plan]) -> dict[str, Any]:
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
     """Return a certificate; a rule has a key only if it is not p_min at each step."""
-    found: dict[str, Any] = plain(certificate)
+    found: dict[str, Any] = encoded(certificate)
     if found["rule"] is None:
         del found["rule"]
     return found
@@ -471,4 +470,4 @@ def step_times_json(seconds: NDArray[np.float64]) -> dict[str, float | None]:
     if seconds.size == 0:
         return {"p50": None, "p95": None, "max": None}
     p50, p95, largest = np.quantile(seconds, [0.5, 0.95, 1.0])
-    return plain({"p50": p50, "p95": p95, "max": largest})
+    return encoded({"p50": p50, "p95": p95, "max": largest})

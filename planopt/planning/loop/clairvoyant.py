@@ -17,8 +17,7 @@ from planopt.channel.connectivity_law import serving_power_dbm
 from planopt.channel.ground_truth import Truth, mean_power_dbm
 from planopt.planning.free_space import node_at, nodes_in_reach
 from planopt.planning.loop.log import Outcome
-from planopt.planning.loop.metrics import COSTS
-from planopt.planning.loop.robot_run import true_serving_dbm
+from planopt.planning.loop.metrics import COSTS, true_serving_dbm
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
 from planopt.world.road_map import RoadMap, cheapest_paths, route_from

@@ -20,7 +20,7 @@ from planopt.planning.certificate import BlockedError, BlockedWay
 from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import Progress, run_ending
 from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log
-from planopt.planning.loop.robot_run import robot_run, true_serving_dbm
+from planopt.planning.loop.metrics import robot_run, true_serving_dbm
 from planopt.planning.loop.target_watch import TargetWatch
 from planopt.planning.plan import Plan
 from planopt.planning.results import Run

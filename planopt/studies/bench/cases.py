@@ -165,11 +165,11 @@ def _allows(problem: Problem, planner: str) -> bool:
     return single or kind.has_dynamics
 
 
-@dataclass(frozen=True)
-class Row:
-    """One answered case. Of several robots: sums, or the worst."""
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """The answer to a case, as rows and references share it. Several robots: sums, or the worst."""
 
-    problem: str  # The case
+    problem: str
     kind: str
     cost_to_go: str
     horizon: int
@@ -178,35 +178,42 @@ class Row:
     sense: str  # max or min: whether more or less of the objective is better
     # Of a plan its objective, of a run the mean over its plans; None without a value
     objective: float | None = None
-    # As the planner says; of a run the worst, and how often each fallback released a step
-    verdict: str = Verdict.NONE.value
-    termination: str = ""
-    rungs: dict[str, int] = field(default_factory=dict[str, int])
+    verdict: str = Verdict.NONE.value  # As the planner says; of a run the worst
     outcome: str = ""  # planned, no_plan or error
-    # Whether planopt check agrees, from the files alone; None where there is nothing to judge
-    accepted: bool | None = None
-    reasons: tuple[str, ...] = ()  # Objections of the check, or the error
-    iterations: int = 0  # Of the solver, its time, and the time of planning
-    solve_s: float = 0.0
-    wall_s: float = 0.0
+    rungs: dict[str, int] = field(default_factory=dict[str, int])  # Steps by fallback
     # Processor time of the case, without drawing the channel, fitting it and building the scene
     cpu_s: float = 0.0
-    steps: int = 0  # Plans that were made, one a step and robot
-    path_digest: str = ""  # Of all places, to the millimetre: the same digest is the same path
-    kkt_residual: float | None = None  # Of the certificate; of a run None
-    min_clearance_m: float | None = None
-    min_connectivity: float | None = None
-    states: States = ()  # Of a run: where its robots were after each step
+    # Of a run: states of its robots after each step. The check plans from them again, so that
+    # rounding differences between processors do not accumulate
+    states: States = ()
 
     @property
     def question(self) -> Question:
-        """Return what was asked."""
+        """Return the question."""
         return Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
 
     @property
     def case(self) -> Case:
-        """Return the question, and of which planner it was asked."""
+        """Return the question with its planner."""
         return Case(self.question, self.planner, self.states)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row(Answer):
+    """One answered case."""
+
+    termination: str = ""
+    # Whether planopt check agrees, from the files alone; None if nothing was saved
+    accepted: bool | None = None
+    reasons: tuple[str, ...] = ()  # Objections of the check, or the error
+    iterations: int = 0  # Of the solver
+    solve_s: float = 0.0
+    wall_s: float = 0.0
+    steps: int = 0  # Number of plans, one a step and robot
+    path_digest: str = ""  # Digest of all places to the millimetre
+    kkt_residual: float | None = None  # Of the certificate; of a run None
+    min_clearance_m: float | None = None
+    min_connectivity: float | None = None
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from planopt.files.writing import write_text
 from planopt.planning.plan import Verdict
 from planopt.problems.library import library_folder
 from planopt.problems.load import load_motion
-from planopt.studies.bench.cases import PLAN, RUN, Case, Question, Row, States, library_names
+from planopt.studies.bench.cases import PLAN, RUN, Answer, Case, Question, Row, library_names
 
 OBJECTIVE_SHARE = 0.01
 """An objective is worse than another if it is by more than this share of it."""
@@ -43,32 +43,11 @@ _ABOUT = (
 )
 
 
-@dataclass(frozen=True)
-class Reference:
+@dataclass(frozen=True, kw_only=True)
+class Reference(Answer):
     """The best that a planner is known to reach in a case."""
 
-    problem: str  # The case
-    kind: str
-    cost_to_go: str
-    horizon: int
-    seed: int
-    planner: str
-    sense: str  # As of :class:`planopt.studies.bench.cases.Row`
-    objective: float | None
-    verdict: str
-    outcome: str
-    rungs: dict[str, int]  # Which fallbacks released how many steps
-    cpu_s: float  # Processor time that it took on the machine that made it
     made_by: str  # The program that made it
-    # Of a closed loop: its states, which the check plans from again, so that rounding differences
-    # between processors do not accumulate
-    states: States = ()
-
-    @property
-    def case(self) -> Case:
-        """Return the question, and of which planner it was asked."""
-        question = Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
-        return Case(question, self.planner, self.states)
 
 
 References = Mapping[Case, Reference]

@@ -22,7 +22,7 @@ from planopt.coverage.optima import best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
 from planopt.coverage.verify import verify_moves
 from planopt.files.tables import Column, Data
-from planopt.planning.files.record import finite
+from planopt.files.typed_json import finite
 from planopt.tasks.coverage.build import CoverageProblem, build, overlapping
 from planopt.tasks.coverage.tables import CoverageFile, has_room
 from planopt.tasks.task import Task, TaskResult

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import NoPlanError
 from planopt.files.tables import Column, Data
-from planopt.planning.files.record import finite
+from planopt.files.typed_json import finite
 from planopt.pursuit.certificate import Claim, verify_guarantees
 from planopt.pursuit.guarantees import Guarantee
 from planopt.pursuit.simulation import Pursuit, PursuitController, simulate_pursuit

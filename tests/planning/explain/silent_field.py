@@ -15,7 +15,7 @@ import scipy.stats
 from terms_scene import SENDING
 
 from planopt.channel.belief import Belief
-from planopt.channel.estimation.fit import ChannelFit
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition

@@ -9,8 +9,8 @@ import pytest
 import scipy.stats
 from scenes import BAD, THRESHOLD_DBM, bad_everywhere, belief_of, kriged, small_problem
 
+from planopt.planning.explain.changes import rounded
 from planopt.planning.explain.explain import explain
-from planopt.planning.explain.keys import rounded
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.searches import build_goal_grid
 from planopt.planning.reach_planner import ReachPlanner

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from planopt import Run, Solution, load, simulate, solve
+from planopt.files.typed_json import encoded
 from planopt.files.writing import strict_text
-from planopt.planning.files.record import plain
 from planopt.planning.files.result_json import (
     no_plan_json,
     no_run_json,
@@ -114,7 +114,7 @@ def test_no_result_has_the_same_keys(solution: Solution, simulation: Run) -> Non
 
 def test_strictness() -> None:
     """Numbers that are not finite become null, and never get past `strict_text`."""
-    assert plain([None, np.nan, -np.inf, np.float64(1.5)]) == [None, None, None, 1.5]
-    assert plain(np.array([1.5, np.nan])) == [1.5, None]
+    assert encoded([None, np.nan, -np.inf, np.float64(1.5)]) == [None, None, None, 1.5]
+    assert encoded(np.array([1.5, np.nan])) == [1.5, None]
     with pytest.raises(ValueError):
         strict_text({"x": np.nan})

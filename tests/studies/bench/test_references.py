@@ -134,12 +134,12 @@ def test_what_is_worse_and_what_is_better() -> None:
 
 
 def test_damaged_files(tmp_path: Path) -> None:
-    """No JSON, other tables, an objective that is no number, and a case that is there twice."""
+    """No JSON, other tables, a negative time, and a case that is there twice."""
     file = tmp_path / "references.json"
     write_references({row().case: REFERENCE}, file)
     line = file.read_text().splitlines()[2]
     twice = file.read_text().replace(line, f"{line},\n{line}")
-    write_references({row().case: replace(REFERENCE, objective=float("nan"))}, file)
+    write_references({row().case: replace(REFERENCE, cpu_s=-1.0)}, file)
     for text, words in (
         *((text, r"references\.json") for text in ("", "[]", '{"references": [{}]}')),
         (file.read_text(), "a number that cannot be"),

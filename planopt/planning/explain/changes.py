@@ -1,4 +1,4 @@
-"""Keys of a problem that an explanation loosens, and the trials of changed problems."""
+"""Changes of single keys that an explanation tries, and the solves that confirm them."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class Trials:
 
 
 def deadline_s() -> float:
-    """Return the end of the trials of an explanation that begins."""
+    """Return the process time at which an explanation that begins now ends."""
     return process_time() + EXPLAINED_S
 
 

@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportU
 
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.explain.explanation import Relaxation
-from planopt.planning.explain.keys import (
+from planopt.planning.explain.changes import (
     DIGITS,
     Key,
     Trials,
@@ -21,6 +20,7 @@ from planopt.planning.explain.keys import (
     constraint_key,
     rounded,
 )
+from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.free_space import is_joined, widest_clearance_m
 from planopt.planning.scene import build_scene
 from planopt.planning.search.node_margins import NodeMargins
@@ -29,10 +29,10 @@ from planopt.problems.problem import Problem
 from planopt.world.road_map import RoadMap
 
 CLEARANCES = 8
-"""Bisections of the clearance, if the lattice needs more room than there is."""
+"""Bisections of the clearance where the lattice misses a narrow gap."""
 
 MOST_OBSTACLES = 60
-"""Removing obstacles is tried for at most so many."""
+"""Up to so many obstacles are removed on trial."""
 
 SHORTER, STEPS_TRIED = 0.9, 20
 """The step, and with it the lattice, is refined by this factor at most so many times."""
@@ -47,14 +47,14 @@ def is_open(problem: Problem) -> bool:
     return True
 
 
-def explain_no_way(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
+def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
     """Return changes that would open a path to the goal, each by itself.
 
     If the free space joins start and goal, only the lattice is too coarse.
     """
     if joined:
-        asked_m = problem.constraints.clearance_m
-        return (*_clearance(problem, trials, asked_m), *_step(problem, trials))
+        clearance_m = problem.constraints.clearance_m
+        return (*_clearance(problem, trials, clearance_m), *_step(problem, trials))
     widest_m = widest_clearance_m(problem, lambda: trials.are_over)
     found = [] if widest_m is None else _clearance(problem, trials, widest_m)
     return (*found, *_obstacles(problem, trials))

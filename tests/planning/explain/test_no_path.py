@@ -12,9 +12,9 @@ from scenes import belief_of, small_problem
 
 from planopt import Obstacle, Workspace, explain, load
 from planopt.errors import NoPlanError
+from planopt.planning.explain.changes import Trials, deadline_s
 from planopt.planning.explain.explanation import Relaxation
-from planopt.planning.explain.keys import Trials, deadline_s
-from planopt.planning.explain.no_way import explain_no_way
+from planopt.planning.explain.no_path import explain_no_path
 from planopt.planning.free_space import is_joined, widest_clearance_m
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.reach_planner import ReachPlanner
@@ -35,7 +35,7 @@ def planned(problem: Problem) -> Plan | None:
 def explained(problem: Problem) -> dict[str, Relaxation]:
     """The changes that open a path, by key."""
     joined = is_joined(problem, problem.constraints.clearance_m)
-    found = explain_no_way(problem, Trials(planned, deadline_s()), joined)
+    found = explain_no_path(problem, Trials(planned, deadline_s()), joined)
     return {one.constraint: one for one in found}
 
 

@@ -1,16 +1,13 @@
-"""Shadowing fields with the model's covariance: on a lattice, at any places, given measurements.
+"""Random shadowing fields with the model's covariance: on a lattice, scattered, or conditional.
 
-The lattice is laid on a larger torus, whose covariance matrix the Fourier transform diagonalises.
-Where the torus is too small some eigenvalues are negative; it is grown until the share that must
-be clipped is negligible. A realisation is never standardised: that would destroy the covariance.
+A lattice is embedded in a larger torus, whose covariance matrix the Fourier transform diagonalises.
+If the torus is too small some eigenvalues are negative; it grows until the share that has to be
+clipped is negligible. Realisations are never standardised: that would destroy the covariance.
 
-A field given measurements is an unconditional one, drawn at the places and at the measurements
-alike, to which the kriged difference from the measured values is added (conditioning by kriging).
-Its mean and covariance are those of the posterior, at the cost of one kriging for each draw and no
-covariance between places. Drawn fields are of one time and at known places, so measurements of a
-channel that forgets, or with errors of position, are refused.
-
-SciPy's transforms, which ship no types, are given some here.
+A conditional field is an unconditional one plus the kriged difference from the measured values
+(conditioning by kriging): its mean and covariance are those of the posterior, without a covariance
+between all cells. Fields belong to one time and known positions, so measurements that age or have
+position errors are refused.
 """
 
 from __future__ import annotations
@@ -23,7 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft as scipy_fft
 
-from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower, solve_upper, whiten
+from planopt.channel.cholesky import (
+    lower_factor,
+    one_blas_thread,
+    solve_lower,
+    solve_upper,
+    whiten,
+)
 from planopt.channel.kriging import PREDICTION_ELEMENTS
 from planopt.channel.measurement_covariance import (
     RECEIVER_OFFSET_STD_DB,
@@ -38,31 +41,24 @@ from planopt.world.raster import Raster, cell_centres_m
 # SciPy's stubs describe its dispatch between backends, not its results.
 fft: Any = scipy_fft
 
-
-def even_spectrum(quarter: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Transform an even array, given and returned as a quarter.
-
-    Of sides 2 (n - 1) and 2 (m - 1), the first n and m, at least 2, of every row and column.
-    """
-    return fft.dctn(quarter, type=1)
-
-
-def transform_corner(values: NDArray[np.complex128], ny: int, nx: int) -> NDArray[np.complex128]:
-    """The first `ny` rows and `nx` columns of the transform of `values`; the rest is left out."""
-    return fft.fft(fft.fft(values, axis=1)[:, :nx], axis=0)[:ny]
-
-
-def fast_even_length(least: int) -> int:
-    """The next even number from `least` on that transforms fast."""
-    return 2 * fft.next_fast_len((least + 1) // 2)
-
-
 CLIPPED_SHARE_TOLERANCE = 1e-4
-"""Eigenvalue mass that may be clipped, as a share of the whole: no covariance is then wrong by more
-than this share of xi^2. Reached when the torus is about eight decorrelation distances long."""
+"""Largest clipped share of the eigenvalues' mass, which bounds the error of any covariance as a
+share of xi^2. It takes a torus of about eight decorrelation distances."""
 
 GROWTH = 1.25
 MAX_TORUS_CELLS = 2**24
+
+MAX_PLACES = 8_000
+"""A factor with more rows would not fit into the memory of a small machine."""
+
+NUGGET = 1e-8
+"""Share of xi^2 added to variances, so that a factor exists if positions nearly coincide."""
+
+STENCIL = 4
+"""Side of the square of lattice nodes that condition a value between them."""
+
+EARLIER = 16
+"""Number of nearest earlier positions that condition a value between lattice nodes."""
 
 
 @dataclass(frozen=True)
@@ -97,55 +93,32 @@ def shadow_field_db(
     Raises
     ------
     InputError
-        A deviation, distance or cell side is none, or the decorrelation distance is so long for
-        the cells that the torus does not fit into memory.
-    """
-    return shadow_field_pair_db(shape, cell_m, shadow_std_db, decorrelation_m, generator)[0]
-
-
-def shadow_field_pair_db(
-    shape: tuple[int, int],
-    cell_m: float,
-    shadow_std_db: float,
-    decorrelation_m: float,
-    generator: np.random.Generator,
-) -> tuple[ShadowField, ShadowField]:
-    """Draw two independent fields at the cost of one; see :func:`shadow_field_db`.
-
-    They are the real and the imaginary part of one transform, the first the one that
-    :func:`shadow_field_db` draws.
+        A standard deviation, distance or cell side is invalid, or the torus does not fit into
+        memory because the decorrelation distance is too long for the cells.
     """
     require_shadowing(shadow_std_db, decorrelation_m)
     if not (np.isfinite(cell_m) and cell_m > 0.0):
         raise InputError(
-            f"{cell_m!r} m is no cell side", key="cell_m", remedy="give a value above 0, e.g. 1"
+            f"{cell_m!r} m is not a cell side", key="cell_m", remedy="give a value above 0, e.g. 1"
         )
     ny, nx = shape
     (rows, columns), eigenvalues, clipped_share = _embedding(shape, cell_m / decorrelation_m)
     amplitude = np.sqrt(np.maximum(eigenvalues, 0.0) / (rows * columns))
     # The spectrum is even: frequencies k and n - k share an eigenvalue.
     fold_y, fold_x = (np.minimum(np.arange(n), n - np.arange(n)) for n in (rows, columns))
-    amplitude = amplitude[fold_y][:, fold_x]
     noise = np.empty((rows, columns), dtype=np.complex128)
     noise.real = generator.standard_normal((rows, columns))
     noise.imag = generator.standard_normal((rows, columns))
-    noise *= amplitude
-    field = transform_corner(noise, ny, nx)
-    padding = (rows - ny, columns - nx)
-    first, second = (
-        ShadowField(shadow_std_db * part, padding, clipped_share)
-        for part in (field.real, field.imag)
-    )
-    return first, second
+    noise *= amplitude[fold_y][:, fold_x]
+    field = fft.fft(fft.fft(noise, axis=1)[:, :nx], axis=0)[:ny].real
+    return ShadowField(shadow_std_db * field, (rows - ny, columns - nx), clipped_share)
 
 
 def _embedding(
-    shape: tuple[int, int], step: float
+    shape: tuple[int, int],
+    step: float,  # Cell side in decorrelation distances
 ) -> tuple[tuple[int, int], NDArray[np.float64], float]:
-    """The torus, a quarter of its eigenvalues, and the share of their mass that is negative.
-
-    `step` is a cell in decorrelation distances.
-    """
+    """Return the torus, a quarter of its eigenvalues, and the share of their negative mass."""
     ny, nx = shape
     torus = (2 * ny, 2 * nx)
     while True:
@@ -155,40 +128,18 @@ def _embedding(
                 f"{1.0 / step:g} cells is too large to draw exactly",
                 remedy="use larger cells or a shorter decorrelation distance",
             )
-        eigenvalues = _torus_eigenvalues(torus, step)
-        # Frequencies in the quarter stand for two each, but the first and the last.
+        # The covariance is even: a cosine transform of a quarter gives a quarter of the eigenvalues
+        dy, dx = (np.arange(n // 2 + 1) * step for n in torus)
+        eigenvalues = fft.dctn(np.exp(-np.hypot(dy[:, None], dx[None, :])), type=1)
+        # Each frequency of the quarter stands for two, except the first and the last.
         weight_y, weight_x = (np.r_[1.0, np.full(n // 2 - 1, 2.0), 1.0] for n in torus)
         negative = weight_y @ np.maximum(-eigenvalues, 0.0) @ weight_x
         clipped_share = float(negative / (weight_y @ np.abs(eigenvalues) @ weight_x))
         if clipped_share <= CLIPPED_SHARE_TOLERANCE:
             return torus, eigenvalues, clipped_share
-        # The shorter side first: both must be long against the decorrelation distance.
-        longer = fast_even_length(math.ceil(GROWTH * min(torus)))
+        # The shorter side first: both must be long compared with the decorrelation distance.
+        longer = 2 * fft.next_fast_len((math.ceil(GROWTH * min(torus)) + 1) // 2)
         torus = (max(torus[0], longer), max(torus[1], longer))
-
-
-def _torus_eigenvalues(torus: tuple[int, int], step: float) -> NDArray[np.float64]:
-    """Eigenvalues of the unit-variance covariance on the torus, of even sides.
-
-    The covariance is even, so that a cosine transform of a quarter of it gives a quarter of them.
-    """
-    dy, dx = (np.arange(n // 2 + 1) * step for n in torus)
-    quarter = np.exp(-np.hypot(dy[:, None], dx[None, :]))
-    return even_spectrum(quarter)
-
-
-MAX_PLACES = 8_000
-"""A factor of more rows would not fit the memory of a small machine."""
-
-NUGGET = 1e-8
-"""Share of xi^2 that keeps places that nearly coincide from breaking a factor: deviations of 1e-4
-xi between them. Places that coincide share their value exactly."""
-
-STENCIL = 4
-"""Lattice nodes along a side of the square about a place that its value is drawn from."""
-
-EARLIER = 16
-"""Places drawn before that a place's value is drawn from, the nearest ones."""
 
 
 def scattered_field_db(
@@ -197,12 +148,12 @@ def scattered_field_db(
     decorrelation_m: float,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw shadowing of covariance xi^2 exp(-d / beta) at any places (equation 1.2).
+    """Draw shadowing of covariance xi^2 exp(-d / beta) at scattered positions (equation 1.2).
 
     Parameters
     ----------
     positions_m
-        ``(n, 2)``, repeated ones included.
+        ``(n, 2)``; repeated positions share their value.
     shadow_std_db, decorrelation_m
         xi and beta.
     generator
@@ -216,8 +167,8 @@ def scattered_field_db(
     Raises
     ------
     InputError
-        A deviation, a distance or a place is none, or there are more than `MAX_PLACES` different
-        places.
+        A standard deviation, distance or position is invalid, or there are more than `MAX_PLACES`
+        different positions.
     """
     require_shadowing(shadow_std_db, decorrelation_m)
     places, back = _distinct(require_places(positions_m, at_least=0))
@@ -231,21 +182,19 @@ def scattered_field_db(
 
 
 def added_to_lattice_db(
-    x_m: NDArray[np.float64],
-    y_m: NDArray[np.float64],
-    field_db: NDArray[np.float64],  # (ny, nx) of deviation xi
-    positions_m: NDArray[np.float64],  # (n, 2), repeated ones included
+    x_m: NDArray[np.float64],  # (nx,)
+    y_m: NDArray[np.float64],  # (ny,)
+    field_db: NDArray[np.float64],  # (ny, nx) of standard deviation xi
+    positions_m: NDArray[np.float64],  # (n, 2), may repeat
     shadow_std_db: float,
     decorrelation_m: float,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw shadowing at places, given a field already drawn on a lattice.
+    """Draw shadowing at positions, conditional on a field on a lattice; ``(n,)``.
 
-    Each value is drawn given the lattice nodes about it and the nearest earlier places. With the
-    exponential covariance nearer values screen farther ones, so that this is all but exact within
-    the lattice; outside it correlation with nodes far from the nearest border is neglected.
+    Each value is conditioned on the surrounding nodes and the nearest earlier positions: almost
+    exact within the lattice, because near values screen far ones under the exponential covariance.
     """
-    # Shapes: x_m, y_m (nx,); returns (n,).
     places, back = _distinct(positions_m)
     columns, rows = _stencil(x_m, places[:, 0]), _stencil(y_m, places[:, 1])
     noise = generator.standard_normal(len(places))
@@ -255,9 +204,8 @@ def added_to_lattice_db(
         nodes = np.column_stack([east.ravel(), north.ravel()])
         near = ((places[:index] - place) ** 2).sum(axis=1).argsort()[:EARLIER]
         there = np.concatenate([nodes, places[near]])
-        known = np.concatenate(
-            [field_db[np.ix_(rows[index], columns[index])].ravel(), values[near]]
-        )
+        at_nodes = field_db[np.ix_(rows[index], columns[index])].ravel()
+        known = np.concatenate([at_nodes, values[near]])
         factor = lower_factor(_correlation(there, decorrelation_m))
         across = np.exp(-pairwise_distance_m(there, place[None]) / decorrelation_m)[:, 0]
         whitened = solve_lower(factor, np.column_stack([known, across]))
@@ -268,22 +216,20 @@ def added_to_lattice_db(
 
 
 def _distinct(positions_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Each place once, and where every position is among them."""
-    places, back = np.unique(
-        np.asarray(positions_m, dtype=np.float64).reshape(-1, 2), axis=0, return_inverse=True
-    )
+    """Return the distinct positions, and the index of each position among them."""
+    places, back = np.unique(positions_m.reshape(-1, 2), axis=0, return_inverse=True)
     return places, back.reshape(-1)
 
 
 def _correlation(places_m: NDArray[np.float64], decorrelation_m: float) -> NDArray[np.float64]:
-    """exp(-d / beta) with the nugget on its diagonal; (n, n)."""
+    """Return exp(-d / beta) with the nugget on its diagonal; (n, n)."""
     correlation = np.exp(-pairwise_distance_m(places_m, places_m) / decorrelation_m)
     correlation[np.diag_indices_from(correlation)] += NUGGET
     return correlation
 
 
 def _stencil(axis_m: NDArray[np.float64], at_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Indices of the `STENCIL` nodes about each coordinate; fewer on a short axis, (n, size)."""
+    """Return indices of the `STENCIL` nodes around each coordinate; fewer on a short axis."""
     size = min(STENCIL, len(axis_m))
     first = np.searchsorted(axis_m, at_m) - size // 2
     return np.clip(first, 0, len(axis_m) - size)[:, None] + np.arange(size)
@@ -296,12 +242,15 @@ def conditional_field(
     cell_m: float,
     generator: np.random.Generator,
 ) -> Raster:
-    """Draw path loss and shadowing on a lattice, given the measurements; no multipath.
+    """Draw path loss and shadowing on a lattice, conditional on the measurements; no multipath.
+
+    With theta drawn, s the unconditional field and n the drawn noise, the values are
+    ``gamma theta + s + phi' U^-1 (y - Gamma theta - s_measured - n)``.
 
     Parameters
     ----------
     posterior
-        The channel given measurements. Where theta is estimated it is drawn too.
+        The channel conditional on measurements. An estimated theta is drawn too.
     bounds_m
         ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left.
     cell_m
@@ -312,75 +261,41 @@ def conditional_field(
     Raises
     ------
     InputError
-        The lattice is too large for its decorrelation distance, or the channel forgets, or the
-        measurements have errors of position.
+        The lattice is too large for its decorrelation distance, measurements age, or they have
+        position errors.
     """
-    _require_one_time_and_known_places(posterior)
-    parameters = posterior.parameters
-    x_min, y_min, x_max, y_max = bounds_m
-    x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
-    covariance = (parameters.shadow_std_db, parameters.decorrelation_m)
-    lattice = shadow_field_db((y.size, x.size), cell_m, *covariance, generator).values_db
-    measured = posterior.measurements.positions_m
-    at_measured = added_to_lattice_db(x, y, lattice, measured, *covariance, generator)
-    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    values = _conditioned(posterior, centres, lattice.ravel(), at_measured, generator)
-    return Raster(x, y, values.reshape(lattice.shape))
-
-
-@one_blas_thread()
-def conditional_values_db(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64], generator: np.random.Generator
-) -> NDArray[np.float64]:
-    """Draw path loss and shadowing at any places, given the measurements; no multipath."""
-    # Shapes: positions_m (n, 2); returns (n,).
-    _require_one_time_and_known_places(posterior)
-    together = np.concatenate([positions_m, posterior.measurements.positions_m])
-    parameters = posterior.parameters
-    drawn = scattered_field_db(
-        together, parameters.shadow_std_db, parameters.decorrelation_m, generator
-    )
-    count = len(positions_m)
-    return _conditioned(posterior, positions_m, drawn[:count], drawn[count:], generator)
-
-
-def _conditioned(
-    posterior: ChannelPosterior,
-    places_m: NDArray[np.float64],
-    at_places_db: NDArray[np.float64],
-    at_measured_db: NDArray[np.float64],
-    generator: np.random.Generator,
-) -> NDArray[np.float64]:
-    """Power gamma theta + s + phi' U^-1 (y - Gamma theta - s_measured - noise), theta drawn."""
-    station, measured = posterior.parameters.station, posterior.measurements.positions_m
-    theta = generator.multivariate_normal(
-        posterior.theta, posterior.theta_covariance, method="eigh"
-    )
-    noise = np.sqrt(posterior.noise_variance_db2) * generator.standard_normal(len(measured))
-    missed = posterior.values_db - regressors(measured, station) @ theta - at_measured_db - noise
-    received = posterior.measurements.receiver
-    if received.any():
-        numbers, which = np.unique(received, return_inverse=True)
-        offsets = RECEIVER_OFFSET_STD_DB * generator.standard_normal(len(numbers))
-        missed -= np.where(received == 0, 0.0, offsets[which])
-    weights = solve_upper(posterior.factor, whiten(posterior.factor, missed[:, None])[:, 0])
-    values = at_places_db + regressors(places_m, station) @ theta
-    block = max(1, PREDICTION_ELEMENTS // max(1, len(measured)))
-    for start in range(0, len(places_m), block):
-        part = slice(start, start + block)
-        values[part] += (
-            shadow_covariance_db2(places_m[part], measured, posterior.parameters) @ weights
-        )
-    return values
-
-
-def _require_one_time_and_known_places(posterior: ChannelPosterior) -> None:
-    """Refuse what a field drawn in the plane cannot be conditioned on."""
-    origins = posterior.origins
-    for part, what in ((origins.time_s, "that age"), (origins.blur_m2, "at uncertain places")):
+    parameters, measurements = posterior.parameters, posterior.measurements
+    for part, what in (
+        (posterior.origins.time_s, "that age"),
+        (posterior.origins.blur_m2, "at uncertain places"),
+    ):
         if part is not None:
             raise InputError(
                 f"fields are not drawn given measurements {what}",
                 key="posterior",
                 remedy="use sample_power, for as many places as memory allows",
             )
+    x_min, y_min, x_max, y_max = bounds_m
+    x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
+    covariance = (parameters.shadow_std_db, parameters.decorrelation_m)
+    lattice = shadow_field_db((y.size, x.size), cell_m, *covariance, generator).values_db
+    measured = measurements.positions_m
+    at_measured = added_to_lattice_db(x, y, lattice, measured, *covariance, generator)
+    theta = generator.multivariate_normal(
+        posterior.theta, posterior.theta_covariance, method="eigh"
+    )
+    noise = np.sqrt(posterior.noise_variance_db2) * generator.standard_normal(len(measured))
+    residual = posterior.values_db - regressors(measured, parameters.station) @ theta
+    residual -= at_measured + noise
+    if measurements.receiver.any():
+        numbers, which = np.unique(measurements.receiver, return_inverse=True)
+        offsets = RECEIVER_OFFSET_STD_DB * generator.standard_normal(len(numbers))
+        residual -= np.where(measurements.receiver == 0, 0.0, offsets[which])
+    weights = solve_upper(posterior.factor, whiten(posterior.factor, residual[:, None])[:, 0])
+    centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    values = lattice.ravel() + regressors(centres, parameters.station) @ theta
+    block = max(1, PREDICTION_ELEMENTS // max(1, len(measured)))
+    for start in range(0, len(centres), block):
+        part = slice(start, start + block)
+        values[part] += shadow_covariance_db2(centres[part], measured, parameters) @ weights
+    return Raster(x, y, values.reshape(lattice.shape))

@@ -31,7 +31,6 @@ from planopt.channel.measurement_covariance import (
     place_origins,
 )
 from planopt.channel.posterior import extend
-from planopt.channel.shadow_fields import conditional_values_db
 from planopt.channel.tile_map import TileMap
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))
@@ -214,14 +213,15 @@ def test_fields_are_drawn_with_offsets():
     data = varied(30, 14, errors=False)
     posterior = condition(STEADY, data)
     generator = np.random.default_rng(0)
-    draws = np.array([conditional_values_db(posterior, PLACES[:4], generator) for _ in range(1500)])
-    expected = predict(posterior, PLACES[:4])
+    bounds = (20.0, 20.0, 60.0, 50.0)
+    fields = [conditional_field(posterior, bounds, 10.0, generator) for _ in range(1500)]
+    draws = np.array([field.values.ravel() for field in fields])
+    centres = np.stack(np.meshgrid(fields[0].x_m, fields[0].y_m), axis=-1).reshape(-1, 2)
+    expected = predict(posterior, centres)
     latent = np.sqrt(expected.deviation_db**2 - 1.5**2)
     error = latent / np.sqrt(1500.0)
     assert (np.abs(draws.mean(axis=0) - expected.mean_db) < 4.0 * error).all()
     np.testing.assert_allclose(draws.std(axis=0), latent, rtol=0.08)
     for refused in (condition(DRIFTING, data), condition(STEADY, varied(30, 14))):
-        with pytest.raises(InputError, match="sample_power"):
-            conditional_values_db(refused, PLACES, generator)
         with pytest.raises(InputError, match="sample_power"):
             conditional_field(refused, (0.0, 0.0, 10.0, 10.0), 1.0, generator)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition, conditional_field
-from planopt.channel.shadow_fields import conditional_values_db
 
 STATION = Station((-20.0, 5.0), 3.0)
 PARAMETERS = ChannelParameters(-30.0, 2.5, 4.0, 8.0, 1.5, STATION)
@@ -71,17 +70,8 @@ def test_lattice_has_the_posteriors_moments(theta):
     within_errors(draws, mean, covariance)
 
 
-def test_places_have_the_posteriors_moments():
-    """The same at scattered places."""
-    posterior = condition(PARAMETERS, measured(PLACES))
-    generator = np.random.default_rng(2)
-    places = np.array([[4.3, 3.1], [4.0, 3.0], [12.15, 9.05], [0.0, 16.0], [60.0, 1.0]])
-    draws = np.array([conditional_values_db(posterior, places, generator) for _ in range(2000)])
-    within_errors(draws, *expected(posterior, places))
-
-
 def test_fields_go_through_noiseless_measurements():
-    """At measured nodes and places every draw has the measured value."""
+    """At measured nodes every draw has the measured value."""
     measurements = measured([[5.0, 5.0], [13.0, 9.0], [17.0, 1.0], [6.2, 5.7]])
     posterior = condition(NOISELESS, measurements)
     for seed in range(5):
@@ -89,8 +79,6 @@ def test_fields_go_through_noiseless_measurements():
         field = conditional_field(posterior, BOUNDS, CELL, generator)
         at_nodes = field.values[[2, 4, 0], [2, 6, 8]]
         np.testing.assert_allclose(at_nodes, measurements.power_dbm[:3], atol=0.05)
-        values = conditional_values_db(posterior, measurements.positions_m, generator)
-        np.testing.assert_allclose(values, measurements.power_dbm, atol=0.05)
 
 
 def test_draws_differ_away_from_measurements():
@@ -110,4 +98,3 @@ def test_without_measurements():
     posterior = condition(PARAMETERS, nothing, theta="known")
     generator = np.random.default_rng(5)
     assert np.isfinite(conditional_field(posterior, BOUNDS, CELL, generator).values).all()
-    assert conditional_values_db(posterior, CENTRES, generator).shape == (80,)

@@ -1,15 +1,17 @@
-"""Multipath of every kind: what m, K and omega mean, and draws against SciPy's laws."""
+"""Multipath of every kind against SciPy: moments, draws, conversions between m, K and omega."""
 
 import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.special import exp1, psi
 from scipy.stats import kstest, loggamma, norm, rice
 
 from planopt import InputError
 from planopt.channel import Lognormal, Nakagami, Rician, multipath_of
-from planopt.channel.ground_truth import multipath_field_db, rician_std_db
+from planopt.channel.ground_truth import multipath_field_db
 
 NEPER_DB = 10.0 / math.log(10.0)
 
@@ -22,6 +24,61 @@ def mean_db(multipath):
         return NEPER_DB * (psi(multipath.m) - math.log(multipath.m))
     k = multipath.k_factor
     return NEPER_DB * (-np.euler_gamma if k == 0.0 else math.log(k / (k + 1.0)) + exp1(k))
+
+
+@pytest.mark.parametrize(
+    ("k", "m", "nakagami", "offset", "rician"),
+    [
+        (5.0, 3.27, 2.60, -0.70, 2.91),
+        (10.0, 5.76, 1.89, -0.39, 1.999),
+        (30.0, 15.75, 1.11, -0.14, 1.131),
+    ],
+)
+def test_errata_of_the_theory(k, m, nakagami, offset, rician):
+    """The three channels of [GM11]: m of K, both exact deviations, Nakagami's mean."""
+    assert multipath_of("nakagami", k=k).m == pytest.approx(m, abs=5e-3)
+    assert Nakagami(m).std_db == pytest.approx(nakagami, abs=6e-3)
+    assert Nakagami(m).mean_db == pytest.approx(offset, abs=2e-2)
+    assert Rician(k).std_db == pytest.approx(rician, abs=1e-3)
+    assert multipath_of("rician", std_db=rician).k_factor == pytest.approx(k, rel=5e-3)
+    assert multipath_of("nakagami", std_db=nakagami).m == pytest.approx(m, rel=1e-2)
+
+
+@pytest.mark.parametrize("m", [0.5, 1.0, 3.27, 80.0])
+def test_nakagami_moments(m):
+    """Power is Gamma(m) / m, its logarithm SciPy's loggamma less ln m."""
+    assert Nakagami(m).mean_db == pytest.approx(mean_db(Nakagami(m)), rel=1e-9)
+    assert Nakagami(m).std_db == pytest.approx(NEPER_DB * loggamma(m).std(), rel=1e-9)
+
+
+@pytest.mark.parametrize("k", [0.01, 0.5, 10.0, 200.0])
+def test_rician_moments(k):
+    """The mean in closed form, and both moments by integrating SciPy's Rice density."""
+    assert Rician(k).mean_db == pytest.approx(mean_db(Rician(k)), rel=1e-9)
+    scatter = np.sqrt(0.5 / (k + 1.0))
+    amplitude = np.linspace(1e-7, 12.0 * scatter + 1.0, 2_000_001)
+    weight = rice(np.sqrt(2.0 * k), scale=scatter).pdf(amplitude) * (amplitude[1] - amplitude[0])
+    level = 20.0 * np.log10(amplitude)
+    mean = weight @ level
+    assert Rician(k).mean_db == pytest.approx(mean, abs=1e-5)
+    assert Rician(k).std_db == pytest.approx(np.sqrt(weight @ (level - mean) ** 2), abs=1e-5)
+
+
+@given(st.floats(0.0, 1e4))
+def test_m_and_k_are_inverse(k):
+    """Converting K to m and back returns K."""
+    back = multipath_of("rician", m=multipath_of("nakagami", k=k).m).k_factor
+    assert back == pytest.approx(k, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("omega", [0.01, 1.0, 2.78, 5.5])
+def test_fading_of_a_standard_deviation(omega):
+    """The law found has the required standard deviation; only Nakagami exceeds Rayleigh's 5.57."""
+    assert multipath_of("nakagami", std_db=omega).std_db == pytest.approx(omega, rel=1e-9)
+    assert multipath_of("rician", std_db=omega).std_db == pytest.approx(omega, rel=1e-9)
+    assert multipath_of("nakagami", std_db=9.6).m == pytest.approx(0.5, abs=5e-3)
+    with pytest.raises(InputError, match=r"5\.57"):
+        multipath_of("rician", std_db=5.6)
 
 
 GIVEN = [
@@ -81,7 +138,7 @@ def test_what_the_numbers_mean():
     assert multipath_of("rayleigh") == Rician(0.0)
     assert multipath_of("lognormal", std_db=2.78) == Lognormal(2.78)
     assert multipath_of("lognormal", m=3.27).std_db == pytest.approx(2.60, abs=0.006)
-    assert multipath_of("lognormal", k=5.0) == Lognormal(rician_std_db(5.0))
+    assert multipath_of("lognormal", k=5.0) == Lognormal(Rician(5.0).std_db)
 
 
 @pytest.mark.parametrize(
@@ -92,6 +149,10 @@ def test_what_the_numbers_mean():
         ("rayleigh", {"k": 0.0}, "the kind alone"),
         ("rician", {"m": 0.8}, "key m"),
         ("rician", {"k": -1.0}, "key k"),
+        ("nakagami", {"k": math.inf}, "key k"),
+        ("rician", {"m": math.nan}, "key m"),
+        ("rician", {"std_db": math.nan}, "key std_db"),
+        ("nakagami", {"std_db": 0.0}, "deviation of 0"),
         ("rician", {"std_db": 6.0}, "deviation of 6"),
         ("nakagami", {"std_db": 9.7}, "deviation of 9"),
         ("nakagami", {"m": math.nan}, "key m"),

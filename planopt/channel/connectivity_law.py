@@ -1,26 +1,23 @@
 """The law of connectivity: one station, several, or a channel with uncertain parameters.
 
-A :class:`ConnectivityLaw` says how probably a robot at a position is connected, by how many dB that
-exceeds a required probability, and how the powers along a path are drawn together.
+A :class:`ConnectivityLaw` has the probability that a robot at a position is connected, the margin
+in dB by which that exceeds a required probability, and joint samples of the power along a path.
 
-With powers P_i and thresholds t_i, each station's fading its own,
+With powers P_i and thresholds t_i, each station with fading of its own,
 
     S = max_i (P_i - t_i) + t_1
 
-is a power that one threshold judges, the first station's: a place is connected to at least one
-station if and only if S >= t_1. S is not normal. Everything that works with a mean and a deviation
-uses the normal law that agrees with the law of S where it counts:
+is a serving power for the first threshold: a place is connected to at least one station if and only
+if S >= t_1. S is not normal. It is represented by the normal law that has the same probability of
+S >= t_1 and the same power exceeded with probability p_min, hence the same margin: the amount by
+which all thresholds may rise until the chance constraint is active.
 
-- the probability of S >= t_1 is that of a connection to any station, exactly;
-- so is the power that S exceeds with probability p_min, and with it the margin in dB: the amount by
-  which all thresholds may be raised until the bound p_min is just kept.
-
-Station i connects with probability Phi(z_i). With independent stations
+Station i connects with probability Phi(z_i). For independent stations
 
     P(any) = 1 - prod (1 - Phi(z_i)) = Phi(z)
 
-defines the score z of them all, which stays informative where P is 0 or 1 to all digits. Logarithms
-of both tails are kept, so that z has twelve digits from -1e3 to 1e3.
+defines the score z of them all, which is informative even where P rounds to 0 or 1. Logarithms of
+both tails are kept, so that z has twelve digits from -1e3 to 1e3.
 """
 
 from __future__ import annotations
@@ -28,7 +25,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,10 +55,9 @@ LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The score z of any of m stations with scores ``(m, ...)``; ``(...)``, infinite ones included.
+    """Return the score z of m stations with scores ``(m, ...)``; ``(...)``, NaN if one is NaN.
 
-    It is at least the largest of the scores, and is that where all others are far below; NaN where
-    one of them is.
+    Infinite scores are valid; z is at least the largest of the scores.
     """
     return _score(_log_any(scores), _log_normal(-scores).sum(axis=0))
 
@@ -70,14 +65,12 @@ def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 def any_score_derivatives(
     scores: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """z, its gradient ``(m, ...)`` and its Hessian ``(m, m, ...)`` by the scores ``(m, ...)``.
+    """Return z, its gradient (m, ...) and its Hessian (m, m, ...) by finite scores (m, ...).
 
     With phi the normal density, Q = prod (1 - Phi(z_j)) and h_j = phi(z_j) / (1 - Phi(z_j)):
 
         w_i = dz/dz_i = phi(z_i) / phi(z) prod_{j != i} (1 - Phi(z_j))
         d^2z/dz_i dz_j = w_i (z w_j - h_j),    d^2z/dz_i^2 = w_i (z w_i - z_i)
-
-    Finite scores only.
     """
     none_each = _log_normal(-scores)
     none = none_each.sum(axis=0)
@@ -95,10 +88,10 @@ def _log_normal(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Log P(any), by P(a or b) = P(a) + P(b) (1 - P(a)): nothing is subtracted."""
+    """Return log P(any) by P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
     found = _log_normal(scores[0])
     none = _log_normal(-scores[0])
-    with np.errstate(invalid="ignore"):  # what is not known stays NaN
+    with np.errstate(invalid="ignore"):  # unknown scores stay NaN
         for score in scores[1:]:
             found = np.logaddexp(found, _log_normal(score) + none)
             none = none + _log_normal(-score)
@@ -106,17 +99,17 @@ def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the score from the smaller tail, which has all the digits."""
+    """Return the score from the smaller tail, which has all digits."""
     low = np.asarray(ndtri_exp(np.minimum(log_any, log_none)), dtype=np.float64)
     return np.where(log_any < log_none, low, -low)
 
 
 SECANT_FROM_DB = 1e-4
-"""Where the margin is smaller, the slope of the score stands for its secant."""
+"""Below this margin the slope of the score replaces its secant."""
 
 SETTLED_DB = 1e-10
+"""Newton's method on the margin ends below this change, typically after six steps."""
 MOST_STEPS = 100
-"""Newton's method on the margin ends below the first, some six steps as a rule, and always here."""
 
 
 def serving_prediction(
@@ -124,7 +117,7 @@ def serving_prediction(
     thresholds_dbm: Sequence[float],
     p_min: float,
 ) -> Prediction:
-    """The normal law that stands for the serving power of m stations at n places."""
+    """Return the normal law that represents the serving power of m stations at n places."""
     if len(predictions) == 1:
         return predictions[0]
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
@@ -142,7 +135,7 @@ def any_probability(
     thresholds_dbm: Sequence[float],
     slack_db: float = 0.0,
 ) -> NDArray[np.float64]:
-    """P(at least one of m stations connects), all thresholds `slack_db` lower; ``(n,)``."""
+    """Return P(at least one of m stations connects), all thresholds `slack_db` lower; ``(n,)``."""
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
     return np.asarray(ndtr(any_score((above + slack_db) / deviation)), dtype=np.float64)
 
@@ -150,7 +143,7 @@ def any_probability(
 def serving_power_dbm(
     powers_dbm: NDArray[np.float64], thresholds_dbm: Sequence[float]
 ) -> NDArray[np.float64]:
-    """S of known powers ``(m, ...)``; ``(...)``."""
+    """Return the serving power S of known powers ``(m, ...)``; ``(...)``."""
     if len(powers_dbm) == 1:
         return powers_dbm[0]
     offsets = thresholds_dbm[0] - np.asarray(thresholds_dbm)
@@ -174,15 +167,12 @@ def above_thresholds_db(
 def any_margin_db(
     above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
 ) -> NDArray[np.float64]:
-    """Return by how much all thresholds may be raised until P(any) is `p_min`; ``(n,)``.
+    """Return by how much all thresholds may rise until P(any) is `p_min`; (m, n) -> ``(n,)``.
 
-    The score of any station falls with that and is convex, so that Newton's method from the best
-    single station's margin comes to it from below. It is held between that and what m stations as
-    good as the best would have.
+    The score decreases with the rise and is convex: Newton's method converges from the best single
+    station's margin, bracketed by the margin of m stations as good as the best.
     """
-    # Shapes: above_db, deviation_db (m, n).
     wanted = bound_quantile(p_min)
-    # One of m that each connect with this probability.
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
     low: NDArray[np.float64] = (above_db - wanted * deviation_db).max(axis=0)
     high: NDArray[np.float64] = (above_db - shared * deviation_db).max(axis=0)
@@ -209,105 +199,59 @@ Predictor = Callable[[ChannelPosterior, NDArray[np.float64]], Prediction]
 """Predicts a station's power at positions (n, 2): from all measurements, or from the nearest."""
 
 
-class ConnectivityLaw(Protocol):
-    """Probability that a robot at a position is connected."""
-
-    @property
-    def posteriors(self) -> tuple[ChannelPosterior, ...]:
-        """The posterior of each station's channel."""
-        ...
-
-    @property
-    def thresholds_dbm(self) -> tuple[float, ...]:
-        """Power from which on each station connects."""
-        ...
-
-    def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the power that the first threshold decides on, from each station's power."""
-        ...
-
-    def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
-        """Return the power that the first threshold decides on at positions (n, 2)."""
-        ...
-
-    def probability(
-        self, positions_m: NDArray[np.float64], slack_db: float = 0.0
-    ) -> NDArray[np.float64]:
-        """Return P(connected) at positions (n, 2), all thresholds `slack_db` lower; ``(n,)``."""
-        ...
-
-    def margin_db(
-        self, positions_m: NDArray[np.float64], predict: Predictor = predict
-    ) -> NDArray[np.float64]:
-        """Return by how many dB P(connected) >= p_min holds at positions (n, 2); ``(n,)``."""
-        ...
-
-    def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
-        """Return the power that decides along a path (N, 2) in drawn channels; ``(count, N)``."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class StationsLaw:
-    """Connection to the only station, or to any of several with fading of their own."""
+class ConnectivityLaw:
+    """Connection to the only station, or to any of several with independent fading."""
 
-    posteriors: tuple[ChannelPosterior, ...]
-    thresholds_dbm: tuple[float, ...]
-    p_min: float  # Required probability: the combined law has its margin
+    posteriors: tuple[ChannelPosterior, ...]  # One per station
+    thresholds_dbm: tuple[float, ...]  # Least power of a connection, one per station
+    p_min: float  # Required probability, at which the combined law has the exact margin
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the normal law that stands for the serving power."""
+        """Return the normal law of the serving power, from each station's power."""
         return serving_prediction(powers, self.thresholds_dbm, self.p_min)
 
     def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
-        """Return the normal law that stands for the serving power at positions."""
+        """Return the normal law of the serving power at positions (n, 2)."""
         return self.combined([predict(station, positions_m) for station in self.posteriors])
 
     def probability(
         self, positions_m: NDArray[np.float64], slack_db: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return P(connected to any station)."""
+        """Return P(connected) at positions (n, 2), all thresholds `slack_db` lower; ``(n,)``."""
         each = [predict(station, positions_m) for station in self.posteriors]
         return any_probability(each, self.thresholds_dbm, slack_db)
 
     def margin_db(
         self, positions_m: NDArray[np.float64], predict: Predictor = predict
     ) -> NDArray[np.float64]:
-        """Return by how much all thresholds may be raised until P(connected) is p_min."""
+        """Return by how much all thresholds may rise until P(connected) is p_min; ``(n,)`` dB."""
         power = self.power(positions_m, predict)
         return bound_margin_db(
             power.mean_db, power.deviation_db, self.thresholds_dbm[0], self.p_min
         )
 
     def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
-        """Draw each station's powers along a path from its own seed; the serving power."""
-        drawn = [
-            _drawn_dbm(station, path_m, count, [seed, number] if number else seed)
-            for number, station in enumerate(self.posteriors)
-        ]
+        """Draw the serving power along a path (N, 2), each station from a seed; ``(count, N)``."""
+        drawn: list[NDArray[np.float64]] = []
+        for number, station in enumerate(self.posteriors):
+            generator = np.random.default_rng([seed, number] if number else seed)
+            drawn.append(sample_power(factored_near(station, path_m), path_m, count, generator))
         return serving_power_dbm(np.stack(drawn), self.thresholds_dbm)
 
 
-def _drawn_dbm(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], count: int, seed: int | list[int]
-) -> NDArray[np.float64]:
-    """Powers of one station along a path (N, 2), drawn jointly; ``(count, N)``."""
-    near = factored_near(posterior, path_m)
-    return sample_power(near, path_m, count, np.random.default_rng(seed))
-
-
 @dataclass(frozen=True, eq=False)
-class UncertainParameters(StationsLaw):
+class UncertainParameters(ConnectivityLaw):
     """Connection to the only station with xi, beta and omega uncertain, not only path loss.
 
-    The law of power is a mixture over covariances. It is represented by the normal law of its
-    deviation that has its quantile at the required probability, so that margins are exact.
+    Power is a mixture over covariances. It is represented by the normal law with the mixture's
+    standard deviation and its quantile at the required probability, so that margins are exact.
     """
 
     marginal: MarginalPosterior
 
     def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
-        """Return the normal law with the mixture's deviation and quantile, whatever `predict`."""
+        """Return the normal law that represents the mixture; `predict` is not used."""
         weights = self.marginal.weights
         parts = [component.predict(positions_m) for component in self.marginal.components]
         deviation = mixture(weights, parts).deviation_db
@@ -322,18 +266,17 @@ class UncertainParameters(StationsLaw):
 
 
 MOST_ROUNDS = 60
-"""Steps towards a quantile at most: so many bisections lead from hundreds of dB to rounding."""
+"""Maximum number of Newton or bisection steps towards a quantile."""
 NEWTON_STEP_DB = 1e-8
-"""After a step of Newton's method as short as this the next would be within rounding."""
+"""After a Newton step this short the next one would be within rounding."""
 
 
 def mixture_quantile_dbm(
     weights: NDArray[np.float64], parts: list[Prediction], p_min: float
 ) -> NDArray[np.float64]:
-    """The power that a mixture of normal laws exceeds with probability `p_min`; ``(n,)``.
+    """Return the power that a mixture of normal laws exceeds with probability `p_min`; ``(n,)``.
 
-    Between the least and the greatest of the parts' own, by Newton's method, and by bisection where
-    that leaves what is known to hold the quantile.
+    The parts' own quantiles bracket it; Newton steps that leave the bracket become bisections.
     """
     means = np.stack([part.mean_db for part in parts])
     deviations = np.stack([part.deviation_db for part in parts])
@@ -341,11 +284,14 @@ def mixture_quantile_dbm(
     low: NDArray[np.float64] = own.min(axis=0)
     high: NDArray[np.float64] = own.max(axis=0)
     found: NDArray[np.float64] = 0.5 * (low + high)
+    spread = deviations > 0.0
     for _ in range(MOST_ROUNDS):
-        # Of (mean - power) above zero.
         excess = weights @ connection_probability(means - found, deviations, 0.0) - p_min
         low, high = np.where(excess >= 0.0, found, low), np.where(excess < 0.0, found, high)
-        density = weights @ _normal_density(found - means, deviations)
+        zero = np.zeros_like(means)
+        score = np.divide(found - means, deviations, out=zero.copy(), where=spread)
+        bell = np.exp(-0.5 * score**2) / math.sqrt(2.0 * math.pi)
+        density = weights @ np.divide(bell, deviations, out=zero, where=spread)
         step = np.divide(excess, density, out=np.full(len(found), np.inf), where=density > 0.0)
         middle = 0.5 * (low + high)
         better = np.where((low <= found + step) & (found + step <= high), found + step, middle)
@@ -356,34 +302,24 @@ def mixture_quantile_dbm(
     return found
 
 
-def _normal_density(
-    away_db: NDArray[np.float64], deviation_db: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Density of normal laws; zero where the deviation is."""
-    spread = deviation_db > 0.0
-    score = np.divide(away_db, deviation_db, out=np.zeros_like(away_db), where=spread)
-    bell = np.exp(-0.5 * score**2) / math.sqrt(2.0 * math.pi)
-    return np.divide(bell, deviation_db, out=np.zeros_like(away_db), where=spread)
-
-
 def connected_to_any(
     posteriors: Sequence[ChannelPosterior], positions_m: ArrayLike, threshold_dbm: float
 ) -> NDArray[np.float64]:
-    """P(power >= threshold from at least one of independent stations) at each place; ``(n,)``.
+    """Return P(power >= threshold from at least one of independent stations); ``(n,)``.
 
     Parameters
     ----------
     posteriors
-        One for each station, at least one.
+        One per station, at least one.
     positions_m
         ``(n, 2)`` metres.
     threshold_dbm
-        Power from which on a station connects.
+        Least power of a connection.
 
     Raises
     ------
     InputError
-        There is no station, or an argument cannot be used.
+        There is no station, or an argument is invalid.
     """
     if not posteriors:
         raise InputError("there is no station", key="posteriors", remedy="give at least one")

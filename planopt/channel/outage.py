@@ -1,9 +1,8 @@
-"""The longest outage along a path, and the data delivered by a deadline, by sampling the channel.
+"""The longest outage along a path, and the data delivered by a deadline, from drawn channels.
 
-Neither has a closed form: both depend on the joint law of all places. The places are those where
-packets are sent: multipath is drawn anew at each, so that more places mean more independent trials.
-A leg counts as connected when the place it ends at is, as in the closed loop's own metrics. Results
-are independent draws of a number, with the confidence intervals that their count leaves.
+Neither has a closed form: both depend on the joint law of all places. Packets are sent at the given
+places, where multipath is drawn independently. A leg is connected if the place it ends at is, as in
+the metrics of the closed loop.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from planopt.short_repr import short_repr
 class Interval:
     """An estimate and its 95 % confidence interval."""
 
-    value: float  # The estimate
-    low: float  # Ends of the interval
+    value: float
+    low: float
     high: float
 
 
@@ -55,17 +54,17 @@ class SampledDistribution:
 
     @property
     def count(self) -> int:
-        """Return how many draws."""
+        """Return the number of draws."""
         return len(self.draws)
 
     def mean(self) -> Interval:
-        """The mean, its interval by the central limit theorem."""
+        """Return the mean with its interval by the central limit theorem."""
         value = float(self.draws.mean())
         half = _half_width() * float(self.draws.std(ddof=1)) / math.sqrt(self.count)
         return Interval(value, value - half, value + half)
 
     def quantile(self, share: float) -> Interval:
-        """The value that is not exceeded with probability `share`; the interval by ranks.
+        """Return the value not exceeded with probability `share`; the interval by ranks.
 
         Raises
         ------
@@ -80,13 +79,13 @@ class SampledDistribution:
         return Interval(value, low, high)
 
     def exceedance(self, limit: float) -> Interval:
-        """P(more than `limit`), with Clopper and Pearson's interval, which holds at any count."""
+        """Return P(more than `limit`) with Clopper and Pearson's interval."""
         above = float((self.draws > limit).sum())
         return Interval(above / self.count, *binomial_interval(above, self.count))
 
 
 def _half_width() -> float:
-    """Return half the width of an interval of a normal law, in its standard deviations."""
+    """Return half the width of a normal confidence interval in standard deviations."""
     return bound_quantile(0.5 + 0.5 * CONFIDENCE)
 
 
@@ -99,16 +98,16 @@ class Traffic:
     link_bps
         Rate while connected, above 0.
     waiting_bits
-        In the buffer at the start.
+        Initial content of the buffer.
     source_bps
-        Rate at which more arrives.
+        Arrival rate of new data.
     buffer_bits
-        What the buffer holds; what arrives beyond is lost.
+        Capacity of the buffer; arrivals beyond it are lost.
 
     Raises
     ------
     InputError
-        A number is negative or NaN, or more waits than the buffer holds.
+        A number is negative or NaN, or `waiting_bits` exceeds the buffer.
     """
 
     link_bps: float
@@ -137,37 +136,16 @@ class Traffic:
             )
 
 
-def sent_and_lost(
-    durations_s: NDArray[np.float64], connected: NDArray[np.bool_], traffic: Traffic
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Bits delivered, lost, and left in the buffer, exactly for a fluid; three of ``(count,)``.
-
-    On a leg the rates are constant, so the buffer either fills or empties all along: only the
-    leg's end must be looked at.
-    """
-    # Shapes: durations_s (h - 1,); connected (count, h).
-    waiting = np.full(len(connected), traffic.waiting_bits)
-    delivered = np.zeros(len(connected))
-    lost = np.zeros(len(connected))
-    for duration, now in zip(durations_s, connected[:, 1:].T, strict=True):
-        offered = waiting + traffic.source_bps * duration
-        sent = np.where(now, np.minimum(traffic.link_bps * duration, offered), 0.0)
-        waiting = np.minimum(offered - sent, traffic.buffer_bits)
-        delivered += sent
-        lost += offered - sent - waiting
-    return delivered, lost, waiting
-
-
 @dataclass(frozen=True, eq=False)
 class LongestOutage:
-    """The longest stretch without connection; draw k of both is the same drive.
+    """The longest stretch without connection; draw k of both belongs to the same channel.
 
     Attributes
     ----------
     metres
-        Its length; the longest by length.
+        Length of the stretch that is longest by length.
     seconds
-        Its duration; the longest by duration.
+        Duration of the stretch that is longest by duration.
     """
 
     metres: SampledDistribution
@@ -178,7 +156,7 @@ class LongestOutage:
 
 @dataclass(frozen=True, eq=False)
 class DeliveredData:
-    """The data delivered by the deadline; draw k of all arrays is the same drive.
+    """The data delivered by the deadline; draw k of all arrays belongs to the same channel.
 
     Attributes
     ----------
@@ -205,27 +183,27 @@ def longest_outage(
     count: int,
     generator: np.random.Generator,
 ) -> LongestOutage:
-    """Distribution of the longest outage along a path, given the measurements.
+    """Return the distribution of the longest outage along a path.
 
     Parameters
     ----------
     posterior
-        The channel given measurements.
+        The channel conditional on measurements.
     positions_m
         ``(h, 2)`` metres, h >= 2, where packets are sent; the robot starts at the first.
     times_s
-        ``(h,)`` when it is there, increasing.
+        ``(h,)`` times at these positions, increasing.
     threshold_dbm
-        Power from which on a place is connected.
+        Least power of a connection.
     count
-        Drives to draw, at least 2.
+        Number of channels to draw, at least 2.
     generator
         Source of randomness.
 
     Raises
     ------
     InputError
-        An argument cannot be used.
+        An argument is invalid.
     """
     places, times = _path(positions_m, times_s)
     connected = _connected(posterior, places, threshold_dbm, count, generator)
@@ -245,7 +223,7 @@ def delivered_data(
     count: int,
     generator: np.random.Generator,
 ) -> DeliveredData:
-    """Distribution of the data delivered by a deadline along a path, given the measurements.
+    """Return the distribution of the data delivered by a deadline along a path.
 
     Parameters
     ----------
@@ -254,12 +232,12 @@ def delivered_data(
     traffic
         Rates and buffer.
     deadline_s
-        On the clock of `times_s`, not before its first and not after its last.
+        On the clock of `times_s`, between its first and last.
 
     Raises
     ------
     InputError
-        An argument cannot be used.
+        An argument is invalid.
     """
     places, times = _path(positions_m, times_s)
     if not times[0] <= deadline_s <= times[-1]:
@@ -277,10 +255,10 @@ def delivered_data(
 
 
 def longest_runs(
-    leg_sizes: NDArray[np.float64], connected: NDArray[np.bool_]
+    leg_sizes: NDArray[np.float64],  # (h - 1,)
+    connected: NDArray[np.bool_],  # (count, h)
 ) -> NDArray[np.float64]:
-    """The greatest sum of `leg_sizes` over successive legs that end disconnected; ``(count,)``."""
-    # Shapes: leg_sizes (h - 1,); connected (count, h).
+    """Return the greatest sum of `leg_sizes` over successive disconnected legs; ``(count,)``."""
     current = np.zeros(len(connected))
     longest = np.zeros(len(connected))
     for size, now in zip(leg_sizes, connected[:, 1:].T, strict=True):
@@ -289,10 +267,31 @@ def longest_runs(
     return longest
 
 
+def sent_and_lost(
+    durations_s: NDArray[np.float64],  # (h - 1,)
+    connected: NDArray[np.bool_],  # (count, h)
+    traffic: Traffic,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return bits delivered, lost, and left in the buffer, exact for a fluid; each ``(count,)``.
+
+    Rates are constant on a leg, so the buffer fills or empties monotonically.
+    """
+    waiting = np.full(len(connected), traffic.waiting_bits)
+    delivered = np.zeros(len(connected))
+    lost = np.zeros(len(connected))
+    for duration, now in zip(durations_s, connected[:, 1:].T, strict=True):
+        offered = waiting + traffic.source_bps * duration
+        sent = np.where(now, np.minimum(traffic.link_bps * duration, offered), 0.0)
+        waiting = np.minimum(offered - sent, traffic.buffer_bits)
+        delivered += sent
+        lost += offered - sent - waiting
+    return delivered, lost, waiting
+
+
 def _path(
     positions_m: ArrayLike, times_s: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places and times that belong together."""
+    """Return validated positions and times."""
     places = require_places(positions_m, 2)
     times = np.asarray(times_s, dtype=np.float64)
     if times.shape != (len(places),):
@@ -315,6 +314,6 @@ def _connected(
     count: int,
     generator: np.random.Generator,
 ) -> NDArray[np.bool_]:
-    """Drawn connections; (count, h)."""
+    """Draw connections at places (h, 2); ``(count, h)``."""
     threshold = require_finite(threshold_dbm, "threshold_dbm")
     return sample_power(posterior, places_m, count, generator) >= threshold

@@ -1,18 +1,8 @@
-"""P(connected at every place of a path): exact, and bounds with what makes them valid.
+"""Connectivity along whole paths: P(connected at every place), and the first connection.
 
-The places' powers belong together, so the product of the single probabilities is not the joint
-one, and is a bound only under a condition that is checked here.
-
-The normal distribution of two variables, for arrays of pairs, by Owen's T function.
-
-P(X_1 <= u_1, ..., X_k <= u_k) for every k at once, X Gaussian.
-
-Genz's separation of variables: given the earlier ones, each variable is drawn below its bound,
-and the product of the conditional probabilities so far is an unbiased estimate of the joint one.
-The products on the way are the prefixes, which is what a first passage needs. Randomly shifted
-lattices give the samples: several of them, so that their scatter tells the error.
-
-The distance that a robot drives until it is connected, along a given path (equation 3.10).
+The powers along a path are correlated, so the product of the single probabilities is not the joint
+probability; it is a lower bound only under a condition that is checked here. Exact values come from
+Genz's separation of variables for the multivariate normal distribution.
 """
 
 from __future__ import annotations
@@ -21,7 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import log_ndtr, ndtr, ndtri_exp, owens_t  # pyright: ignore[reportUnknownVariableType]  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
+    log_ndtr,
+    ndtr,  # pyright: ignore[reportUnknownVariableType]
+    ndtri_exp,
+    owens_t,
+)
 
 from planopt.channel.cholesky import semidefinite_factor
 from planopt.channel.joint import JointPrediction, joint_prediction
@@ -32,40 +27,50 @@ from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
 FAR_SCORE = 40.0
-"""Scores are not taken further out: the normal tail there is below the smallest float."""
+"""Limit of scores: the normal tail beyond is below the smallest float."""
 
 VANISHING = 1e-200
-"""Smaller scores count as zero: their products would, and quotients of those are no numbers."""
+"""Smaller scores count as zero, because their products underflow."""
+
+SHIFTS = 12
+"""Independent random shifts of the lattice; their scatter is the error estimate."""
+
+FIRST_POINTS, LAST_POINTS = 2**9, 2**15
+"""Points of the lattice, doubled from the first number to the last until accurate enough."""
+
+FAR = 1e8
+"""Limit of scores whose squares must not overflow."""
+
+ERRORS = 3.0
+"""An error is this many standard errors over the shifts."""
 
 
 def bivariate_normal_cdf(
     first: NDArray[np.float64], second: NDArray[np.float64], correlation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """P(X <= first, Y <= second) for standard normal X, Y of the given correlation.
+    """Return P(X <= first, Y <= second) of correlated standard normal X, Y by Owen's T function.
 
-    Exact to rounding, about 1e-15 (D. B. Owen, Tables for computing bivariate normal
-    probabilities, 1956). Arguments broadcast; infinite scores and correlations of 1 and -1 are
-    taken as what they are.
+    Exact to rounding (D. B. Owen, Tables for computing bivariate normal probabilities, 1956).
+    Arguments broadcast; infinite scores and correlations of 1 and -1 are valid.
     """
     h, k, rho = np.broadcast_arrays(_score(first), _score(second), np.clip(correlation, -1.0, 1.0))
     narrow = np.sqrt((1.0 - rho) * (1.0 + rho))
-    crossing = (h < 0.0) != (k < 0.0)
+    lower, upper = _array(ndtr(h)), _array(ndtr(k))
     found = (
-        0.5 * (_array(ndtr(h)) + _array(ndtr(k)))
+        0.5 * (lower + upper)
         - _owen(h, k - rho * h, narrow)
         - _owen(k, h - rho * k, narrow)
-        - 0.5 * crossing
+        - 0.5 * ((h < 0.0) != (k < 0.0))
     )
     # Two zero scores leave Owen's slopes 0 / 0.
     found = np.where((h == 0.0) & (k == 0.0), 0.25 + np.arcsin(rho) / (2.0 * np.pi), found)
-    lower, upper = _array(ndtr(h)), _array(ndtr(k))
     found = np.where(rho >= 1.0, np.minimum(lower, upper), found)
     found = np.where(rho <= -1.0, lower + upper - 1.0, found)
     return np.clip(found, np.maximum(0.0, lower + upper - 1.0), np.minimum(lower, upper))
 
 
 def _score(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scores that quotients can be made of."""
+    """Return scores whose quotients are finite."""
     scores = np.clip(_array(values), -FAR_SCORE, FAR_SCORE)
     return np.where(np.abs(scores) < VANISHING, 0.0, scores)
 
@@ -73,8 +78,8 @@ def _score(values: NDArray[np.float64]) -> NDArray[np.float64]:
 def _owen(
     score: NDArray[np.float64], across: NDArray[np.float64], narrow: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Owen's T(score, across / (score narrow)); a zero score makes the slope infinite."""
-    # Zero is added so that a score of -0 is one of 0. What is 0 / 0 here the caller replaces.
+    """Return Owen's T(score, across / (score narrow)); a zero score makes the slope infinite."""
+    # Adding zero turns a score of -0 into 0. The caller replaces what is 0 / 0 here.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         slope = across / (score * narrow + 0.0)
     return _array(owens_t(score, slope))
@@ -82,20 +87,6 @@ def _owen(
 
 def _array(values: object) -> NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64)
-
-
-SHIFTS = 12
-"""Independent random shifts of the lattice; their scatter is the error estimate."""
-
-FIRST_POINTS = 2**9
-LAST_POINTS = 2**15
-"""Points of the lattice, doubled from the first number to the last until accurate enough."""
-
-FAR = 1e8
-"""Scores are not taken further out: the logarithm of the normal tail must be squared safely."""
-
-ERRORS = 3.0
-"""An error is this many standard errors over the shifts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +103,11 @@ def prefix_probabilities(
     generator: np.random.Generator,
     tolerance: float = 1e-4,
 ) -> PrefixProbabilities:
-    """P(X_1 <= u_1, ..., X_k <= u_k), k = 1 .. h, for X ~ N(0, `covariance`).
+    """Return P(X_1 <= u_1, ..., X_k <= u_k), k = 1 .. h, for X ~ N(0, `covariance`).
 
-    A. Genz, Numerical computation of multivariate normal probabilities, 1992, with baker's
-    transformed Richtmyer lattices.
+    A. Genz, Numerical computation of multivariate normal probabilities, 1992, with randomly shifted
+    Richtmyer lattices and the baker's transformation. Each variable is drawn below its bound given
+    the earlier ones; the products of the conditional probabilities estimate all prefixes at once.
     """
     if not tolerance > 0.0:
         raise InputError(f"{tolerance!r} is not positive", key="tolerance")
@@ -128,32 +120,25 @@ def prefix_probabilities(
         multiples = np.arange(points, dtype=np.float64)[:, None] * direction
         # Reduced before the shift, so that large multiples keep their digits.
         lattice = _array(multiples - np.floor(multiples))
-        runs = np.stack(
-            [
-                _products(bound, lower, _shifted(lattice, generator.random(len(direction))))
-                for _ in range(SHIFTS)
-            ]
-        )
+        runs = np.empty((SHIFTS, len(bound)))
+        for run in runs:
+            moved = lattice + generator.random(len(direction))
+            folded = np.abs(2.0 * (moved - np.floor(moved)) - 1.0)
+            run[:] = _products(bound, lower, folded)
         error = ERRORS * runs.std(axis=0, ddof=1) / np.sqrt(SHIFTS)
-        # The first is the same in every run and exact; rounding alone makes its scatter.
+        # The first value is exact: its scatter is rounding alone.
         error[0] = 0.0
         if error.max() <= tolerance or points == LAST_POINTS:
             return PrefixProbabilities(runs.mean(axis=0), error)
         points *= 2
 
 
-def _shifted(lattice: NDArray[np.float64], shift: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shift modulo one, then fold: the baker's transformation makes the integrand periodic."""
-    moved = lattice + shift
-    return np.abs(2.0 * (moved - np.floor(moved)) - 1.0)
-
-
 def _products(
     bound: NDArray[np.float64], lower: NDArray[np.float64], uniform: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Mean over samples of the product of conditional probabilities up to each k; (h,).
+    """Average over samples the product of conditional probabilities up to each k; (h,).
 
-    In logarithms, so that improbable prefixes do not underflow on the way.
+    Products are kept as logarithms, so that improbable prefixes do not underflow.
     """
     samples, count = len(uniform), len(bound)
     drawn = np.zeros((samples, count))
@@ -161,13 +146,12 @@ def _products(
     mean = np.empty(count)
     for k in range(count):
         room = bound[k] - drawn[:, :k] @ lower[k, :k]
-        # What earlier values determine is inside or not, and needs no draw.
         spread = lower[k, k]
-        log_inside = (
-            _array(log_ndtr(np.clip(room / spread, -FAR, FAR)))
-            if spread > 0.0
-            else np.where(room >= 0.0, 0.0, -np.inf)
-        )
+        if spread > 0.0:
+            log_inside = _array(log_ndtr(np.clip(room / spread, -FAR, FAR)))
+        else:
+            # Earlier values determine this one: it is inside or not, and needs no draw.
+            log_inside = np.where(room >= 0.0, 0.0, -np.inf)
         log_product += log_inside
         mean[k] = np.exp(log_product).mean()
         if spread > 0.0 and k + 1 < count:
@@ -177,7 +161,7 @@ def _products(
 
 
 def _primes(count: int) -> NDArray[np.float64]:
-    """The first `count` primes, by trial division."""
+    """Return the first `count` primes, by trial division."""
     found: list[int] = []
     candidate = 2
     while len(found) < count:
@@ -189,12 +173,12 @@ def _primes(count: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Bound:
-    """A bound on a probability, or why there is none.
+    """A bound on a probability, or the reason why there is none.
 
     Attributes
     ----------
     value
-        None where the bound is not proven for this case.
+        None if the bound is not proven for this case.
     reason
         Why it holds, or why it does not.
     """
@@ -210,9 +194,9 @@ class Bound:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and how far it may be off."""
+    """A number and its error."""
 
-    value: float  # The estimate
+    value: float
     error: float  # Three standard errors
 
 
@@ -225,13 +209,13 @@ class JointConnectivity:
     at_each
         ``(h,)`` p_i, the probability at each place alone.
     exact
-        By the multivariate normal distribution; None where it was not asked for.
+        By the multivariate normal distribution; None if not required.
     boole
         Lower bound 1 - sum (1 - p_i), at least 0.
     hunter
         Lower bound: Boole's plus P(out at both) over the edges of a maximum spanning tree.
     product
-        Lower bound prod p_i, where no two places are negatively correlated.
+        Lower bound prod p_i, valid if no two places are negatively correlated.
     corrected_product
         Lower bound: the product less what the negatively correlated pairs can cost.
     upper
@@ -263,49 +247,64 @@ def joint_connectivity(
 ) -> JointConnectivity:
     """Return P(power >= threshold at all places) and bounds (equations 3.6 to 3.8).
 
-    With the exact value for reports, without for constraints: the bounds cost O(h^2).
+    Reports need the exact value; for constraints the bounds alone cost O(h^2).
 
     Parameters
     ----------
     prediction
         From :func:`planopt.channel.joint.joint_prediction`.
     threshold_dbm
-        Power from which on a place is connected.
+        Least power of a connection.
     generator
-        Source of randomness of the exact value, which is left out without one.
+        Source of randomness of the exact value; None: bounds only.
     tolerance
-        Accuracy that the exact value tries to reach; the one reached is in the result.
+        Required accuracy of the exact value; the result has the accuracy reached.
 
     Raises
     ------
     InputError
-        The threshold is not finite, or the covariance is none.
+        The threshold is not finite, or the covariance is invalid.
     """
     above = prediction.mean_db - require_finite(threshold_dbm, "threshold_dbm")
-    deviation = prediction.deviation_db
+    deviation, covariance = prediction.deviation_db, prediction.covariance_db2
     at_each = connection_probability(prediction.mean_db, deviation, threshold_dbm)
-    out = 1.0 - at_each
     exact = None
     if generator is not None:
         # An orthant by symmetry: P(X >= -above) = P(X <= above) for X of mean zero.
-        found = prefix_probabilities(above, prediction.covariance_db2, generator, tolerance)
+        found = prefix_probabilities(above, covariance, generator, tolerance)
         exact = Estimate(float(found.probability[-1]), float(found.error[-1]))
-    boole = 1.0 - float(out.sum())
-    both_out = _both_out(above, prediction.covariance_db2)
+    out = 1.0 - at_each
+    both_out = _both_out(above, deviation, covariance)
+    boole, product = 1.0 - float(out.sum()), float(at_each.prod())
+    negative = np.triu(covariance, 1) < 0.0
+    if negative.any():
+        slepian = Bound(
+            None,
+            f"not valid: {int(negative.sum())} pairs of places are negatively correlated, the "
+            f"covariance going down to {covariance.min():.3g} dB^2; Hunter's bound holds",
+        )
+    else:
+        slepian = Bound(product, "valid: no two places are negatively correlated (Slepian)")
+    # Let all correlations grow from 0 in proportion. By Plackett's identity the probability changes
+    # with each at a rate from 0 to the bivariate density, whose integral is P(both out) - q_i q_j
+    # with q = 1 - p; positive correlations can be left out.
+    cost = float(np.maximum((np.outer(out, out) - both_out)[negative], 0.0).sum())
     return JointConnectivity(
         at_each,
         exact,
         Bound(max(0.0, boole), "always valid"),
         Bound(max(0.0, boole + spanning_tree_weight(both_out)), "always valid"),
-        _product_bound(at_each, prediction.covariance_db2),
-        _corrected_product(at_each, both_out, prediction.covariance_db2),
+        slepian,
+        Bound(
+            max(0.0, product - cost),
+            f"always valid: {cost:.3g} taken off for negatively correlated pairs (Plackett)",
+        ),
         Bound(float(at_each.min()), "always valid"),
     )
 
 
 def spanning_tree_weight(weight: NDArray[np.float64]) -> float:
-    """Total weight of a maximum spanning tree of the complete graph (Prim's algorithm)."""
-    # Shapes: weight (h, h).
+    """Return the total weight (h, h) of a maximum spanning tree (Prim's algorithm)."""
     outside = np.ones(len(weight), dtype=bool)
     outside[0] = False
     best = weight[0].copy()
@@ -319,53 +318,21 @@ def spanning_tree_weight(weight: NDArray[np.float64]) -> float:
 
 
 def _both_out(
-    above_db: NDArray[np.float64], covariance_db2: NDArray[np.float64]
+    above_db: NDArray[np.float64],
+    deviation_db: NDArray[np.float64],
+    covariance_db2: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """P(out at i and at j) for every pair; (h, h)."""
-    deviation = np.sqrt(np.diag(covariance_db2))
+    """Return P(not connected at i and at j) for every pair; (h, h)."""
     certain = np.where(above_db >= 0.0, -np.inf, np.inf)
-    score = np.divide(-above_db, deviation, out=certain, where=deviation > 0.0)
-    scale = np.outer(deviation, deviation)
+    score = np.divide(-above_db, deviation_db, out=certain, where=deviation_db > 0.0)
+    scale = np.outer(deviation_db, deviation_db)
     correlation = np.divide(covariance_db2, scale, out=np.zeros_like(scale), where=scale > 0.0)
     return bivariate_normal_cdf(score[:, None], score[None, :], correlation)
 
 
-def _product_bound(at_each: NDArray[np.float64], covariance_db2: NDArray[np.float64]) -> Bound:
-    """The product of the single probabilities, by Slepian's inequality."""
-    negative = int((np.triu(covariance_db2, 1) < 0.0).sum())
-    if negative:
-        return Bound(
-            None,
-            f"not valid: {negative} pairs of places are negatively correlated, the covariance "
-            f"going down to {covariance_db2.min():.3g} dB^2; Hunter's bound holds",
-        )
-    return Bound(float(at_each.prod()), "valid: no two places are negatively correlated (Slepian)")
-
-
-def _corrected_product(
-    at_each: NDArray[np.float64],
-    both_out: NDArray[np.float64],
-    covariance_db2: NDArray[np.float64],
-) -> Bound:
-    """Product less, over negatively correlated pairs, the sum of q_i q_j - P(both out), q = 1 - p.
-
-    Let all correlations grow from 0 to their values in proportion. By Plackett's identity the joint
-    probability changes with each at a rate from 0 to the bivariate density at the two bounds, whose
-    integral is P(both out) - q_i q_j; the positive ones can be left out.
-    """
-    out = 1.0 - at_each
-    missing = np.outer(out, out) - both_out
-    negative = np.triu(covariance_db2, 1) < 0.0
-    cost = float(np.maximum(missing[negative], 0.0).sum())
-    return Bound(
-        max(0.0, float(at_each.prod()) - cost),
-        f"always valid: {cost:.3g} taken off for negatively correlated pairs (Plackett)",
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class FirstPassage:
-    """The first connection along a path q_0 .. q_h; the robot stands at q_0.
+    """The first connection along a path q_0 .. q_h of a robot that starts at q_0.
 
     Attributes
     ----------
@@ -390,12 +357,12 @@ class FirstPassage:
 
     @property
     def expected_distance_m(self) -> float:
-        """E[D] = sum_k leg_{k+1} pi_k: driven until connected, or to the path's end."""
+        """E[D] = sum_k leg_{k+1} pi_k: distance until connected, or to the path's end."""
         return float(np.diff(self.travelled_m) @ self.not_connected[:-1])
 
     @property
     def expected_distance_error_m(self) -> float:
-        """Error of :attr:`expected_distance_m` if those of pi_k all went one way."""
+        """Error of :attr:`expected_distance_m` if the errors of pi_k all have one sign."""
         return float(np.diff(self.travelled_m) @ self.not_connected_error[:-1])
 
 
@@ -408,36 +375,35 @@ def first_passage(
     disconnected_now: bool = False,
     tolerance: float = 1e-4,
 ) -> FirstPassage:
-    """Return the law of the first connection along a path, given measurements (equation 3.10).
+    """Return the distribution of the first connection along a path (equation 3.10).
 
-    pi_k = P(power < threshold at q_1 .. q_k) by the multivariate normal distribution. Chances at
-    the places are not taken as independent, which would promise too much.
+    pi_k = P(power < threshold at q_1 .. q_k) by the multivariate normal distribution. Independent
+    places would promise too much.
 
     Parameters
     ----------
     posterior
-        The channel given measurements.
+        The channel conditional on measurements.
     positions_m
-        ``(h + 1, 2)`` metres, h >= 1, where the robot stands first.
+        ``(h + 1, 2)`` metres, h >= 1; the robot starts at the first.
     threshold_dbm
-        Power from which on a place is connected.
+        Least power of a connection.
     generator
         Source of randomness of the integration.
     disconnected_now
-        Condition on no connection at the first place too. False where that is already among the
-        measurements, or where the first place does not matter.
+        Condition on no connection at the first place too. False if the measurements already say
+        so, or if the first place does not matter.
     tolerance
-        Accuracy of pi_k that is tried for; the one reached is in the result.
+        Required accuracy of pi_k; the result has the accuracy reached.
 
     Raises
     ------
     InputError
-        `positions_m` is no path, the threshold is not finite, or `disconnected_now` is
+        `positions_m` is not a path, the threshold is not finite, or `disconnected_now` is
         impossible.
     """
     places = require_places(positions_m, 2)
-    asked = places if disconnected_now else places[1:]
-    prediction = joint_prediction(posterior, asked)
+    prediction = joint_prediction(posterior, places if disconnected_now else places[1:])
     below = require_finite(threshold_dbm, "threshold_dbm") - prediction.mean_db
     found = prefix_probabilities(below, prediction.covariance_db2, generator, tolerance)
     probability, error = found.probability, found.error

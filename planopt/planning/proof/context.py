@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity_law import ConnectivityLaw, StationsLaw, UncertainParameters
+from planopt.channel.connectivity_law import ConnectivityLaw, UncertainParameters
 from planopt.channel.kriging import predict
 from planopt.channel.local_channel import NEIGHBOURS_BEYOND, predict_nearby
 from planopt.channel.parameter_uncertainty import marginalise
@@ -65,10 +65,10 @@ def search_power(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) 
     return predict_nearby(posterior, positions_m, SEARCH_NEIGHBOURS)
 
 
-def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> StationsLaw:
+def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> ConnectivityLaw:
     """Return the law of a connection to any station."""
     thresholds = tuple(radio.threshold_dbm for radio in problem.stations)
-    return StationsLaw(tuple(posteriors), thresholds, problem.constraints.p_min)
+    return ConnectivityLaw(tuple(posteriors), thresholds, problem.constraints.p_min)
 
 
 def uncertain_law(

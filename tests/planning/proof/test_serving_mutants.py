@@ -16,7 +16,7 @@ import pytest
 import test_serving
 from test_rules_mutants import source_of
 
-from planopt.channel.connectivity_law import StationsLaw
+from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.planning.proof.rule import PathCase, Rule
 
 LAW, CONTEXT = "planopt.channel.connectivity_law", "planopt.planning.proof.context"
@@ -89,7 +89,7 @@ def test_mutant_is_found_out(mutant: tuple[str, str, str], monkeypatch: pytest.M
             same = getattr(value, "__module__", None) == module
             # Classes stay, but for those that nothing is derived from.
             stays = isinstance(value, type) and (
-                value is Rule or not issubclass(value, PathCase | Rule | StationsLaw)
+                value is Rule or not issubclass(value, PathCase | Rule | ConnectivityLaw)
             )
             if callable(value) and same and not stays:
                 monkeypatch.setattr(user, name, getattr(changed, name))

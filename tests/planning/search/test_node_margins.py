@@ -6,7 +6,7 @@ import shapely
 from scenes import small_road_map
 from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.channel.connectivity_law import StationsLaw
+from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
@@ -47,14 +47,14 @@ def margins(road_map):
 def test_few_measurements_make_the_map_exact(road_map, margins):
     """Where a tile takes every measurement there is, all nodes have the exact margin."""
     posterior = condition(PARAMETERS, data(20))
-    margins.refresh(StationsLaw((posterior,), (0.0,), 0.5))
+    margins.refresh(ConnectivityLaw((posterior,), (0.0,), 0.5))
     np.testing.assert_allclose(margins.margin_db, exact(posterior, road_map.nodes_m), atol=1e-8)
 
 
 def test_many_measurements_are_near_and_exact_where_corrected(road_map, margins):
     """The map is off by little; corrected nodes are exact, the others stay as they were."""
     posterior = condition(PARAMETERS, data(200))
-    margins.refresh(StationsLaw((posterior,), (0.0,), 0.5))
+    margins.refresh(ConnectivityLaw((posterior,), (0.0,), 0.5))
     before = margins.margin_db.copy()
     wanted = exact(posterior, road_map.nodes_m)
     assert 0.0 < np.abs(before - wanted).max() < 1.0
@@ -67,7 +67,7 @@ def test_many_measurements_are_near_and_exact_where_corrected(road_map, margins)
 
 def test_correcting_again_tells_that_nothing_is_new(margins):
     """True only while some node was not exact before; no node at all is nothing new."""
-    margins.refresh(StationsLaw((condition(PARAMETERS, data(200)),), (0.0,), 0.5))
+    margins.refresh(ConnectivityLaw((condition(PARAMETERS, data(200)),), (0.0,), 0.5))
     assert margins.correct(np.array([1, 2]))
     assert not margins.correct(np.array([2, 1, 1]))
     assert margins.correct(np.array([1, 3]))
@@ -77,11 +77,11 @@ def test_correcting_again_tells_that_nothing_is_new(margins):
 def test_a_new_belief_forgets_the_corrections(road_map, margins):
     """After a refresh every margin is the new belief's, and exact values count as new again."""
     posterior = condition(PARAMETERS, data(200))
-    margins.refresh(StationsLaw((posterior,), (0.0,), 0.5))
+    margins.refresh(ConnectivityLaw((posterior,), (0.0,), 0.5))
     everyone = np.arange(len(road_map.nodes_m))
     margins.correct(everyone)
     more = extend(posterior, data(3, seed=9))
-    margins.refresh(StationsLaw((more,), (0.0,), 0.5))
+    margins.refresh(ConnectivityLaw((more,), (0.0,), 0.5))
     assert margins.correct(everyone)
     np.testing.assert_allclose(margins.margin_db, exact(more, road_map.nodes_m), atol=1e-9)
 
@@ -89,7 +89,7 @@ def test_a_new_belief_forgets_the_corrections(road_map, margins):
 def test_the_margin_at_a_place_is_exact(margins):
     """Off the lattice too."""
     posterior = condition(PARAMETERS, data(200))
-    margins.refresh(StationsLaw((posterior,), (0.0,), 0.5))
+    margins.refresh(ConnectivityLaw((posterior,), (0.0,), 0.5))
     place = np.array([3.21, 1.234])
     assert margins.at(place[None])[0] == pytest.approx(exact(posterior, place[None])[0], abs=1e-9)
 

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from planopt.channel.connectivity_law import StationsLaw
+from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.local_channel import LocalChannel
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
@@ -34,17 +34,17 @@ def posterior(number: int) -> ChannelPosterior:
 
 
 @pytest.fixture
-def serving() -> StationsLaw:
+def serving() -> ConnectivityLaw:
     """Both stations."""
-    return StationsLaw((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
+    return ConnectivityLaw((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
 
 
-def stages(serving: StationsLaw) -> ServingStages:
+def stages(serving: ConnectivityLaw) -> ServingStages:
     """About the path, from all measurements."""
     return ServingStages(serving.posteriors, serving.thresholds_dbm, serving.combined, PATH, 60)
 
 
-def predicted(serving: StationsLaw, places: np.ndarray) -> Prediction:
+def predicted(serving: ConnectivityLaw, places: np.ndarray) -> Prediction:
     """The law of what each station's own stages predict."""
     each = [
         StagePredictor(LocalChannel.around_each(posterior, PATH, 60))(places)
@@ -99,8 +99,8 @@ def test_derivatives_are_finite_differences(serving, what: str) -> None:
 
 def test_the_order_of_stations_changes_only_the_reference() -> None:
     """Powers are for the first threshold."""
-    both = StationsLaw((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
-    other = StationsLaw((posterior(1), posterior(0)), THRESHOLDS[::-1], P_MIN)
+    both = ConnectivityLaw((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
+    other = ConnectivityLaw((posterior(1), posterior(0)), THRESHOLDS[::-1], P_MIN)
     places = PATH + np.array([-1.1, 0.4])
     one, two = stages(both)(places), stages(other)(places)
     assert two[0].value - THRESHOLDS[1] == pytest.approx(one[0].value - THRESHOLDS[0], abs=1e-7)

@@ -1,13 +1,9 @@
 # pyright: basic
-"""Cholesky factors with types: the boundary to SciPy's linear algebra, which ships none.
+"""Cholesky factors with types: the boundary to LAPACK, which ships none.
 
-One BLAS thread for the many small factorisations of an estimate.
-
-The matrices are too small to gain from threads, and on a machine whose cores are busy OpenBLAS
-spins while its threads wait for each other: a fit of 102 measurements then took 6 s, not 20 ms.
-One thread also makes the result independent of the machine's number of cores.
-
-A Cholesky factor that grows by rows without being copied.
+Estimates take many small factorisations, which gain nothing from BLAS threads: on a busy machine
+waiting threads made a fit of 102 measurements take 6 s instead of 20 ms. :func:`one_blas_thread`
+also makes results independent of the number of cores.
 """
 
 from __future__ import annotations
@@ -30,48 +26,35 @@ from planopt.errors import InputError
 FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
     ("potrf", "potri", "trtri", "trtrs"), dtype=np.float64
 )
-SOLVE, MULTIPLY, SYMMETRIC = get_blas_funcs(("trsm", "trmm", "symm"), dtype=np.float64)
+(SYMMETRIC,) = get_blas_funcs(("symm",), dtype=np.float64)
 
 INVERTED_ROWS = 64
-"""Of more rows the inverse of a factor is made of those of its halves: LAPACK's own took 2.5 times
-as long at 144."""
-
-PUT_ROWS = 64
-"""Rows of a factor that are copied together, up to their diagonal."""
+"""Larger factors are inverted by halves: LAPACK took 2.5 times as long at 144 rows."""
 
 
 def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lower triangular L with L L' = `matrix`, symmetric and positive definite; (n, n)."""
+    """Return lower triangular L with L L' = `matrix`, symmetric and positive definite; (n, n)."""
     return np.tril(_half_factor(matrix, overwrite=False))
 
 
 def whitened_by(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L^-1 `right` (n, m) with the L of :func:`lower_factor`; `matrix` is overwritten."""
+    """Return L^-1 `right` (n, m) with L of :func:`lower_factor`; `matrix` is overwritten."""
     return factor_and_whitened(matrix, right)[1]
 
 
 def factor_and_whitened(
     matrix: NDArray[np.float64], right: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """L (n, n), with numbers left above its diagonal, and L^-1 `right`; `matrix` is overwritten."""
+    """Return L (n, n), undefined above its diagonal, and L^-1 `right`; `matrix` is overwritten."""
     factor = _half_factor(matrix, overwrite=True)
     return factor, solve_lower(factor, right)
 
 
-def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> None:
-    """Write :func:`lower_factor` of `matrix`, which is overwritten, to the zeros `into` (n, n)."""
-    factor = _half_factor(matrix, overwrite=True)
-    for start in range(0, len(into), PUT_ROWS):
-        rows = slice(start, start + PUT_ROWS)
-        into[rows, :start] = factor[rows, :start]
-        into[rows, rows] = np.tril(factor[rows, rows])
-
-
 def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.float64]:
-    """L in C's order, numbers of `matrix` left above its diagonal.
+    """Return L in C order, undefined above its diagonal.
 
-    LAPACK is given the transpose, which is the same matrix and in its own order, and does not clear
-    the other half: at 512 rows these two take as long as the factor.
+    The transpose is the same matrix in LAPACK's order: copying it, and clearing the other half,
+    would take as long as the factor at 512 rows.
     """
     factor, info = FACTOR(matrix.T, lower=False, clean=False, overwrite_a=overwrite)
     if info != 0:
@@ -80,9 +63,9 @@ def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.flo
 
 
 def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L^-1 `right`, for `right` (n,) or (n, m)."""
-    # SciPy's wrapper costs more than the solution of a small system. A factor in C's order is
-    # passed as its transpose, as there, since it would be copied otherwise.
+    """Return L^-1 `right`, for `right` (n,) or (n, m)."""
+    # SciPy's wrapper costs more than solving a small system. A factor in C order is passed as its
+    # transpose, because it would be copied otherwise.
     if not right.size:
         return np.zeros_like(right)
     if lower.flags.f_contiguous:
@@ -90,23 +73,8 @@ def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArr
     return SOLVE_LOWER(lower.T, right, lower=0, trans=1)[0]
 
 
-def solve_rows(lower: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
-    """Replace each of `rows` (m, n) by L^-1 of it, without a copy of them."""
-    # Shapes: lower (n, n); rows (m, n).
-    solved = SOLVE(1.0, lower, rows.T, lower=1, overwrite_b=1)
-    if not np.shares_memory(solved, rows):
-        raise AssertionError("rows in C's order are solved in place")
-
-
-def multiply_rows(lower: NDArray[np.float64], rows: NDArray[np.float64]) -> None:
-    """Replace each of `rows` (m, n) by L times it; `lower` and `rows` as in :func:`solve_rows`."""
-    product = MULTIPLY(1.0, lower, rows.T, lower=1, overwrite_b=1)
-    if not np.shares_memory(product, rows):
-        raise AssertionError("rows in C's order are multiplied in place")
-
-
 def lower_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L^-1, lower triangular, in Fortran's order; (n, n)."""
+    """Return L^-1, lower triangular, in Fortran order; (n, n)."""
     inverted, info = INVERT_LOWER(lower, lower=1)
     if info != 0:
         raise AssertionError("a Cholesky factor has no zero on its diagonal")
@@ -116,10 +84,7 @@ def lower_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
 def factor_and_inverse(
     matrix: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The diagonal of L and L^-1, L as of :func:`lower_factor`; (n,) and (n, n).
-
-    Fast for some hundred rows.
-    """
+    """Return the diagonal of L (n,) and L^-1 (n, n); fast for some hundred rows."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
@@ -138,12 +103,12 @@ def _halved_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def solve_upper(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L'^-1 `right`, for `right` (n,) or (n, m)."""
+    """Return L'^-1 `right`, for `right` (n,) or (n, m)."""
     return solve_triangular(lower, right, lower=True, trans=1, check_finite=False)
 
 
 def half_inverse(matrix: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-    """Log |matrix|, and the upper half of its inverse with zeros below; `matrix` is overwritten."""
+    """Return log |matrix| and the upper half of its inverse; `matrix` is overwritten."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True, overwrite_a=True)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
@@ -155,32 +120,31 @@ def half_inverse(matrix: NDArray[np.float64]) -> tuple[float, NDArray[np.float64
 def symmetric_product(
     half: NDArray[np.float64], columns: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Product of a symmetric matrix, of which `half` is the upper half, and `columns` (n, m)."""
+    """Return the product of a symmetric matrix with upper half `half` and `columns` (n, m)."""
     return SYMMETRIC(1.0, half.T, columns, lower=1)
 
 
 def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(L L')^-1, symmetric; (n, n)."""
+    """Return (L L')^-1, symmetric; (n, n)."""
     if not len(lower):
-        # LAPACK complains of nothing on the terminal.
+        # LAPACK prints a complaint about an empty matrix.
         return np.zeros_like(lower)
     half, _ = INVERT(lower, lower=True)
     return half + np.tril(half, -1).T
 
 
 def log_determinant(lower: NDArray[np.float64]) -> float:
-    """The logarithm of |L L'|."""
+    """Return log |L L'|."""
     return 2.0 * float(np.log(np.diag(lower)).sum())
 
 
 DETERMINED = 1e-10
-"""A value counts as determined by earlier ones while its variance given them is below this share
-of the largest variance: far above rounding, far below any variance of interest."""
+"""A value is determined by earlier ones if its conditional variance is below this share of the
+largest variance."""
 
 
 def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lower triangular L with L L' = `covariance`; columns of determined values are zero."""
-    # Shapes: covariance (h, h).
+    """Return lower triangular L with L L' = `covariance`; columns of determined values are zero."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -191,7 +155,7 @@ def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         rest = covariance[column:, column] - lower[column:, :column] @ lower[column, :column]
         if rest[0] > DETERMINED * scale:
             lower[column:, column] = rest / np.sqrt(rest[0])
-    # What a determined value leaves undone is at most the root of its own remaining variance.
+    # The neglected part of a determined value is at most the root of its remaining variance.
     if not np.abs(lower @ lower.T - covariance).max() <= 2.0 * np.sqrt(DETERMINED) * abs(scale):
         raise InputError(
             "the matrix is not a covariance: it is not positive semidefinite", key="covariance_db2"
@@ -208,17 +172,16 @@ def one_blas_thread() -> Generator[None]:
 
 @cache
 def _controller() -> ThreadpoolController:
-    """Finding the loaded libraries takes milliseconds, so once is enough."""
+    """Find the loaded libraries once, because that takes milliseconds."""
     return ThreadpoolController()
 
 
 SOLVE_BLOCK = 136
-"""Rows of powers of two meet in a few lines of the processor's cache: 256 took up to twice as
-long."""
+"""Rows solved together; powers of two are slower because of cache conflicts."""
 
 
 def unwhiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L'^-1 `columns` (n, m), by blocks as :func:`whiten`; after it, U^-1 of what was whitened."""
+    """Return L'^-1 `columns` (n, m), by blocks as :func:`whiten`."""
     solved = np.array(columns, dtype=np.float64)
     for start in range((len(lower) - 1) // SOLVE_BLOCK * SOLVE_BLOCK, -1, -SOLVE_BLOCK):
         rows, below = slice(start, start + SOLVE_BLOCK), slice(start + SOLVE_BLOCK, None)
@@ -228,7 +191,7 @@ def unwhiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArra
 
 
 def whiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """L^-1 `columns` (n, m), by blocks, because LAPACK would copy a view of a larger buffer."""
+    """Return L^-1 `columns` (n, m), by blocks, because LAPACK would copy a view of a buffer."""
     solved = np.array(columns, dtype=np.float64)
     for start in range(0, len(lower), SOLVE_BLOCK):
         rows = slice(start, start + SOLVE_BLOCK)

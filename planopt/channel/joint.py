@@ -1,7 +1,7 @@
-"""Power at many places at once: joint mean and covariance, samples, and further readings.
+"""Joint prediction of power at several places: mean, covariance, samples, and further readings.
 
-Along a path the errors of the prediction belong together; whoever asks for more than one place
-at a time (all connected, none connected, longest outage) needs their covariance.
+Errors of a prediction are correlated along a path, so that joint events (all connected, none
+connected, longest outage) need their covariance.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class JointPrediction:
     Raises
     ------
     InputError
-        There is no place, shapes do not agree, or a number is not finite.
+        There is no place, shapes differ, or a number is not finite.
     """
 
     mean_db: NDArray[np.float64]
@@ -62,14 +62,14 @@ class JointPrediction:
 
     @property
     def deviation_db(self) -> NDArray[np.float64]:
-        """``(h,)`` deviation at each place."""
+        """``(h,)`` standard deviation at each place."""
         return np.sqrt(np.diag(self.covariance_db2))
 
 
 def joint_prediction(
     posterior: ChannelPosterior, positions_m: ArrayLike, *, latent: bool = False
 ) -> JointPrediction:
-    """Mean and covariance of the powers at `positions_m`, from all measurements.
+    """Return mean and covariance of the powers at `positions_m`, from all measurements.
 
     mu, and S + B M B' with S = K + omega^2 I - Phi' U^-1 Phi and B = Gamma_h - Phi' U^-1 Gamma
     (equations 1.11 and 1.12; M is zero where theta is known). The diagonal is what
@@ -78,16 +78,16 @@ def joint_prediction(
     Parameters
     ----------
     posterior
-        The channel given measurements.
+        The channel conditional on measurements.
     positions_m
-        ``(h, 2)`` metres. Multipath is drawn anew for each, also where a place repeats.
+        ``(h, 2)`` metres. Multipath is independent, even at a repeated place.
     latent
-        Leave multipath out: path loss and shadowing alone.
+        Path loss and shadowing without multipath.
 
     Raises
     ------
     InputError
-        `positions_m` is no path.
+        `positions_m` is not a path.
     """
     terms = joint_terms(posterior, require_places(positions_m))
     covariance = terms.latent_db2
@@ -109,12 +109,12 @@ class JointTerms:
 
 
 def joint_terms(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> JointTerms:
-    """The terms at `places_m` (h, 2); whitening their covariances is all that takes time."""
+    """Return the terms at `places_m` (h, 2)."""
     parameters = posterior.parameters
     across = whiten(posterior.factor, posterior.covariance_with_db2(places_m))
     covariance = shadow_covariance_db2(places_m, places_m, parameters) - across.T @ across
     own = np.diag_indices_from(covariance)
-    # Rounding alone can make the latent variance negative, at a place that is known exactly.
+    # Rounding can make the latent variance negative at a place that is known exactly.
     covariance[own] = np.maximum(covariance[own], 0.0)
     return JointTerms(
         across.T @ posterior.whitened_values,
@@ -131,25 +131,25 @@ def sample_power(
     *,
     latent: bool = False,
 ) -> NDArray[np.float64]:
-    """Powers at `positions_m` drawn given the measurements, dBm; ``(count, h)``.
+    """Draw powers at `positions_m` from the posterior, dBm; ``(count, h)``.
 
     Parameters
     ----------
     posterior
-        The channel given measurements.
+        The channel conditional on measurements.
     positions_m
         ``(h, 2)`` metres.
     count
-        How many draws.
+        Number of draws.
     generator
         Source of randomness.
     latent
-        Leave multipath out.
+        Without multipath.
 
     Raises
     ------
     InputError
-        `positions_m` is no path, or `count` is below one.
+        `positions_m` is not a path, or `count` is below one.
     """
     prediction = joint_prediction(posterior, positions_m, latent=latent)
     lower = semidefinite_factor(prediction.covariance_db2)
@@ -160,21 +160,21 @@ def sample_power(
 def predict_readings(
     posterior: ChannelPosterior | MarginalPosterior, readings: Measurements
 ) -> Prediction:
-    """Predict what measurements read that `posterior` has not seen.
+    """Predict the values of further measurements.
 
     Parameters
     ----------
     posterior
-        The channel given other measurements.
+        The channel conditional on other measurements.
     readings
-        n measurements. Their powers are not looked at; their times, receivers, resolution and
-        position errors are.
+        n measurements: their times, receivers, resolution and position errors are used, their
+        powers are not.
 
     Returns
     -------
     Prediction
-        In their order. Where `readings` are plain measurements, and the channel does not forget,
-        that of the posterior at their positions.
+        In their order; for plain measurements, and without forgetting, that of the posterior at
+        their positions.
     """
     if isinstance(posterior, MarginalPosterior):
         parts = [predict_readings(component, readings) for component in posterior.components]

@@ -1,14 +1,12 @@
-"""The posterior: received power anywhere, given measurements, with path loss estimated.
+"""The posterior of the channel: received power anywhere, conditional on measurements.
 
-The expensive part is the factor of the measurements' covariance. It is kept, shared between
-successive posteriors, and grows by rows, so that one more measurement costs O(n^2) and copies
-nothing. Beyond `EXACT_LIMIT` there is none: theta comes from Vecchia's approximation and a
-prediction from the measurements near it, so that the cost of one more does not depend on their
-number.
+The Cholesky factor of the measurements' covariance is shared between successive posteriors and
+grows by rows, so that one more measurement costs O(n^2) and copies nothing. Beyond `EXACT_LIMIT`
+there is no factor: theta comes from Vecchia's approximation and a prediction from the nearest
+measurements, at a cost that does not depend on their number.
 
-Path loss is found by generalised least squares from products of whitened columns, or by ordinary
-least squares with the error that it has under the model: the latter weighs every measurement alike,
-which is not best where shadowing is correlated, but does not depend on xi, beta and omega.
+Path loss is estimated by generalised least squares from products of whitened columns, or by
+ordinary least squares, which does not depend on xi, beta and omega.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.cholesky import put_lower_factor, whiten
+from planopt.channel.cholesky import lower_factor, whiten
 from planopt.channel.estimation.least_squares import MIN_REGRESSOR_SPREAD_DB, receiver_columns
 from planopt.channel.gaussian_sites import (
     MIN_NOISE_VARIANCE_DB2,
@@ -43,7 +41,7 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.measurements import Measurements, Table, as_measurements, join
 from planopt.channel.neighbours import PlaceIndex
-from planopt.channel.parameters import ChannelParameters, Station, regressors, require_finite
+from planopt.channel.parameters import ChannelParameters, regressors, require_finite
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.channel.vecchia import VecchiaInformation, vecchia_information
 from planopt.channel.window_sites import neighbour_sites
@@ -54,197 +52,95 @@ FACTOR_BLOCK = 264
 """Rows appended to a factor together; powers of two are slower because of cache conflicts."""
 
 AT_ONCE = 768
-"""Up to so many rows a factor is made in one piece."""
+"""Maximum number of rows for which a factor is computed in one piece."""
+
+WEAK_THETA_DEVIATION = (20.0, 1.0)
+"""Prior standard deviation of K_PL (dB) and n_PL, used if measurements do not identify theta."""
+
+MAX_INFORMATION_CONDITION = 1e10
+"""Theta is identified while the condition number of its information, in units of
+`WEAK_THETA_DEVIATION`, is below this."""
+
+MOST_JOINT_SITES = 300
+"""Beyond this many censored or coarsely rounded measurements their sites are matched window by
+window (:mod:`planopt.channel.window_sites`): a joint sweep costs the cube of their number."""
+
+EXACT_LIMIT = 5_000
+"""Maximum number of measurements with a factor, which takes 200 MB, and 450 MB with room to
+grow."""
+
+SHARED_NEIGHBOURS = 512
+"""Number of measurements that a path shares in joint laws without a factor of all."""
+
+ThetaRule = Literal["estimated", "known", "least_squares"]
 
 
 class FactorBuffer:
-    """Lower Cholesky factor with spare rows; rows from `used` on are free."""
+    """Lower Cholesky factor that grows by rows; rows from `used` on are free."""
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, count: int) -> None:
+        # Zeroed pages cost nothing until they are written.
+        capacity = count + count // 2 + 64
         self.lower: NDArray[np.float64] = np.zeros((capacity, capacity))
         self.used = 0
 
-
-def spacious(count: int) -> int:
-    """Capacity for `count` rows and more to come; zeroed pages cost nothing until written."""
-    return count + count // 2 + 64
+    def append(
+        self,
+        parameters: ChannelParameters,
+        origins: Origins,  # (n,) of all measurements
+        noise_variance_db2: NDArray[np.float64],  # (n,)
+        columns: NDArray[np.float64],  # (n, c), whitened as far as the factor goes
+    ) -> None:
+        """Add the rows from `used` on, and whiten those of `columns` in place."""
+        lower, count = self.lower, len(columns)
+        block = AT_ONCE if count <= AT_ONCE else FACTOR_BLOCK
+        for start in range(self.used, count, block):
+            rows = slice(start, min(start + block, count))
+            across = whiten(
+                lower[:start, :start],
+                covariance_db2(origins.at(slice(start)), origins.at(rows), parameters),
+            )
+            within = own_covariance_db2(origins.at(rows), parameters)
+            within[np.diag_indices_from(within)] += noise_variance_db2[rows]
+            if start:
+                within -= across.T @ across
+            lower[rows, :start] = across.T
+            lower[rows, rows] = lower_factor(within)
+            columns[rows] = whiten(lower[rows, rows], columns[rows] - across.T @ columns[:start])
+        self.used = count
 
 
 def with_room(buffer: FactorBuffer | None, used: int, count: int) -> FactorBuffer:
-    """A buffer for `count` rows whose first `used` ones are those of `buffer`.
+    """Return a buffer for `count` rows whose first `used` are those of `buffer`.
 
-    That itself where it has room and its free rows are not taken by another posterior.
+    It is `buffer` itself if it has room and no other posterior has taken its free rows.
     """
     if buffer is not None and buffer.used == used and len(buffer.lower) >= count:
         return buffer
-    grown = FactorBuffer(spacious(count))
+    grown = FactorBuffer(count)
     if buffer is not None:
         grown.lower[:used, :used] = buffer.lower[:used, :used]
     grown.used = used
     return grown
 
 
-def append_rows(
-    buffer: FactorBuffer,
-    parameters: ChannelParameters,
-    origins: Origins,
-    noise_variance_db2: NDArray[np.float64],  # (n,) variance of the noise of each
-    columns: NDArray[np.float64],  # (n, c), whitened as far as the factor goes
-) -> None:
-    """Add the rows from `buffer.used` on to the factor, and whiten those of `columns` in place."""
-    lower, count = buffer.lower, len(columns)
-    block = AT_ONCE if count <= AT_ONCE else FACTOR_BLOCK
-    for start in range(buffer.used, count, block):
-        rows = slice(start, min(start + block, count))
-        across = whiten(
-            lower[:start, :start],
-            covariance_db2(origins.at(slice(start)), origins.at(rows), parameters),
-        )
-        within = own_covariance_db2(origins.at(rows), parameters)
-        within[np.diag_indices_from(within)] += noise_variance_db2[rows]
-        if start:
-            within -= across.T @ across
-        lower[rows, :start] = across.T
-        put_lower_factor(lower[rows, rows], within)
-        columns[rows] = whiten(lower[rows, rows], columns[rows] - across.T @ columns[:start])
-    buffer.used = count
-
-
-def least_squares_theta(
-    measurements: Measurements,
-    values_db: NDArray[np.float64],
-    lower: NDArray[np.float64],  # (n, n) Cholesky factor of U
-    station: Station,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None where it is not identified.
-
-    Censored measurements are left out, since a limit has no residual. Offsets of receivers are
-    estimated along with theta.
-    """
-    exact = ~measurements.censored
-    known = measurements.take(exact)
-    gamma = regressors(known.positions_m, station)
-    if not len(known) or float(np.ptp(gamma[:, 1])) < MIN_REGRESSOR_SPREAD_DB:
-        return None
-    columns = np.column_stack([gamma, receiver_columns(known)])
-    inverse = np.linalg.pinv(columns)[: gamma.shape[1]]
-    half = inverse @ lower[exact]
-    return inverse @ values_db[exact], half @ half.T
-
-
-WEAK_THETA_DEVIATION = (20.0, 1.0)
-"""Prior deviation of K_PL (dB) and n_PL, used only where the measurements do not identify theta."""
-
-MAX_INFORMATION_CONDITION = 1e10
-"""Theta counts as identified while the condition number of its information, in units of
-`WEAK_THETA_DEVIATION`, is below this."""
-
-
-def theta_estimate(
-    parameters: ChannelParameters, products: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Estimate theta and its covariance M (equation 1.7)."""
-    # Shapes: products (3, 3).
-    # In units of the weak prior.
-    unit = np.array(WEAK_THETA_DEVIATION)
-    information = unit[:, None] * products[1:, 1:] * unit
-    spread = np.linalg.eigvalsh(information)
-    if spread[0] * MAX_INFORMATION_CONDITION <= spread[1]:
-        information += np.eye(2)
-    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    moved = unit * (covariance @ (unit * products[1:, 0]))
-    theta = np.array([parameters.k_pl_db, parameters.n_pl]) + moved
-    return theta, unit[:, None] * covariance * unit
-
-
-def with_rows(grown: ChannelPosterior, before: ChannelPosterior) -> ChannelPosterior:
-    """Add rows to the factor and to the whitened columns, and estimate theta."""
-    parameters, old = grown.parameters, len(before.measurements)
-    new = slice(old, None)
-    columns = np.empty((len(grown.measurements), 3))
-    columns[:old, 0], columns[:old, 1:] = before.whitened_values, before.whitened_regressors
-    columns[new, 0] = grown.values_db[new]
-    columns[new, 1:] = regressors(grown.measurements.positions_m[new], parameters.station)
-    buffer = with_room(before.buffer, old, len(columns))
-    append_rows(buffer, parameters, grown.origins, grown.noise_variance_db2, columns)
-    about = columns.copy()
-    about[:, 0] -= columns[:, 1:] @ [parameters.k_pl_db, parameters.n_pl]
-    conditioned = replace(
-        grown,
-        whitened_values=np.ascontiguousarray(columns[:, 0]),
-        whitened_regressors=np.ascontiguousarray(columns[:, 1:]),
-        buffer=buffer,
-    )
-    return _with_theta(conditioned, about.T @ about)
-
-
-def without_factor(grown: ChannelPosterior, before: ChannelPosterior) -> ChannelPosterior:
-    """Sum the information of all measurements by Vecchia's approximation.
-
-    `grown` and `before` as for :func:`with_rows`.
-    """
-    information = vecchia_information(
-        grown.parameters,
-        grown.measurements,
-        grown.values_db,
-        grown.noise_variance_db2,
-        None if before.information is None else (before.information, before.index),
-    )
-    conditioned = replace(
-        grown,
-        whitened_values=np.zeros(0),
-        whitened_regressors=np.zeros((0, 2)),
-        buffer=None,
-        information=information,
-    )
-    return _with_theta(conditioned, information.path_loss_products())
-
-
-def _with_theta(posterior: ChannelPosterior, products: NDArray[np.float64]) -> ChannelPosterior:
-    """Estimate theta by its rule; `products` as for `theta_estimate`."""
-    if posterior.theta_known:
-        return posterior
-    theta, covariance = theta_estimate(posterior.parameters, products)
-    if posterior.theta_rule == "least_squares":
-        found = least_squares_theta(
-            posterior.measurements,
-            posterior.values_db,
-            posterior.factor,
-            posterior.parameters.station,
-        )
-        theta, covariance = found or (theta, covariance)
-    return replace(posterior, theta=theta, theta_covariance=covariance)
-
-
-MOST_JOINT_SITES = 300
-"""Beyond so many censored or coarsely rounded measurements their sites are matched window by window
-(:mod:`planopt.channel.window_sites`): jointly a sweep costs the cube of their number, at
-750 ten times as much."""
-
-ThetaRule = Literal["estimated", "known", "least_squares"]
-
-EXACT_LIMIT = 5_000
-"""Up to so many measurements all of them count; their factor takes 200 MB, and 450 MB with room to
-grow."""
-
-
 @dataclass(frozen=True, eq=False)
 class ChannelPosterior:
-    """The channel given measurements (universal kriging, equations 1.6 to 1.8).
+    """The channel conditional on measurements (universal kriging, equations 1.6 to 1.8).
 
     Attributes
     ----------
     parameters
-        The channel's parameters; its theta is used where theta is known, and as the centre of
-        the weak prior.
+        The channel's parameters; their theta is used if theta is known, and is the centre of the
+        weak prior.
     measurements
-        What was measured, kappa of them.
+        The kappa measurements.
     values_db
-        ``(kappa,)`` what the posterior is conditioned on: the measured power, and the site's
-        value where it is censored or coarsely rounded.
+        ``(kappa,)`` the values conditioned on: the measured power, or the site's value if it is
+        censored or coarsely rounded.
     noise_variance_db2
-        ``(kappa,)`` omega^2, with r^2 / 12 or the site's variance where rounded or censored, and
-        with the variance that a position error gives path loss.
+        ``(kappa,)`` omega^2, plus r^2 / 12 if rounded, or the site's variance; plus the variance
+        of path loss due to a position error.
     whitened_values
         ``(kappa,)`` z_y = L^-1 y with U = R + diag(noise) = L L'.
     whitened_regressors
@@ -252,21 +148,21 @@ class ChannelPosterior:
     theta
         ``(2,)`` (K_PL, n_PL) in use.
     theta_covariance
-        ``(2, 2)`` M, its covariance; zero where theta is known.
+        ``(2, 2)`` M, its covariance; zero if theta is known.
     theta_rule
-        Where theta comes from, as :func:`condition` was told.
+        The rule passed to :func:`condition`.
     now_s
-        The time that is predicted for, where the channel forgets: that of the latest measurement,
-        unless :func:`at_time` says otherwise.
+        Time of predictions in a channel that changes: that of the latest measurement, or the time
+        passed to :func:`at_time`.
     index
-        Of the measured places.
+        Search tree of the measured positions.
     exact_limit
-        Up to so many measurements there is a factor.
+        Maximum number of measurements with a factor.
     buffer
-        Where the factor is stored, shared with the posteriors that extend this one; None where
-        there is none, and then whitened columns are empty.
+        Storage of the factor, shared with posteriors that extend this one; None without a factor,
+        and then the whitened columns are empty.
     information
-        What stands for the factor where there is none.
+        Vecchia's approximation, if there is no factor.
     """
 
     parameters: ChannelParameters
@@ -288,7 +184,7 @@ class ChannelPosterior:
 
     @property
     def has_factor(self) -> bool:
-        """Return whether predictions are from all measurements, not from the nearest."""
+        """Return whether predictions use all measurements, not only the nearest."""
         return self.buffer is not None
 
     @property
@@ -317,28 +213,27 @@ class ChannelPosterior:
 
     @cached_property
     def origins(self) -> Origins:
-        """Return places, times and receivers of the measurements."""
+        """Return positions, times and receivers of the measurements."""
         return measured_origins(self.measurements, self.parameters)
 
     def continues(self, earlier: ChannelPosterior) -> bool:
-        """Return whether this is `earlier` and, it may be, later measurements; at any time."""
+        """Return whether this is `earlier`, possibly with later measurements; at any time."""
         if self is earlier:
             return True
         count = len(earlier.measurements)
         if self.parameters != earlier.parameters or count > len(self.measurements):
             return False
         one, other = self.measurements, earlier.measurements
-        return (
-            np.array_equal(self.values_db[:count], earlier.values_db)
-            and np.array_equal(self.noise_variance_db2[:count], earlier.noise_variance_db2)
-            and np.array_equal(one.positions_m[:count], other.positions_m)
-            and np.array_equal(one.position_std_m[:count], other.position_std_m)
-            and np.array_equal(one.time_s[:count], other.time_s)
-            and np.array_equal(one.receiver[:count], other.receiver)
-        )
+        names = ("positions_m", "position_std_m", "time_s", "receiver")
+        pairs = [(getattr(one, name), getattr(other, name)) for name in names]
+        pairs += [
+            (self.values_db, earlier.values_db),
+            (self.noise_variance_db2, earlier.noise_variance_db2),
+        ]
+        return all(np.array_equal(mine[:count], former) for mine, former in pairs)
 
     def covariance_with_db2(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance of all measurements with the power at places (n, 2) now; ``(kappa, n)``."""
+        """Return covariances of all measurements with power at (n, 2) now; ``(kappa, n)``."""
         places = place_origins(positions_m, self.now_s, self.parameters)
         return covariance_db2(self.origins, places, self.parameters)
 
@@ -347,11 +242,11 @@ class ChannelPosterior:
         return predict(self, positions_m)
 
     def extend(self, more: Measurements | Table) -> ChannelPosterior:
-        """See :func:`extend`; tables are taken as well."""
+        """See :func:`extend`; tables are accepted as well."""
         return extend(self, as_measurements(more))
 
     def connectivity(self, positions_m: ArrayLike, threshold_dbm: float) -> NDArray[np.float64]:
-        """P(power >= `threshold_dbm`) at each of `positions_m` (n, 2); ``(n,)``."""
+        """Return P(power >= `threshold_dbm`) at each of `positions_m` (n, 2); ``(n,)``."""
         threshold = require_finite(threshold_dbm, "threshold_dbm")
         prediction = predict(self, positions_m)
         return connection_probability(prediction.mean_db, prediction.deviation_db, threshold)
@@ -372,22 +267,20 @@ def condition(
     parameters
         The channel's parameters.
     measurements
-        Any number, none included. Censored and rounded ones enter as Gaussian sites.
+        Any number, including none. Censored and rounded ones enter as Gaussian sites.
     theta
-        ``estimated``: path loss by generalised least squares, its uncertainty counted
-        (equation 1.8); ``known``: `parameters` has it exactly; ``least_squares``: by ordinary
-        least squares where that identifies it, its uncertainty counted too (equation 1.9). What
-        kriging leaves of the power at a place is uncorrelated with all measurements, and so with
-        any theta that is linear in them: the variance is s + varphi' M varphi with that theta's
-        error covariance M.
+        ``estimated``: path loss by generalised least squares, with its uncertainty (equation
+        1.8); ``known``: `parameters` has it exactly; ``least_squares``: by ordinary least squares
+        if that identifies it, with its uncertainty (equation 1.9). The kriging error is
+        uncorrelated with every theta that is linear in the measurements, so the variance is
+        s + varphi' M varphi with that theta's error covariance M.
     exact_limit
-        Beyond so many measurements predictions are from the nearest
-        (:func:`planopt.channel.kriging.predict`), theta is from Vecchia's approximation
-        (:data:`planopt.channel.neighbours.BESIDE` has the accuracies), and
-        sites are matched by neighbours.
+        Beyond this many measurements predictions use the nearest ones, theta is from Vecchia's
+        approximation (:data:`planopt.channel.neighbours.BESIDE` has the accuracies), and sites are
+        matched by neighbours.
     similar
-        The same measurements under similar parameters: sites that are matched by neighbours start
-        from its, and take fewer sweeps.
+        A posterior of the same measurements under similar parameters: initial sites for the
+        matching by neighbours.
 
     Raises
     ------
@@ -406,17 +299,14 @@ def condition(
     empty = ChannelPosterior(
         parameters,
         nothing,
-        np.zeros(0),
-        np.zeros(0),
-        np.zeros(0),
-        np.zeros((0, 2)),
+        *(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2))),
         np.array([parameters.k_pl_db, parameters.n_pl]),
         np.zeros((2, 2)),
         theta,
         0.0,
         PlaceIndex.of(nothing.positions_m),
         exact_limit,
-        FactorBuffer(spacious(len(measurements) if exact else 0)),
+        FactorBuffer(len(measurements) if exact else 0),
     )
     return _append(empty, measurements, sites)
 
@@ -424,11 +314,9 @@ def condition(
 def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
     """Condition on more measurements without refitting, O(kappa^2) for each with a factor.
 
-    Without one the cost of each does not depend on how many there are. The first one beyond
-    `exact_limit` drops the factor, and all are counted anew.
-
-    A censored or coarsely rounded one becomes a Gaussian site by matching the first two moments of
-    its own prediction, truncated to where it is known to lie, and stays that site. `posterior`
+    Without a factor the cost of each does not depend on their number. The first one beyond
+    `exact_limit` drops the factor. A censored or coarsely rounded measurement becomes a Gaussian
+    site with the first two moments of its own prediction, truncated to its interval. `posterior`
     remains valid.
     """
     alone = needs_site(more, posterior.parameters.multipath_std_db**2)
@@ -454,7 +342,7 @@ def with_expected(
 ) -> ChannelPosterior:
     """Return the posterior as if the predicted power had been measured at places (n, 2)."""
     count = len(posterior.measurements) + len(positions_m)
-    # An existing factor is kept: conditioning on neighbours anew would take longer than its rows.
+    # An existing factor is kept: its new rows take less time than conditioning on neighbours.
     limit = max(posterior.exact_limit, count) if posterior.has_factor else posterior.exact_limit
     power = posterior.predict(positions_m).mean_db
     times = np.full(len(positions_m), posterior.now_s)
@@ -462,14 +350,10 @@ def with_expected(
     return extend(known, Measurements(positions_m, power, time_s=times))
 
 
-SHARED_NEIGHBOURS = 512
-"""Number of measurements that a path shares in joint laws where there is no factor of all."""
-
-
 def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> ChannelPosterior:
-    """Return `posterior` if it has a factor, else one from those nearest to a path (h, 2).
+    """Return `posterior` if it has a factor, else one of the measurements nearest to a path (h, 2).
 
-    Theta and its covariance stay those of all measurements.
+    Theta and its covariance remain those of all measurements.
     """
     if posterior.has_factor:
         return posterior
@@ -489,7 +373,7 @@ def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> C
 
 
 def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:
-    """The same knowledge, predicting for the time `now_s`; shares the factor, costs nothing."""
+    """Return the posterior with predictions for the time `now_s`; it shares the factor."""
     return replace(posterior, now_s=require_finite(now_s, "now_s"))
 
 
@@ -511,15 +395,15 @@ def estimate_theta(
 
     Maximum likelihood is generalised least squares, M_ML = (Gamma' U^-1 Gamma)^-1, the smallest
     error of an unbiased estimate; ordinary least squares has (G'G)^-1 G'UG (G'G)^-1, which is never
-    smaller. Where the measurements do not identify theta, a weak prior about the theta of
-    `parameters` stands in (`WEAK_THETA_DEVIATION`).
+    smaller. If the measurements do not identify theta, a weak prior around the theta of
+    `parameters` is used (`WEAK_THETA_DEVIATION`).
 
     Parameters
     ----------
     measurements
-        Any number. Censored ones are Gaussian sites to ``ml``; ``ls`` leaves them out.
+        Any number. Censored ones are Gaussian sites for ``ml``; ``ls`` leaves them out.
     parameters
-        The channel; its theta is not used but as said.
+        The channel; its theta is used for the weak prior only.
     how
         ``ml``: generalised least squares. ``ls``: ordinary least squares.
 
@@ -537,34 +421,98 @@ def estimate_theta(
 
 
 def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> ChannelPosterior:
-    """Add measurements, to the factor while there is one."""
+    """Add measurements: rows of the factor and whitened columns, or terms of Vecchia's sums."""
+    parameters = posterior.parameters
     noise = np.maximum(sites.noise_variance_db2, MIN_NOISE_VARIANCE_DB2)
-    noise += measured_path_loss_variance_db2(more, posterior.parameters)
+    noise += measured_path_loss_variance_db2(more, parameters)
     joined = join(posterior.measurements, more)
+    old = len(posterior.measurements)
+    times = [posterior.now_s, *more.time_s] if old else more.time_s
     grown = replace(
         posterior,
         measurements=joined,
         values_db=np.concatenate([posterior.values_db, sites.values_db]),
         noise_variance_db2=np.concatenate([posterior.noise_variance_db2, noise]),
-        now_s=_latest_s(posterior, more),
+        now_s=float(max(times, default=posterior.now_s)),
         index=posterior.index.grown(joined.positions_m),
     )
-    if len(joined) <= posterior.exact_limit:
-        return with_rows(grown, posterior)
-    return without_factor(grown, posterior)
+    if len(joined) > posterior.exact_limit:
+        before = None if posterior.information is None else (posterior.information, posterior.index)
+        information = vecchia_information(
+            parameters, joined, grown.values_db, grown.noise_variance_db2, before
+        )
+        grown = replace(
+            grown,
+            whitened_values=np.zeros(0),
+            whitened_regressors=np.zeros((0, 2)),
+            buffer=None,
+            information=information,
+        )
+        return _with_theta(grown, information.path_loss_products())
+    columns = np.empty((len(joined), 3))
+    columns[:old, 0], columns[:old, 1:] = posterior.whitened_values, posterior.whitened_regressors
+    columns[old:, 0] = sites.values_db
+    columns[old:, 1:] = regressors(more.positions_m, parameters.station)
+    buffer = with_room(posterior.buffer, old, len(columns))
+    buffer.append(parameters, grown.origins, grown.noise_variance_db2, columns)
+    grown = replace(
+        grown,
+        whitened_values=np.ascontiguousarray(columns[:, 0]),
+        whitened_regressors=np.ascontiguousarray(columns[:, 1:]),
+        buffer=buffer,
+    )
+    columns[:, 0] -= columns[:, 1:] @ [parameters.k_pl_db, parameters.n_pl]
+    return _with_theta(grown, columns.T @ columns)
 
 
-def _latest_s(posterior: ChannelPosterior, more: Measurements) -> float:
-    """The time to predict for once `more` is known."""
-    times = more.time_s if not len(posterior.measurements) else [posterior.now_s, *more.time_s]
-    return float(max(times, default=posterior.now_s))
+def _with_theta(posterior: ChannelPosterior, products: NDArray[np.float64]) -> ChannelPosterior:
+    """Estimate theta by its rule; `products` as for `theta_estimate`."""
+    if posterior.theta_known:
+        return posterior
+    theta, covariance = theta_estimate(posterior.parameters, products)
+    if posterior.theta_rule == "least_squares":
+        theta, covariance = least_squares_theta(posterior) or (theta, covariance)
+    return replace(posterior, theta=theta, theta_covariance=covariance)
+
+
+def theta_estimate(
+    parameters: ChannelParameters,
+    products: NDArray[np.float64],  # (3, 3) of whitened [y - Gamma theta_0, Gamma]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Estimate theta and its covariance M (equation 1.7)."""
+    # In units of the weak prior.
+    unit = np.array(WEAK_THETA_DEVIATION)
+    information = unit[:, None] * products[1:, 1:] * unit
+    eigenvalues = np.linalg.eigvalsh(information)
+    if eigenvalues[0] * MAX_INFORMATION_CONDITION <= eigenvalues[1]:
+        information += np.eye(2)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    moved = unit * (covariance @ (unit * products[1:, 0]))
+    theta = np.array([parameters.k_pl_db, parameters.n_pl]) + moved
+    return theta, unit[:, None] * covariance * unit
+
+
+def least_squares_theta(
+    posterior: ChannelPosterior,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None if not identified.
+
+    Censored measurements are left out: a limit has no residual. Receivers' offsets are estimated
+    with theta.
+    """
+    exact = ~posterior.measurements.censored
+    known = posterior.measurements.take(exact)
+    gamma = regressors(known.positions_m, posterior.parameters.station)
+    if not len(known) or float(np.ptp(gamma[:, 1])) < MIN_REGRESSOR_SPREAD_DB:
+        return None
+    columns = np.column_stack([gamma, receiver_columns(known)])
+    inverse = np.linalg.pinv(columns)[: gamma.shape[1]]
+    half = inverse @ posterior.factor[exact]
+    return inverse @ posterior.values_db[exact], half @ half.T
 
 
 def _one_site(posterior: ChannelPosterior, one: Measurements) -> Sites:
-    """One new measurement known to be in an interval, as a Gaussian one.
-
-    Moment matching against its own prediction: the one-site case of expectation propagation.
-    """
+    """Return one new interval measurement as a Gaussian site: EP with one site."""
     noise = max(posterior.parameters.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
     prediction = predict_noiseless(posterior, one)
     prior = LatentPrior.known_mean(prediction.mean_db, np.diag(prediction.deviation_db**2))

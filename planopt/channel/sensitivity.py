@@ -1,15 +1,9 @@
-"""Gradient and Hessian of the exact posterior: how prediction and doubt change with the place.
+"""Sensitivity of predictions: derivatives by position, and the error from wrong parameters.
 
-From all measurements, with the uncertainty of theta counted, so that plans and maps can be judged
-by what they claim to descend. The kernel exp(-d / beta) has a cusp at every measured place; nothing
-is rounded here (solvers round it, `planopt.objectives.stage_power`), so there is no
-derivative there, and the answer is an error that says so.
-
-Delta^2(q): the mean squared error of the posterior with wrong parameters (equation 1.16).
-
-The posterior's own deviation says what is left to know if the parameters are right. This is the
-mean squared error when they are not, so that one can ask which of them is worth learning (the path
-loss exponent: section II-B and Fig. 1 of [GM11]).
+Derivatives are those of the exact posterior, with the uncertainty of theta. The kernel
+exp(-d / beta) has a cusp at every measured place: there is no derivative there, and an error says
+so (solvers round the cusp). Delta^2(q) is the mean squared error of the posterior if parameters
+are wrong: it shows which of them is worth estimating (section II-B and Fig. 1 of [GM11]).
 """
 
 from __future__ import annotations
@@ -36,14 +30,14 @@ from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.errors import InputError
 
 ELEMENTS = 2**17
-"""Pairs of a place and a measurement worked on at once: some twenty numbers each."""
+"""Pairs of a place and a measurement in a block."""
 
 
 @dataclass(frozen=True)
 class PosteriorDerivatives:
     """Predicted power at n places with derivatives by position."""
 
-    mean_db: NDArray[np.float64]  # (n,) as :func:`planopt.channel.kriging.predict` has them
+    mean_db: NDArray[np.float64]  # (n,) those of :func:`planopt.channel.kriging.predict`
     deviation_db: NDArray[np.float64]
     mean_gradient: NDArray[np.float64]  # (n, 2) dB/m
     deviation_gradient: NDArray[np.float64]
@@ -65,17 +59,15 @@ def posterior_derivatives(
     Parameters
     ----------
     posterior
-        The channel given measurements; the sites of censored ones are held fixed.
+        The channel conditional on measurements; the sites of censored ones are held fixed.
     positions_m
-        ``(n, 2)``. Within `MIN_DISTANCE_M` of the station path loss is constant, as everywhere in
-        planopt, and its derivatives are zero.
+        ``(n, 2)``. Within `MIN_DISTANCE_M` of the station path loss is constant.
 
     Raises
     ------
     InputError
-        A position is exactly a measured one, where the derivatives do not exist; the deviation is
-        zero (possible without multipath alone, closer to a measured place than digits tell); or
-        positions are not ``(n, 2)`` and finite.
+        A position is exactly a measured one; the standard deviation is zero (without multipath, at
+        rounding distance from a measured place); or positions are not ``(n, 2)`` and finite.
     """
     places = require_places(positions_m)
     terms = kriging_terms(posterior, places)
@@ -92,7 +84,7 @@ def posterior_derivatives(
             key="positions_m",
             remedy="move it away from the measured place",
         )
-    # Of mean and of variance: first and second derivatives.
+    # Derivatives of the mean, and of the variance.
     gradients = np.empty((2, len(places), 2))
     hessians = np.empty((2, len(places), 2, 2))
     block = max(1, ELEMENTS // max(1, len(posterior.measurements)))
@@ -132,12 +124,10 @@ def posterior_derivatives(
 def _kernel_derivatives(
     posterior: ChannelPosterior, places_m: NDArray[np.float64], first_index: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The kernel phi (kappa, n), its gradient (.., 2) and Hessian (.., 2, 2) by the place.
+    """Return the kernel phi (kappa, n), its gradient (.., 2) and Hessian (.., 2, 2) by the place.
 
-    By the unit vector u from the measurement: -phi u / beta, and
-    phi (u u' / beta^2 - (I - u u') / (beta r)). `first_index` is the number of the first place.
-    Where the measurement's position has an error r is the distance that it is counted with, and u
-    the offset by r; the error rounds the cusp.
+    With u the unit vector from the measurement: -phi u / beta, and
+    phi (u u' / beta^2 - (I - u u') / (beta r)). A position error enlarges r and rounds the cusp.
     """
     beta = posterior.parameters.decorrelation_m
     origins = posterior.origins
@@ -167,7 +157,7 @@ def _kernel_derivatives(
 def _path_loss_derivatives(
     places_m: NDArray[np.float64], station: Station
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gradient (n, 2) and Hessian (n, 2, 2) of -10 log10 d; zero where d is held at its least."""
+    """Return gradient (n, 2) and Hessian (n, 2, 2) of -10 log10 d; zero at the least distance."""
     offset = places_m - np.asarray(station.position_m)
     square = (offset**2).sum(axis=1) + station.height_m**2
     scale = np.where(
@@ -181,9 +171,7 @@ def _path_loss_derivatives(
 
 
 PERTURBED = ("k_pl_db", "n_pl", "shadow_variance_db2", "decorrelation_m", "multipath_std_db")
-"""What Fig. 1 of [GM11] perturbs, one at a time: K_PL, n_PL, xi^2, beta and omega."""
-
-ELEMENTS = 2**20
+"""Parameters that Fig. 1 of [GM11] perturbs: K_PL, n_PL, xi^2, beta and omega."""
 
 
 def mean_squared_error_db2(
@@ -198,24 +186,24 @@ def mean_squared_error_db2(
 
         Delta^2 = xi^2 + omega^2 - 2 w' phi + w' U w + ((gamma - Gamma' w)' delta theta)^2,
 
-    as in [GM11]. The last term is the square of the bias, here formed from the two path losses
-    themselves, so that a wrong station is allowed too. Theta counts as known to the posterior.
+    as in [GM11]. The last term is the square of the bias, formed from both path losses, so that
+    the station may be wrong too. The posterior takes theta as known.
 
     Parameters
     ----------
     true
         The channel's parameters.
     assumed
-        Those that the posterior is computed with.
+        The parameters of the posterior.
     measured_m
-        ``(kappa, 2)`` where power was measured, none of it censored; may be empty.
+        ``(kappa, 2)`` positions of uncensored measurements; may be empty.
     positions_m
-        ``(n, 2)`` where it is predicted: places not measured, or measured again.
+        ``(n, 2)`` positions of the predictions.
 
     Returns
     -------
     NDArray
-        ``(n,)`` in dB^2, of the power that would be measured (multipath included).
+        ``(n,)`` in dB^2, multipath included.
 
     Raises
     ------
@@ -234,11 +222,11 @@ def mean_squared_error_db2(
     count = len(measured)
     total = shadow_covariance_db2(measured, measured, true)
     total[np.diag_indices(count)] += true.multipath_std_db**2
-    # The posterior as planopt computes it, least nugget included.
+    # The posterior as planopt computes it, with its least nugget.
     believed = shadow_covariance_db2(measured, measured, assumed)
     believed[np.diag_indices(count)] += max(assumed.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
     precision = _inverse(believed)
-    # w' U w = phi_est' B phi_est: one product a block of places, whatever the error.
+    # w' U w = phi_est' B phi_est: one product for each block of places.
     spread = precision @ total @ precision
     offset = _path_loss_db(true, measured) - _path_loss_db(assumed, measured)
     error = np.empty(len(places))
@@ -259,7 +247,7 @@ def mean_squared_error_db2(
 
 
 def perturbed(parameters: ChannelParameters, name: str, relative_error: float) -> ChannelParameters:
-    """`parameters` with one of `PERTURBED` multiplied by 1 + `relative_error`."""
+    """Multiply one of `PERTURBED` by 1 + `relative_error`."""
     if not (math.isfinite(relative_error) and relative_error > -1.0):
         raise InputError(
             f"a relative error of {relative_error!r} cannot be applied",
@@ -291,16 +279,16 @@ def sensitivity_curves(
     true
         The channel's parameters.
     measured_m
-        ``(kappa, 2)`` where power was measured.
+        ``(kappa, 2)`` positions of measurements.
     positions_m
-        ``(n, 2)`` places that stand for the workspace.
+        ``(n, 2)`` positions that represent the workspace.
     relative_errors
         ``(k,)`` shares, 0.1 for 10 %.
 
     Returns
     -------
     dict
-        For each of `PERTURBED` ``(k,)`` averages in dB^2.
+        ``(k,)`` averages in dB^2 for each of `PERTURBED`.
     """
     return {
         name: np.array(
@@ -316,7 +304,7 @@ def sensitivity_curves(
 
 
 def _inverse(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverse of a covariance with a nugget; (kappa, kappa), kappa may be 0."""
+    """Return the inverse of a covariance with a nugget; (kappa, kappa), kappa may be 0."""
     if not len(covariance):
         return covariance
     half = whiten(lower_factor(covariance), np.eye(len(covariance)))
@@ -326,6 +314,6 @@ def _inverse(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 def _path_loss_db(
     parameters: ChannelParameters, places_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Mean power gamma' theta at `places_m` (n, 2)."""
+    """Return the mean power gamma' theta at `places_m` (n, 2)."""
     theta = np.array([parameters.k_pl_db, parameters.n_pl])
     return regressors(places_m, parameters.station) @ theta

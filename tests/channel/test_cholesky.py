@@ -1,14 +1,17 @@
-"""The typed linear algebra against NumPy's."""
+"""Linear algebra against NumPy's, factors of singular covariances, one BLAS thread."""
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from planopt import InputError
 from planopt.channel.cholesky import (
     inverse,
     log_determinant,
     lower_factor,
+    one_blas_thread,
+    semidefinite_factor,
     solve_lower,
-    solve_rows,
     solve_upper,
 )
 
@@ -25,16 +28,52 @@ def test_agrees_with_numpy():
     assert log_determinant(lower) == pytest.approx(np.linalg.slogdet(matrix)[1])
 
 
-def test_rows_are_solved_in_place():
-    """Each row by forward substitution, in the caller's array."""
-    lower = np.tril(np.random.default_rng(1).uniform(1.0, 2.0, (5, 5)))
-    rows = np.random.default_rng(2).standard_normal((7, 5))
-    expected = np.linalg.solve(lower, rows.T)
-    solve_rows(np.asfortranarray(lower), rows)
-    np.testing.assert_allclose(rows, expected.T, atol=1e-12)
-
-
 def test_a_matrix_that_is_no_covariance_is_refused():
     """An indefinite matrix is a defect of the caller, and is not factored silently."""
     with pytest.raises(AssertionError):
         lower_factor(np.diag([1.0, -1.0]))
+
+
+@pytest.mark.parametrize("rank", [1, 2, 5])
+def test_product_is_the_covariance(rank):
+    """Any rank, zero included rows: L L' gives the matrix back."""
+    root = np.random.default_rng(rank).standard_normal((6, rank))
+    root[2] = 0.0
+    covariance = root @ root.T
+    lower = semidefinite_factor(covariance)
+    np.testing.assert_array_equal(lower, np.tril(lower))
+    np.testing.assert_allclose(lower @ lower.T, covariance, atol=1e-4)
+
+
+def test_regular_matrix_gives_the_cholesky_factor():
+    """Nothing is lost where the matrix is regular."""
+    covariance = np.array([[4.0, 1.0], [1.0, 3.0]])
+    np.testing.assert_array_equal(semidefinite_factor(covariance), np.linalg.cholesky(covariance))
+
+
+@pytest.mark.parametrize("covariance", [[[1.0, 2.0], [2.0, 1.0]], [[-1.0]], [[0.0, 1], [1, 0.0]]])
+def test_not_a_covariance(covariance):
+    """Matrices with a negative eigenvalue are refused."""
+    with pytest.raises(InputError, match="not a covariance"):
+        semidefinite_factor(np.array(covariance))
+
+
+def threads():
+    """The number of threads of every loaded BLAS."""
+    return {
+        library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+    }
+
+
+def test_one_inside_and_as_before_outside():
+    """As a context manager and as a decorator, nested, and after an error."""
+    decorated = one_blas_thread()(threads)
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = threads()
+        assert decorated() == {1}
+        try:
+            with one_blas_thread(), one_blas_thread():
+                assert threads() == {1}
+                raise ValueError
+        except ValueError:
+            assert threads() == before

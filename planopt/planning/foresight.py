@@ -18,8 +18,7 @@ from planopt.planning.search.moving_moves import Window, move_table
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.targets.sensor import sensing_information
-from planopt.world.lattice import MOVES
-from planopt.world.road_map import RoadMap
+from planopt.world.lattice import MOVES, RoadMap
 
 ROUNDS = 5
 """Turns of several robots at most."""

@@ -21,9 +21,8 @@ from planopt.world.clearance import (
     segment_lines,
     swept_clearance_m,
 )
-from planopt.world.lattice import build_lattice, moves_from, nearest_node
+from planopt.world.lattice import RoadMap, build_lattice, build_road_map, moves_from, nearest_node
 from planopt.world.moving_discs import MovingDiscs, paths_gap_m
-from planopt.world.road_map import RoadMap, build_road_map
 from planopt.world.workspace import Obstacle, Workspace
 
 

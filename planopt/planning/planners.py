@@ -31,7 +31,7 @@ from planopt.planning.values.exploration import learns
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
-from planopt.world.road_map import RoadMap, lattice_paths, route_from
+from planopt.world.lattice import RoadMap, lattice_paths, route_from
 
 RINGS, HEADINGS = 10, 48
 """Places within a step: on so many circles in so many directions, and the robot's own."""

@@ -13,8 +13,7 @@ from planopt.planning.free_space import build_roads, is_joined, nodes_in_reach
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bounds, segments_clear
-from planopt.world.lattice import nearest_node, node_positions
-from planopt.world.road_map import CostToGo, RoadMap, lattice_paths
+from planopt.world.lattice import CostToGo, RoadMap, lattice_paths, nearest_node, node_positions
 from planopt.world.separation import PackedPieces, pack_pieces
 
 

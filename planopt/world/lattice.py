@@ -1,24 +1,23 @@
-"""The lattice of the global search: which nodes are free and which moves between them are.
+"""The lattice of the global search: its free nodes, the moves between them, and shortest paths.
 
-Spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's, is one full step.
-Nodes and moves keep the clearance by the same exact distances that the
-verifier measures.
-
-Which moves between lattice nodes keep the clearance: exact, with few questions to GEOS.
-
-The distance to an obstacle changes by at most one metre a metre, so a straight way of length l
-between places at distances d_a and d_b from an obstacle stays ``(d_a + d_b - l) / 2`` or more away
-from it. Only ways that this bound leaves open are measured.
+The spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's, is one full step.
+Nodes and moves keep the clearance by the exact distances that the verifier uses. The distance to
+an obstacle changes by at most one metre a metre, so a segment of length l between positions at
+distances d_a and d_b from an obstacle stays ``(d_a + d_b - l) / 2`` or more away from it; GEOS
+computes only the distances of segments that this bound leaves open.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.errors import InputError
 from planopt.world.clearance import (
@@ -27,6 +26,7 @@ from planopt.world.clearance import (
     index_obstacles,
     is_clear,
     segment_lines,
+    segments_clear,
 )
 from planopt.world.workspace import LONGEST_MOVE, Workspace
 
@@ -38,116 +38,6 @@ MOVES: NDArray[np.int64] = np.array([(0, 0), *_FORWARD, *((-dx, -dy) for dx, dy 
 """(21, 2) the moves (dx, dy) with dx^2 + dy^2 <= 5; move k + 10 undoes move k, k = 1 to 10."""
 MOVES.flags.writeable = False
 
-
-@dataclass(frozen=True)
-class NearPairs:
-    """Nodes and the obstacles near them."""
-
-    node: NDArray[np.int64]  # (p,) numbers into the positions asked for
-    obstacle: NDArray[np.int64]  # (p,) numbers into the index
-    distance_m: NDArray[np.float64]  # (p,) their distance, exact
-
-
-def near_pairs(index: ObstacleIndex, positions_m: NDArray[np.float64], reach_m: float) -> NearPairs:
-    """Return all pairs of a position (n, 2) and an obstacle within `reach_m` of it."""
-    points = np.asarray(shapely.points(positions_m), np.object_)
-    node, obstacle = index.tree.query(points, predicate="dwithin", distance=reach_m)
-    return NearPairs(node, obstacle, distances_m(points[node], index.polygons[obstacle]))
-
-
-def blocked_segments(
-    index: ObstacleIndex,
-    starts_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
-    obstacle: NDArray[np.int64],
-    clearance_m: float,
-) -> NDArray[np.bool_]:
-    """Return whether straight ways (n, 2) come nearer than the clearance to obstacles (n,)."""
-    lines = segment_lines(starts_m, ends_m)
-    return ~is_clear(distances_m(lines, index.polygons[obstacle]), clearance_m)
-
-
-def open_moves(
-    index: ObstacleIndex,
-    positions_m: NDArray[np.float64],  # (ny, nx, 2) node positions
-    free: NDArray[np.bool_],  # (ny, nx) nodes that keep the clearance
-    near: NearPairs,
-    clearance_m: float,
-) -> NDArray[np.bool_]:
-    """Return whether every node's moves end on a node and keep the clearance."""
-    result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
-    result[0] = free
-    places = positions_m.reshape(-1, 2)
-    undecided = _of_free_nodes(near, free)
-    for number, (dx, dy) in enumerate(_TESTED, start=1):
-        start, end = _ends(free.shape, dx, dy)
-        result[number][start] = free[start] & free[end]
-        ways = result[number].reshape(-1)
-        stride = dy * free.shape[1] + dx
-        node, obstacle = _unsure(undecided, ways, stride, places, clearance_m, len(index.polygons))
-        blocked = blocked_segments(
-            index, places[node], places[node + stride], obstacle, clearance_m
-        )
-        ways[node[blocked]] = False
-    for number, (dx, dy) in enumerate(_DOUBLED, start=len(_TESTED) + 1):
-        once = result[1 + _TESTED.index((dx, dy))]
-        start, end = _ends(free.shape, dx, dy)
-        result[number][start] = once[start] & once[end]
-    for number, (dx, dy) in enumerate(_FORWARD, start=1):
-        start, end = _ends(free.shape, dx, dy)
-        result[number + len(_FORWARD)][end] = result[number][start]
-    return result
-
-
-def _ends(
-    shape: tuple[int, ...], dx: int, dy: int
-) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Nodes that the move (dx, dy) can start from, and the nodes where it then ends."""
-    ny, nx = shape
-    start = (slice(max(-dy, 0), max(ny - dy, 0)), slice(max(-dx, 0), max(nx - dx, 0)))
-    end = (slice(max(dy, 0), max(ny + dy, 0)), slice(max(dx, 0), max(nx + dx, 0)))
-    return start, end
-
-
-def _of_free_nodes(near: NearPairs, free: NDArray[np.bool_]) -> NearPairs:
-    """The pairs whose node is free, sorted by node and then obstacle."""
-    order = np.lexsort((near.obstacle, near.node))
-    order = order[free.reshape(-1)[near.node[order]]]
-    return NearPairs(near.node[order], near.obstacle[order], near.distance_m[order])
-
-
-def _unsure(
-    near: NearPairs,
-    ways: NDArray[np.bool_],
-    stride: int,
-    places_m: NDArray[np.float64],
-    clearance_m: float,
-    obstacles: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Start node and obstacle of the `ways` (nodes,) that the Lipschitz bound does not clear.
-
-    A way is unsure only if both of its ends are among the pairs: an end that is not is at least
-    the clearance and the way's length away, and the other end at least the clearance.
-    """
-    asked = np.flatnonzero(ways[near.node])
-    start = near.node[asked]
-    length = np.hypot(*(places_m[start + stride] - places_m[start]).T)
-    key = near.node * obstacles + near.obstacle
-    wanted = key[asked] + stride * obstacles
-    found = np.minimum(np.searchsorted(key, wanted), key.size - 1)
-    both = near.distance_m[asked] + near.distance_m[found]
-    unsure = (key[found] == wanted) & (both < length + 2.0 * clearance_m)
-    return start[unsure], near.obstacle[asked[unsure]]
-
-
-__all__ = [
-    "MOVES",
-    "Lattice",
-    "build_lattice",
-    "moves_from",
-    "nearest_node",
-    "node_positions",
-]
 
 MAX_NODES = 10_000_000
 """The 21 moves of this many nodes take 210 MB; more is a mistake in the step or the bounds."""
@@ -164,8 +54,7 @@ class Lattice:
     spacing_m: float  # Distance of neighbours
     shape: tuple[int, int]  # (ny, nx)
     free: NDArray[np.bool_]  # (ny, nx) whether the node keeps the clearance
-    # (21, ny, nx) whether the way from the node along MOVES[k] ends on a node and keeps the
-    # clearance
+    # (21, ny, nx) whether MOVES[k] from the node ends on a node and keeps the clearance
     open_moves: NDArray[np.bool_]
 
 
@@ -193,12 +82,12 @@ def build_lattice(
 
 
 def node_positions(lattice: Lattice) -> NDArray[np.float64]:
-    """Positions of all nodes, ``(ny, nx, 2)`` in metres."""
+    """Return the positions of all nodes, ``(ny, nx, 2)`` in metres."""
     return _positions(lattice.origin_m, lattice.spacing_m, lattice.shape)
 
 
 def nearest_node(lattice: Lattice, position_m: NDArray[np.float64]) -> tuple[int, int]:
-    """The ``(iy, ix)`` of the node nearest to `position_m` (2,), free or not."""
+    """Return the ``(iy, ix)`` of the node nearest to `position_m` (2,), free or not."""
     ny, nx = lattice.shape
     ix, iy = np.rint((position_m - lattice.origin_m) / lattice.spacing_m)
     return int(min(max(iy, 0), ny - 1)), int(min(max(ix, 0), nx - 1))
@@ -211,8 +100,7 @@ def moves_from(
     reach_m: float,
     clearance_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """First moves of a plan: from a place off the lattice to the nodes around it."""
-    # Shapes: returns (n,).
+    """Return the nodes (iy, ix) within reach of a position, and whether paths to them are open."""
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
     reach = (reach_m + REACH_TOLERANCE_M) / lattice.spacing_m
@@ -227,18 +115,14 @@ def moves_from(
     free = np.flatnonzero(ok)
     ends = lattice.origin_m + lattice.spacing_m * np.column_stack((ix[free], iy[free]))
     starts = np.broadcast_to(position_m, ends.shape)
-    way, obstacle = index.tree.query(
-        segment_lines(starts, ends), predicate="dwithin", distance=clearance_m
-    )
-    blocked = blocked_segments(index, starts[way], ends[way], obstacle, clearance_m)
-    ok[free[way[blocked]]] = False
+    ok[free] = segments_clear(index, starts, ends, clearance_m)
     return iy, ix, ok
 
 
 def _axis(
     workspace: Workspace, anchor_m: NDArray[np.float64], spacing_m: float, dimension: int
 ) -> tuple[float, int]:
-    """First coordinate and number of the nodes strictly between the bounds along one axis."""
+    """Return the first coordinate and the number of nodes strictly between the bounds."""
     low, high = workspace.bounds_m[dimension], workspace.bounds_m[dimension + 2]
     anchor = float(anchor_m[dimension])
     first = math.floor((low - anchor) / spacing_m) + 1
@@ -249,6 +133,209 @@ def _axis(
 def _positions(
     origin_m: NDArray[np.float64], spacing_m: float, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """Node positions ``(ny, nx, 2)``."""
+    """Return node positions ``(ny, nx, 2)``."""
     iy, ix = np.indices(shape)
     return origin_m + spacing_m * np.stack((ix, iy), axis=-1)
+
+
+@dataclass(frozen=True)
+class NearPairs:
+    """Pairs of a node and an obstacle near it."""
+
+    node: NDArray[np.int64]  # (p,) numbers into the positions
+    obstacle: NDArray[np.int64]  # (p,) numbers into the index
+    distance_m: NDArray[np.float64]  # (p,) their distance, exact
+
+
+def near_pairs(index: ObstacleIndex, positions_m: NDArray[np.float64], reach_m: float) -> NearPairs:
+    """Return all pairs of a position (n, 2) and an obstacle within `reach_m` of it."""
+    points = np.asarray(shapely.points(positions_m), np.object_)
+    node, obstacle = index.tree.query(points, predicate="dwithin", distance=reach_m)
+    return NearPairs(node, obstacle, distances_m(points[node], index.polygons[obstacle]))
+
+
+def open_moves(
+    index: ObstacleIndex,
+    positions_m: NDArray[np.float64],  # (ny, nx, 2) node positions
+    free: NDArray[np.bool_],  # (ny, nx) nodes that keep the clearance
+    near: NearPairs,
+    clearance_m: float,
+) -> NDArray[np.bool_]:
+    """Return whether the moves of every node end on a node and keep the clearance."""
+    result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
+    result[0] = free
+    places = positions_m.reshape(-1, 2)
+    undecided = _of_free_nodes(near, free)
+    for number, (dx, dy) in enumerate(_TESTED, start=1):
+        start, end = _ends(free.shape, dx, dy)
+        result[number][start] = free[start] & free[end]
+        moves = result[number].reshape(-1)
+        stride = dy * free.shape[1] + dx
+        node, obstacle = _unsure(undecided, moves, stride, places, clearance_m, len(index.polygons))
+        lines = segment_lines(places[node], places[node + stride])
+        blocked = ~is_clear(distances_m(lines, index.polygons[obstacle]), clearance_m)
+        moves[node[blocked]] = False
+    for number, (dx, dy) in enumerate(_DOUBLED, start=len(_TESTED) + 1):
+        once = result[1 + _TESTED.index((dx, dy))]
+        start, end = _ends(free.shape, dx, dy)
+        result[number][start] = once[start] & once[end]
+    for number, (dx, dy) in enumerate(_FORWARD, start=1):
+        start, end = _ends(free.shape, dx, dy)
+        result[number + len(_FORWARD)][end] = result[number][start]
+    return result
+
+
+def _ends(
+    shape: tuple[int, ...], dx: int, dy: int
+) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the nodes that the move (dx, dy) can start from, and those where it then ends."""
+    ny, nx = shape
+    start = (slice(max(-dy, 0), max(ny - dy, 0)), slice(max(-dx, 0), max(nx - dx, 0)))
+    end = (slice(max(dy, 0), max(ny + dy, 0)), slice(max(dx, 0), max(nx + dx, 0)))
+    return start, end
+
+
+def _of_free_nodes(near: NearPairs, free: NDArray[np.bool_]) -> NearPairs:
+    """Return the pairs whose node is free, sorted by node and then obstacle."""
+    order = np.lexsort((near.obstacle, near.node))
+    order = order[free.reshape(-1)[near.node[order]]]
+    return NearPairs(near.node[order], near.obstacle[order], near.distance_m[order])
+
+
+def _unsure(
+    near: NearPairs,
+    moves: NDArray[np.bool_],  # (nodes,)
+    stride: int,
+    places_m: NDArray[np.float64],
+    clearance_m: float,
+    obstacles: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return start node and obstacle of the moves that the Lipschitz bound does not clear.
+
+    A move is unsure only if both of its ends are among the pairs: an end that is not is at least
+    the clearance and the length of the move away, and the other end at least the clearance.
+    """
+    from_open = np.flatnonzero(moves[near.node])
+    start = near.node[from_open]
+    length = np.hypot(*(places_m[start + stride] - places_m[start]).T)
+    key = near.node * obstacles + near.obstacle
+    end_key = key[from_open] + stride * obstacles
+    end = np.minimum(np.searchsorted(key, end_key), key.size - 1)
+    both = near.distance_m[from_open] + near.distance_m[end]
+    unsure = (key[end] == end_key) & (both < length + 2.0 * clearance_m)
+    return start[unsure], near.obstacle[from_open[unsure]]
+
+
+@dataclass(frozen=True)
+class RoadMap:
+    """The free nodes of a lattice, in reading order, and the moves between them as a graph."""
+
+    lattice: Lattice  # The lattice it was built from
+    nodes_m: NDArray[np.float64]  # (n, 2) positions
+    rows: NDArray[np.intp]  # (n,) their lattice indices iy, ix
+    columns: NDArray[np.intp]
+    number: NDArray[np.intp]  # (ny, nx) node number on the lattice, -1 where not free
+    # (n, 21) the node from which each of `MOVES` arrives here; n where that move is closed
+    sources: NDArray[np.intp]
+    lengths_m: NDArray[np.float64]  # (21,) lengths of the moves
+    edge_from: NDArray[np.int32]  # The moves but "stay", sorted by `edge_from`, in compressed rows
+    edge_to: NDArray[np.int32]
+    edge_length_m: NDArray[np.float64]
+    edge_start: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class CostToGo:
+    """Cheapest paths from every node to a goal."""
+
+    # (n,) weighted length of the path; infinite where there is none, or beyond the limit
+    cost_m: NDArray[np.float64]
+    # (n,) the next node on it; negative at the goal and where there is no path
+    next_node: NDArray[np.int32]
+
+
+def build_road_map(lattice: Lattice) -> RoadMap:
+    """Number the free nodes and tabulate the open moves between them."""
+    rows, columns = np.nonzero(lattice.free)
+    count = len(rows)
+    number = np.full(lattice.shape, -1, dtype=np.intp)
+    number[rows, columns] = np.arange(count)
+    moves = np.asarray(MOVES)
+    # A move closed at its start leads to `count`, a node that does not exist and costs infinity.
+    targets = np.full((count, len(moves)), count, dtype=np.intp)
+    sources = np.full((count, len(moves)), count, dtype=np.intp)
+    for k, (dx, dy) in enumerate(moves):
+        here = np.nonzero(lattice.open_moves[k, rows, columns])[0]
+        there = number[rows[here] + dy, columns[here] + dx]
+        targets[here, k] = there
+        sources[there, k] = here
+    lengths = lattice.spacing_m * np.hypot(moves[:, 0], moves[:, 1])
+    is_edge = (targets < count) & (lengths > 0.0)
+    edge_from, move = np.nonzero(is_edge)
+    edge_start = np.concatenate([[0], np.cumsum(is_edge.sum(axis=1))])
+    return RoadMap(
+        lattice=lattice,
+        nodes_m=node_positions(lattice)[rows, columns],
+        rows=rows,
+        columns=columns,
+        number=number,
+        sources=sources,
+        lengths_m=lengths,
+        edge_from=edge_from.astype(np.int32),
+        edge_to=targets[edge_from, move].astype(np.int32),
+        edge_length_m=lengths[move],
+        edge_start=edge_start.astype(np.int32),
+    )
+
+
+def lattice_paths(
+    road_map: RoadMap,
+    goal_node: int,
+    node_factor: NDArray[np.float64] | None = None,  # (n,) at least 1, or None for plain lengths
+    *,
+    limit_m: float = math.inf,
+) -> CostToGo:
+    """Return the cheapest paths to a goal, each metre weighted by the mean factor of both ends."""
+    weights = road_map.edge_length_m
+    if node_factor is not None:
+        # Twice as fast as with both ends looked up: edges are sorted by their first end.
+        ends = np.repeat(node_factor, np.diff(road_map.edge_start))
+        ends += node_factor.take(road_map.edge_to)
+        ends *= weights
+        ends *= 0.5
+        weights = ends
+    return cheapest_paths(road_map, goal_node, weights, limit_m=limit_m)
+
+
+def cheapest_paths(
+    road_map: RoadMap,
+    goal_node: int,
+    edge_cost_m: NDArray[np.float64],
+    *,
+    limit_m: float = math.inf,
+) -> CostToGo:
+    """Return the cheapest paths to a goal by the costs (e,) of edges, equal in both directions."""
+    count = len(road_map.nodes_m)
+    graph = csr_matrix((edge_cost_m, road_map.edge_to, road_map.edge_start), shape=(count, count))
+    cost, following = cast(
+        "tuple[NDArray[np.float64], NDArray[np.int32]]",
+        dijkstra(graph, indices=goal_node, return_predecessors=True, limit=limit_m),
+    )
+    return CostToGo(cost_m=cost, next_node=following)
+
+
+def route_from(
+    road_map: RoadMap, cost_to_go: CostToGo, node: int, length_m: float
+) -> NDArray[np.intp]:
+    """Return the node numbers of the first `length_m` of the cheapest path from `node`."""
+    nodes = [node]
+    travelled = 0.0
+    while travelled < length_m:
+        following = int(cost_to_go.next_node[nodes[-1]])
+        if following < 0:
+            break
+        travelled += float(
+            np.linalg.norm(road_map.nodes_m[following] - road_map.nodes_m[nodes[-1]])
+        )
+        nodes.append(following)
+    return np.asarray(nodes, dtype=np.intp)

@@ -1,33 +1,27 @@
-"""Separating lines between path segments and convex pieces, for the solver.
+"""Separating lines: linear constraints that keep path segments from obstacles, for the solver.
 
 A line fixed from the start path and applied to both ends of a segment keeps the whole segment on
-its side of the obstacle: an exact, linear clearance constraint.
+its side of a convex piece of an obstacle. The verifier uses the footprints themselves.
 
-Cut a footprint into convex pieces, because a separating line needs a convex obstacle.
-
-Done once per footprint for the solver. The verifier looks at the footprint as it is.
-
-Lines that keep paths from what moves, during the steps and while a robot stops after them.
-
-Seen from a disc's centre, the robot moves straight during a step; that segment must stay outside a
-disc about the origin. A line through the place nearest to the centre, with its normal n fixed from
-the start path, gives two linear rows with offsets of their own::
+Seen from the centre of a moving disc, the robot moves straight during a step. A line through the
+point nearest to the centre, with its normal n fixed from the start path, gives two linear rows::
 
     n . (q_{k-1} - c_{k-1}) >= R,    n . (q_k - c_k) >= R
 
 If both hold, the whole step keeps the distance R.
 
-The way of stopping is a consequence of where and how fast the last step ends. After the start path
-it keeps ``g = min_t n . (p(t) - c(t)) - R`` more than it must from a disc, the normal n fixed where
-they are nearest. If neither the last place nor the place of standstill moves more than g towards
-the disc, no place between does.
+Braking after the last step follows from its end. From the start path it keeps
+``g = min_t n . (p(t) - c(t)) - R`` more than required from a disc, with the normal n where they are
+nearest. If neither the last position nor the place of standstill moves by more than g towards the
+disc, no position between does.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import shapely
@@ -45,7 +39,7 @@ FLAT_M = 1e-9
 
 
 def convex_pieces(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], ...]:
-    """Convex polygons that together are exactly `polygon`.
+    """Return convex polygons that together are exactly `polygon`.
 
     The constrained Delaunay triangles are merged over their common edges, longest first, as long
     as the result stays convex (Hertel and Mehlhorn 1983: at most four times the least number of
@@ -63,7 +57,7 @@ def convex_pieces(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], ...]:
 
 
 def _ring(polygon: shapely.Polygon) -> list[Vertex]:
-    """Exterior vertices, counter-clockwise, not closed, without repetitions in a row."""
+    """Return the exterior vertices, counter-clockwise, not closed, without repetitions."""
     ring = polygon.exterior
     closed = [(float(x), float(y)) for x, y in shapely.get_coordinates(ring)]
     open_ring = [b for a, b in itertools.pairwise(closed) if a != b]
@@ -83,7 +77,7 @@ def _is_convex(ring: list[Vertex]) -> bool:
 
 
 def _corners(ring: list[Vertex]) -> NDArray[np.float64]:
-    """Corners of the convex hull of `ring`, counter-clockwise: drops flat vertices."""
+    """Return the corners of the convex hull of `ring`, counter-clockwise."""
     hull = shapely.MultiPoint(ring).convex_hull
     if not isinstance(hull, shapely.Polygon):
         raise AssertionError("a piece without area")
@@ -109,12 +103,12 @@ def _merged(triangles: list[list[Vertex]]) -> list[list[Vertex]]:
 
 
 def _edges(ring: list[Vertex]) -> list[Edge]:
-    """Directed edges of `ring`, the closing one included."""
+    """Return the directed edges of `ring`, the closing one included."""
     return list(zip(ring, ring[1:] + ring[:1], strict=True))
 
 
 def _starting_at(ring: list[Vertex], vertex: Vertex) -> list[Vertex]:
-    """`ring` rotated so that it starts at `vertex`."""
+    """Return `ring` rotated so that it starts at `vertex`."""
     start = ring.index(vertex)
     return ring[start:] + ring[:start]
 
@@ -136,7 +130,7 @@ class PackedPieces:
     # (k, 2) corners of the bounding boxes, for the search of candidates
     lower_m: NDArray[np.float64]
     upper_m: NDArray[np.float64]
-    obstacle: NDArray[np.int64]  # (k,) number of the obstacle in the workspace that the piece is of
+    obstacle: NDArray[np.int64]  # (k,) number of each piece's obstacle in the workspace
 
 
 @dataclass(frozen=True)
@@ -153,50 +147,49 @@ class SeparatingLines:
     # (s, c) distance in metres, or minus the depth of the overlap; infinite in empty slots
     gaps: NDArray[np.float64]
     piece: NDArray[np.int64]  # (s, c) number of the piece; -1 in empty slots
-    # (s, c) offsets that hold at the segment's start, where a line moves with what it keeps the
-    # segment from; None where all stand still and `offsets` hold at both ends
-    start_offsets: NDArray[np.float64] | None = None
-
-    @property
-    def at_start(self) -> NDArray[np.float64]:
-        """``(s, c)`` offsets that hold at the segments' starts."""
-        return self.offsets if self.start_offsets is None else self.start_offsets
+    # (s, c) offsets at the segment's start, where a line moves during a step
+    start_offsets: NDArray[np.float64]
 
     def rows(self, kept_m: float) -> NDArray[np.float64]:
-        """``(s, c, 4)`` normals and the offsets at end and start, with `kept_m` kept from them."""
+        """Return normals and the offsets at end and start (s, c, 4), `kept_m` from the lines."""
         kept = np.where(np.isfinite(self.gaps), kept_m, 0.0)
-        offsets = np.stack([self.offsets + kept, self.at_start + kept], axis=2)
+        offsets = np.stack([self.offsets + kept, self.start_offsets + kept], axis=2)
         return np.concatenate([self.normals, offsets], axis=2)
 
 
-def joined_lines(first: SeparatingLines, second: SeparatingLines) -> SeparatingLines:
-    """The lines of both beside each other, for the same segments."""
+def empty_lines(segments: int, count: int) -> SeparatingLines:
+    """Return a table of lines of which every slot is empty."""
+    shape = (segments, count)
     return SeparatingLines(
-        normals=np.concatenate([first.normals, second.normals], axis=1),
-        offsets=np.concatenate([first.offsets, second.offsets], axis=1),
-        gaps=np.concatenate([first.gaps, second.gaps], axis=1),
-        piece=np.concatenate([first.piece, second.piece], axis=1),
-        start_offsets=np.concatenate([first.at_start, second.at_start], axis=1),
+        normals=np.zeros((*shape, 2)),
+        offsets=np.full(shape, EMPTY_OFFSET_M),
+        gaps=np.full(shape, np.inf),
+        piece=np.full(shape, -1, dtype=np.int64),
+        start_offsets=np.full(shape, EMPTY_OFFSET_M),
     )
 
 
+def _columns(lines: SeparatingLines) -> list[NDArray[Any]]:
+    return [getattr(lines, each.name) for each in fields(lines)]
+
+
+def joined_lines(first: SeparatingLines, second: SeparatingLines) -> SeparatingLines:
+    """Return the lines of both for the same segments."""
+    columns = zip(_columns(first), _columns(second), strict=True)
+    return SeparatingLines(*(np.concatenate(pair, axis=1) for pair in columns))
+
+
 def split_lines(lines: SeparatingLines, count: int) -> tuple[SeparatingLines, SeparatingLines]:
-    """The first `count` lines of every segment, and the others."""
+    """Return the first `count` lines of every segment, and the others."""
     first, others = (
-        SeparatingLines(
-            normals=lines.normals[:, some],
-            offsets=lines.offsets[:, some],
-            gaps=lines.gaps[:, some],
-            piece=lines.piece[:, some],
-            start_offsets=lines.at_start[:, some],
-        )
+        SeparatingLines(*(column[:, some] for column in _columns(lines)))
         for some in (slice(count), slice(count, None))
     )
     return first, others
 
 
 def pack_pieces(workspace: Workspace) -> PackedPieces:
-    """Cut every obstacle of `workspace` into convex pieces and pack them, once per workspace."""
+    """Cut every obstacle of a workspace into convex pieces, and pack them."""
     cut = [convex_pieces(obstacle.polygon) for obstacle in workspace.obstacles]
     rings = [ring for pieces in cut for ring in pieces]
     corners = np.array([len(ring) for ring in rings], dtype=np.int64)
@@ -226,7 +219,7 @@ def separating_lines(
     count: int,
     reach_m: float,
 ) -> SeparatingLines:
-    """The best separating line of every segment from each of the pieces nearest to it."""
+    """Return the best separating line of every segment from each of the pieces nearest to it."""
     # Shapes: starts_m, ends_m (s, 2).
     segment, piece = _candidates(pieces, starts_m, ends_m, reach_m)
     normals, offsets, gaps = _best_lines(pieces, starts_m[segment], ends_m[segment], piece)
@@ -236,9 +229,9 @@ def separating_lines(
     rank = np.arange(order.size) - np.searchsorted(ordered, ordered)
     chosen = order[rank < count]
     slots = (segment[chosen], rank[rank < count])
-    return _filled(
-        (len(starts_m), count), slots, normals[chosen], offsets[chosen], gaps[chosen], piece[chosen]
-    )
+    lines = empty_lines(len(starts_m), count)
+    _fill(lines, slots, normals[chosen], offsets[chosen], gaps[chosen], piece[chosen])
+    return lines
 
 
 def lines_for(
@@ -247,34 +240,29 @@ def lines_for(
     ends_m: NDArray[np.float64],
     piece_ids: NDArray[np.int64],  # (s, c)
 ) -> SeparatingLines:
-    """The best separating lines of every segment from the given pieces."""
+    """Return the best separating lines of every segment from some pieces."""
     # Shapes: starts_m, ends_m (s, 2).
     slots = np.nonzero(piece_ids >= 0)
     piece = piece_ids[slots]
-    normals, offsets, gaps = _best_lines(pieces, starts_m[slots[0]], ends_m[slots[0]], piece)
-    return _filled((piece_ids.shape[0], piece_ids.shape[1]), slots, normals, offsets, gaps, piece)
+    best = _best_lines(pieces, starts_m[slots[0]], ends_m[slots[0]], piece)
+    lines = empty_lines(piece_ids.shape[0], piece_ids.shape[1])
+    _fill(lines, slots, *best, piece)
+    return lines
 
 
-def _filled(
-    shape: tuple[int, int],
-    slots: tuple[NDArray[np.int64], ...],
+def _fill(
+    lines: SeparatingLines,
+    slots: Any,
     normals: NDArray[np.float64],
-    offsets: NDArray[np.float64],
-    gaps: NDArray[np.float64],
-    piece: NDArray[np.int64],
-) -> SeparatingLines:
-    """Lines in their `slots` of an otherwise empty table of `shape`."""
-    lines = SeparatingLines(
-        normals=np.zeros((*shape, 2)),
-        offsets=np.full(shape, EMPTY_OFFSET_M),
-        gaps=np.full(shape, np.inf),
-        piece=np.full(shape, -1, dtype=np.int64),
-    )
+    offsets: NDArray[np.float64] | float,
+    gaps: NDArray[np.float64] | float,
+    piece: NDArray[np.int64] | int,
+) -> None:
+    """Put lines that stand still into the `slots` of a table."""
     lines.normals[slots] = normals
-    lines.offsets[slots] = offsets
+    lines.offsets[slots] = lines.start_offsets[slots] = offsets
     lines.gaps[slots] = gaps
     lines.piece[slots] = piece
-    return lines
 
 
 def _candidates(
@@ -283,7 +271,7 @@ def _candidates(
     ends_m: NDArray[np.float64],
     reach_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs (segment, piece) whose bounding boxes are within `reach_m` of each other."""
+    """Return pairs (segment, piece) whose bounding boxes are within `reach_m` of each other."""
     lower, upper = np.minimum(starts_m, ends_m), np.maximum(starts_m, ends_m)
     # All segments of a plan lie close together: one box around them drops most pieces.
     around_lower = lower.min(axis=0, initial=np.inf) - reach_m
@@ -304,7 +292,7 @@ def _best_lines(
     ends_m: NDArray[np.float64],
     piece: NDArray[np.int64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Normals (p, 2), offsets (p,) and gaps (p,) of the best line of each pair.
+    """Return normals (p, 2), offsets (p,) and gaps (p,) of the best line of each pair.
 
     The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``; its maximum over n is the
     distance of two disjoint convex sets, or minus the least depth of an overlap. It is attained
@@ -320,7 +308,7 @@ def _best_lines(
     edge_gap = np.minimum(0.0, _dot(edge_normal, along[:, None])) - _dot(edge_normal, corner)
     across = np.column_stack((-along[:, 1], along[:, 0]))
     from_start, from_end = -corner, along[:, None] - corner
-    tried = np.stack(
+    normals = np.stack(
         (
             across,
             -across,
@@ -330,29 +318,27 @@ def _best_lines(
         ),
         axis=1,
     )
-    length = np.hypot(tried[..., 0], tried[..., 1])
-    tried /= np.where(length > 0.0, length, 1.0)[..., None]
-    support = (
-        tried[:, :, None, 0] * corner[:, None, :, 0] + tried[:, :, None, 1] * corner[:, None, :, 1]
-    ).max(axis=2)
-    gap = np.where(length > 0.0, np.minimum(0.0, _dot(tried, along[:, None])) - support, -np.inf)
+    length = np.hypot(normals[..., 0], normals[..., 1])
+    normals /= np.where(length > 0.0, length, 1.0)[..., None]
+    support = _dot(normals[:, :, None], corner[:, None]).max(axis=2)
+    gap = np.where(length > 0.0, np.minimum(0.0, _dot(normals, along[:, None])) - support, -np.inf)
     best = gap.argmax(axis=1)
-    normal = _row_of(tried, best)
+    normal = _row_of(normals, best)
     return normal, _dot(normal, starts_m) + _row_of(support, best), _row_of(gap, best)
 
 
 def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scalar products over the last axis of length 2."""
+    """Return scalar products over the last axis of length 2."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
 def _row_of(table: NDArray[np.float64], column: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Entry `column` (p,) of every row of `table` (p, w, ...)."""
+    """Return entry `column` (p,) of every row of `table` (p, w, ...)."""
     return table[np.arange(len(table)), column]
 
 
 TOUCHING_M = 1e-9
-"""A segment that passes a centre this near is separated across its own direction."""
+"""A segment that passes a centre this near has a line parallel to it."""
 
 
 def moving_lines(
@@ -364,19 +350,13 @@ def moving_lines(
     needed: NDArray[np.bool_] | None = None,  # (m, N)
     pad_m: float = 0.0,
 ) -> SeparatingLines:
-    """Lines of every segment from the discs nearest to it.
+    """Return the lines of every segment from the discs nearest to it.
 
-    Like lines of obstacles they touch the disc, and the clearance is still to be kept from them: a
-    disc that asks for another distance counts as so much larger or smaller.
+    As lines of obstacles they touch the disc, and the clearance is to be kept from them: a disc
+    with another required distance counts as larger or smaller by the difference.
     """
     steps = len(path_m) - 1
-    lines = SeparatingLines(
-        normals=np.zeros((steps, count, 2)),
-        offsets=np.full((steps, count), EMPTY_OFFSET_M),
-        gaps=np.full((steps, count), np.inf),
-        piece=np.full((steps, count), -1, dtype=np.int64),
-        start_offsets=np.full((steps, count), EMPTY_OFFSET_M),
-    )
+    lines = empty_lines(steps, count)
     relative = path_m - discs.centres_m[:, : len(path_m)]
     begin, end = relative[:, :-1], relative[:, 1:]
     nearest = nearest_to_origin_m(begin, end)
@@ -395,19 +375,15 @@ def moving_lines(
         step = np.arange(steps)
         kept = (gaps[disc, step] <= reach_m) | np.isinf(first[disc, step])
         disc, step = disc[kept], step[kept]
-        n = normal[disc, step]
-        lines.normals[step, row] = n
-        centre_end = discs.centres_m[disc, step + 1]
-        centre_begin = discs.centres_m[disc, step]
-        lines.offsets[step, row] = (n * centre_end).sum(axis=1) + size[disc, step]
-        lines.at_start[step, row] = (n * centre_begin).sum(axis=1) + size[disc, step]
-        lines.gaps[step, row] = gaps[disc, step]
-        lines.piece[step, row] = disc
+        n, touching = normal[disc, step], size[disc, step]
+        offsets = _dot(n, discs.centres_m[disc, step + 1]) + touching
+        _fill(lines, (step, row), n, offsets, gaps[disc, step], disc)
+        lines.start_offsets[step, row] = _dot(n, discs.centres_m[disc, step]) + touching
     return lines
 
 
 FAR_M = 1e4
-"""A line that asks nothing at the begin of a step is this far behind where it is at the end."""
+"""Distance, in metres, at which a line that holds at the end of a step alone begins."""
 
 
 def tail_lines(
@@ -419,8 +395,8 @@ def tail_lines(
     count: int,
     reach_m: float,
 ) -> tuple[SeparatingLines, SeparatingLines]:
-    """Separating lines of the last position, as of N segments, and of a stationary robot."""
-    last, still = _empty(planned, count), _empty(1, count)
+    """Return the lines of the last position, as of N segments, and of the robot at standstill."""
+    last, still = empty_lines(planned, count), empty_lines(1, count)
     whole = motion.lasting(discs.steps)
     own, bulges = whole.places_m[planned:], whole.bulges_m[planned:]
     found: list[tuple[float, NDArray[np.float64]]] = []
@@ -443,19 +419,6 @@ def tail_lines(
     for row, (gap, normal) in enumerate(found[:count]):
         ends = np.stack([own[0], standstill_m]) @ normal - gap
         for lines, segment, end in ((last, planned - 1, ends[0]), (still, 0, ends[1])):
-            lines.normals[segment, row] = normal
-            lines.offsets[segment, row] = end
-            lines.at_start[segment, row] = end - FAR_M if lines is last else end
-            lines.gaps[segment, row] = gap
-            lines.piece[segment, row] = row
+            _fill(lines, (segment, row), normal, end, gap, row)
+        last.start_offsets[planned - 1, row] -= FAR_M
     return last, still
-
-
-def _empty(segments: int, count: int) -> SeparatingLines:
-    return SeparatingLines(
-        normals=np.zeros((segments, count, 2)),
-        offsets=np.full((segments, count), EMPTY_OFFSET_M),
-        gaps=np.full((segments, count), np.inf),
-        piece=np.full((segments, count), -1, dtype=np.int64),
-        start_offsets=np.full((segments, count), EMPTY_OFFSET_M),
-    )

@@ -9,23 +9,18 @@ from planopt.planning.programme.path_nlp import GOAL, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask
 from planopt.planning.programme.path_rows import PathShape
 from planopt.targets.rounding import Derivatives
-from planopt.world.separation import EMPTY_OFFSET_M, SeparatingLines
+from planopt.world.separation import empty_lines
 
 
 def no_lines(horizon, count):
     """Empty slots only."""
-    return SeparatingLines(
-        normals=np.zeros((horizon, count, 2)),
-        offsets=np.full((horizon, count), EMPTY_OFFSET_M),
-        gaps=np.full((horizon, count), np.inf),
-        piece=np.full((horizon, count), -1),
-    )
+    return empty_lines(horizon, count)
 
 
 def with_line(lines, segment, normal, offset_m):
     """The same with ``normal . q >= offset_m`` for a segment in its first slot."""
     lines.normals[segment, 0] = normal
-    lines.offsets[segment, 0] = offset_m
+    lines.offsets[segment, 0] = lines.start_offsets[segment, 0] = offset_m
     lines.gaps[segment, 0] = 0.0
     lines.piece[segment, 0] = 0
     return lines

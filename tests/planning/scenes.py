@@ -43,9 +43,8 @@ from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
 from planopt.robots.drive import Drive
 from planopt.world.clearance import ObstacleIndex, index_obstacles
-from planopt.world.lattice import build_lattice
+from planopt.world.lattice import RoadMap, build_lattice, build_road_map
 from planopt.world.raster import Raster
-from planopt.world.road_map import RoadMap, build_road_map
 from planopt.world.workspace import Obstacle, Workspace
 
 PowerAt = Callable[[np.ndarray], np.ndarray]

@@ -44,10 +44,10 @@ def test_both_rows_keep_the_distance(seed):
             assert np.linalg.norm(n) == pytest.approx(1.0)
             gap = near[disc, k] - discs.apart_m[disc, k] + clearance
             assert lines.gaps[k, j] == pytest.approx(gap)
-            assert n @ path[k] - lines.at_start[k, j] >= gap - 1e-9
+            assert n @ path[k] - lines.start_offsets[k, j] >= gap - 1e-9
             assert n @ path[k + 1] - lines.offsets[k, j] >= gap - 1e-9
             begins, ends = generator.normal(scale=6.0, size=(2, 400, 2))
-            keeps = (begins @ n - lines.at_start[k, j] >= clearance) & (
+            keeps = (begins @ n - lines.start_offsets[k, j] >= clearance) & (
                 ends @ n - lines.offsets[k, j] >= clearance
             )
             kept += int(keeps.sum())

@@ -8,8 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import small_road_map
 
-from planopt.world.lattice import MOVES, Lattice, node_positions
-from planopt.world.road_map import build_road_map, lattice_paths, route_from
+from planopt.world.lattice import (
+    MOVES,
+    Lattice,
+    build_road_map,
+    lattice_paths,
+    node_positions,
+    route_from,
+)
 
 WALL = shapely.box(4.4, 0.0, 4.6, 6.2)
 BLOCK = shapely.Polygon([(6.5, 3.5), (8.4, 4.4), (7.4, 6.6)])

@@ -48,7 +48,7 @@ from planopt.planning.values.reach_cost import ReachCost
 from planopt.planning.values.steered_path import steering_way
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles
-from planopt.world.road_map import RoadMap
+from planopt.world.lattice import RoadMap
 
 VALUES, NOISE = "values_db", "noise_variance_db2"
 """Arrays of the Gaussian sites."""

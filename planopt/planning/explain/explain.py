@@ -27,7 +27,7 @@ from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solve import solve, solve_on
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.road_map import lattice_paths, route_from
+from planopt.world.lattice import lattice_paths, route_from
 
 
 @one_blas_thread()

@@ -26,7 +26,7 @@ from planopt.planning.scene import build_scene
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB
 from planopt.problems.problem import Problem
-from planopt.world.road_map import RoadMap
+from planopt.world.lattice import RoadMap
 
 CLEARANCES = 8
 """Bisections of the clearance where the lattice misses a narrow gap."""

@@ -20,7 +20,7 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS, true_serving_dbm
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
-from planopt.world.road_map import RoadMap, cheapest_paths, route_from
+from planopt.world.lattice import RoadMap, cheapest_paths, route_from
 
 SHORTCUT_NODES = 40
 """A straight stretch of the clairvoyant's path skips at most so many nodes of the lattice."""

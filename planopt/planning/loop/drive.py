@@ -28,7 +28,7 @@ from planopt.planning.stepping import Planning, Stepper
 from planopt.planning.values.exploration import workspace_region
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import sense
-from planopt.world.road_map import RoadMap
+from planopt.world.lattice import RoadMap
 
 
 @dataclass(frozen=True, eq=False)

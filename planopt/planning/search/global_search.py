@@ -35,8 +35,8 @@ from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_missing
 from planopt.planning.values.rule_rows import Guide, find_guided, step_rows
 from planopt.problems.problem import Problem
+from planopt.world.lattice import CostToGo, lattice_paths, route_from
 from planopt.world.moving_discs import MovingDiscs
-from planopt.world.road_map import CostToGo, lattice_paths, route_from
 
 FORBIDDEN = 1e6
 """A metre below the bound costs this many where it must not be driven: more than any path."""

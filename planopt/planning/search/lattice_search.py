@@ -25,9 +25,8 @@ from planopt.planning.search.moving_moves import (
     window_shape,
     without_margin,
 )
-from planopt.world.lattice import MOVES
+from planopt.world.lattice import MOVES, RoadMap
 from planopt.world.moving_discs import MovingDiscs
-from planopt.world.road_map import RoadMap
 
 StageReward = Callable[[int, Window], NDArray[np.float64]]
 """From the stage k = 1..N and a window to the reward of ending step k at each of its nodes."""

@@ -19,8 +19,7 @@ from planopt.objectives.reach import outage_share
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.values.context import StepContext
-from planopt.world.lattice import Lattice, node_positions
-from planopt.world.road_map import RoadMap
+from planopt.world.lattice import Lattice, RoadMap, node_positions
 
 
 class LatticeMap:

@@ -19,7 +19,7 @@ from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, swept_clearance_m
-from planopt.world.road_map import lattice_paths, route_from
+from planopt.world.lattice import lattice_paths, route_from
 
 LOOKAHEAD_STEPS = 5.0
 """How far along the way a pivot is sought, in longest steps."""

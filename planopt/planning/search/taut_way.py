@@ -17,8 +17,7 @@ from planopt.planning.scene import Ground, first_moves
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
-from planopt.world.lattice import REACH_TOLERANCE_M
-from planopt.world.road_map import CostToGo, lattice_paths, route_from
+from planopt.world.lattice import REACH_TOLERANCE_M, CostToGo, lattice_paths, route_from
 
 STRAIGHT_SHARE = 1e-9
 """Legs turn where their directions differ by more than this."""

@@ -17,9 +17,9 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
+from planopt.world.lattice import CostToGo, RoadMap, lattice_paths
 from planopt.world.motion import closest_approach_m
 from planopt.world.moving_discs import MovingDiscs
-from planopt.world.road_map import CostToGo, RoadMap, lattice_paths
 
 DELAYS_STEPS = (16, 64, 200)
 """Delays, in steps of waiting, that are looked at one after the other; the last is the longest."""

@@ -40,7 +40,7 @@ from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.steered_path import SteeringWay, steering_way
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
-from planopt.world.road_map import lattice_paths, route_from
+from planopt.world.lattice import lattice_paths, route_from
 
 TILE = 1
 """Places of the region are far apart: each has its own neighbours."""

@@ -18,7 +18,7 @@ from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_rows import PathShape
 from planopt.targets.rounding import Derivatives
-from planopt.world.separation import SeparatingLines
+from planopt.world.separation import empty_lines
 
 N = 4
 HILL = np.array([3.0, 1.5])
@@ -26,17 +26,17 @@ HILL = np.array([3.0, 1.5])
 
 def no_lines(count=1):
     """Lines that keep nothing away."""
-    shape = (N, count)
-    return SeparatingLines(
-        np.zeros((*shape, 2)), np.full(shape, -1.0), np.full(shape, np.inf), np.full(shape, -1)
-    )
+    return empty_lines(N, count)
 
 
 def one_line():
     """Every segment stays above y = 0.5 (and the clearance)."""
-    normals = np.zeros((N, 1, 2))
-    normals[:, :, 1] = 1.0
-    return SeparatingLines(normals, np.full((N, 1), 0.5), np.ones((N, 1)), np.zeros((N, 1), int))
+    lines = empty_lines(N, 1)
+    lines.normals[:, :, 1] = 1.0
+    lines.offsets[:] = lines.start_offsets[:] = 0.5
+    lines.gaps[:] = 1.0
+    lines.piece[:] = 0
+    return lines
 
 
 def bell(positions, weights):

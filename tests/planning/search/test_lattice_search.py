@@ -11,8 +11,7 @@ from scenes import small_road_map
 
 from planopt.planning.search.lattice_search import search_cheapest
 from planopt.planning.search.moving_moves import move_table
-from planopt.world.lattice import MOVES, Lattice
-from planopt.world.road_map import build_road_map, lattice_paths
+from planopt.world.lattice import MOVES, Lattice, build_road_map, lattice_paths
 
 STEP_S, WEIGHT = 0.8, 0.3
 

@@ -367,7 +367,7 @@ def power_truth(
 ) -> Truth:
     """Return the ground truth of arrays of received power, with or without small-scale fading."""
     # Shapes: x_m, y_m (nx,).
-    raster = checked_raster(x_m, y_m, power_dbm, None, "power_dbm")
+    raster = checked_raster(x_m, y_m, power_dbm, "power_dbm")
     if floor_dbm is not None and not abs(floor_dbm) <= MAX_POWER_DB:
         raise InputError(
             f"is {floor_dbm!r}, which is not a power", key="floor_dbm", remedy="give dBm"

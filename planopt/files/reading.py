@@ -99,9 +99,8 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
             warnings.simplefilter("ignore")
             yield
     except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(error.message, file=path, key=key, remedy=error.remedy) from error
+        found = InputError(error.message, key=error.key or key, row=error.row, remedy=error.remedy)
+        raise found.located(error.file or path) from error
     except Exception as error:
         fault, remedy = f"is damaged, or not {kind} that can be read", "copy or export it again"
         raise InputError(fault, file=path, key=key, remedy=remedy) from error

@@ -1,15 +1,14 @@
 """Occupancy grids from files: maps of ROS (YAML with a PGM or PNG image), and CSV.
 
 ROS: ``image``, ``resolution`` (metres a pixel), ``origin`` ([x, y, yaw] of the lower left corner),
-``occupied_thresh``, ``free_thresh``, ``negate`` (0) and ``mode`` (trinary) mean what they mean to
-``map_server`` and Nav2. A pixel's occupancy p is how dark it is, from 0 to 1, or how bright with
-``negate``. Above ``occupied_thresh`` its cell is occupied, below ``free_thresh`` free, between them
-unknown; ``scale`` grades what is between, which for an obstacle is unknown as well. In ``raw`` the
-pixel says its occupancy in per cent, and anything above 100 is unknown. So is a pixel that is not
-opaque.
+``occupied_thresh``, ``free_thresh``, ``negate`` (0) and ``mode`` (trinary) are those of
+``map_server`` and Nav2. The occupancy of a pixel is its darkness from 0 to 1, with ``negate`` its
+brightness. Above ``occupied_thresh`` its cell is occupied, below ``free_thresh`` free, between them
+unknown, also in mode ``scale``. In ``raw`` the pixel is its occupancy in per cent, and unknown
+above 100. A pixel that is not opaque is unknown.
 
 CSV: a row of names ``resolution_m,origin_x_m,origin_y_m,occupied_from``, a row of their values, and
-then the cells, a row of the map after the other, the one of the largest y first. Cells of at least
+then the rows of the map, that of the largest y first. Cells of at least
 ``occupied_from`` are occupied; negative and empty ones are unknown; the others are free.
 """
 
@@ -55,34 +54,35 @@ def is_grid(path: Path | str | None) -> bool:
 
 def read_grid(path: Path) -> OccupancyGrid:
     """Read an occupancy grid, by the ending of its file."""
-    return GRID_READERS[path.suffix.lower()](path)
+    try:
+        return GRID_READERS[path.suffix.lower()](path)
+    except InputError as error:
+        raise error.located(path) from error.__cause__
 
 
 def _read_ros_map(path: Path) -> OccupancyGrid:
     """Read a map of ROS."""
     table = _yaml_table(path)
-    resolution, (x, y) = _placed(path, _number(path, table, "resolution"), *_origin(path, table))
-    negate = _one_of(path, table, "negate", ("0", "1")) == "1"
-    mode = _one_of(path, table, "mode", ("trinary", "scale", "raw"))
+    resolution, (x, y) = _placed(_number(table, "resolution"), *_origin(table))
+    negate = _one_of(table, "negate", ("0", "1")) == "1"
+    mode = _one_of(table, "mode", ("trinary", "scale", "raw"))
     if mode == "raw" and negate:
         raise InputError(
             "is 1 with mode raw, which ROS 1 and Nav2 read differently",
-            file=path,
             key="negate",
             remedy="invert the image and set negate: 0",
         )
-    occupied_from = _number(path, table, "occupied_thresh")
-    free_to = _number(path, table, "free_thresh")
+    occupied_from = _number(table, "occupied_thresh")
+    free_to = _number(table, "free_thresh")
     if not 0.0 <= free_to <= occupied_from <= 1.0:
         raise InputError(
             f"{free_to:g} and occupied_thresh {occupied_from:g} are not 0 <= free <= occupied <= 1",
-            file=path,
             key="free_thresh",
             remedy="give free_thresh: 0.196 and occupied_thresh: 0.65, for instance",
         )
     image = table.get("image")
     if not isinstance(image, str) or not image:
-        raise InputError("is missing or no text", file=path, key="image", remedy="name the image")
+        raise InputError("is missing or no text", key="image", remedy="name the image")
     shade, opaque = _shades(path.parent / image, raw=mode == "raw")
     if mode == "raw":
         per_cent = np.round(255.0 * shade)
@@ -104,27 +104,25 @@ def _read_csv_grid(path: Path) -> OccupancyGrid:
     if header != list(CSV_HEADER) or len(values) != len(CSV_HEADER):
         raise InputError(
             f"the first two rows are not {','.join(CSV_HEADER)} and their values",
-            file=path,
             row=1,
             remedy="put both above the cells, which alone do not say where they are: "
             f"{','.join(CSV_HEADER)}, then for instance 0.05,0,0,50",
         )
-    numbers = [_cell(path, text, 2, name) for text, name in zip(values, header, strict=True)]
+    numbers = [_cell(text, 2, name) for text, name in zip(values, header, strict=True)]
     cells: list[list[float]] = []
     for line, row in rows:
         if cells and len(row) != len(cells[0]):
             raise InputError(
                 f"{len(row)} cells where the first row has {len(cells[0])}",
-                file=path,
                 row=line,
                 remedy="give each row as many cells",
             )
-        _require_cells(path, (len(cells) + 1) * len(row))
+        _require_cells((len(cells) + 1) * len(row))
         found = enumerate(row, start=1)
-        cells.append([_cell(path, text, line, f"column {column}") for column, text in found])
+        cells.append([_cell(text, line, f"column {column}") for column, text in found])
     if not cells:
-        raise InputError("there are no cells", file=path, remedy="rows of cells follow the values")
-    resolution, origin = _placed(path, numbers[0], numbers[1], numbers[2])
+        raise InputError("there are no cells", remedy="rows of cells follow the values")
+    resolution, origin = _placed(numbers[0], numbers[1], numbers[2])
     grid = np.array(cells)[::-1]
     unknown = ~(grid >= 0.0)
     return OccupancyGrid(~unknown & (grid >= numbers[3]), unknown, resolution, origin)
@@ -154,18 +152,15 @@ def _yaml_table(path: Path) -> dict[str, object]:
             row = None if error.problem_mark is None else error.problem_mark.line + 1
             raise InputError(
                 f"is not YAML: {error.problem}",
-                file=path,
                 row=row,
                 remedy="give the YAML file of a ROS map, or a CSV file of a grid",
             ) from error
     if not isinstance(table, dict):
-        raise InputError(
-            "has no keys", file=path, remedy="a map of ROS has image, resolution, origin, ..."
-        )
+        raise InputError("has no keys", remedy="a map of ROS has image, resolution, origin, ...")
     return cast("dict[str, object]", table)
 
 
-def _number(path: Path, table: dict[str, object], key: str) -> float:
+def _number(table: dict[str, object], key: str) -> float:
     """Return the number at `key`."""
     value = table.get(key)
     try:
@@ -174,7 +169,7 @@ def _number(path: Path, table: dict[str, object], key: str) -> float:
         number = math.nan
     if not math.isfinite(number):
         raise InputError(
-            f"is {_shown(value)}, should be a number", file=path, key=key, remedy="write a number"
+            f"is {_shown(value)}, should be a number", key=key, remedy="write a number"
         )
     return number
 
@@ -185,54 +180,46 @@ def _shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:60]}..."
 
 
-def _one_of(path: Path, table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:
+def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:
     """Return one of the allowed words at `key`, the first if it is missing."""
     value = table.get(key, allowed[0])
     word = {"true": "1", "false": "0"}.get(str(value).lower(), value)
     if not isinstance(word, str) or word not in allowed:
         raise InputError(
             f"is {_shown(value)}, should be one of {', '.join(allowed)}",
-            file=path,
             key=key,
             remedy="write one of these",
         )
     return word
 
 
-def _origin(path: Path, table: dict[str, object]) -> tuple[float, float]:
+def _origin(table: dict[str, object]) -> tuple[float, float]:
     """Return x and y of the origin, whose yaw must be 0."""
     origin = table.get("origin")
     values = cast("list[object]", origin if isinstance(origin, list) else [])
     if len(values) not in (2, 3):
         raise InputError(
             f"is {_shown(table.get('origin'))}, should be [x, y, yaw]",
-            file=path,
             key="origin",
             remedy="give metres and radians, such as [0.0, 0.0, 0.0]",
         )
-    x, y, yaw = (_number(path, {"origin": value}, "origin") for value in (*values, "0")[:3])
+    x, y, yaw = (_number({"origin": value}, "origin") for value in (*values, "0")[:3])
     if abs(yaw) > NO_TURN_RAD:
         raise InputError(
             f"has a yaw of {yaw:g} rad, and turned maps are not read",
-            file=path,
             key="origin",
             remedy="turn the image until its yaw is 0",
         )
     return x, y
 
 
-def _placed(
-    path: Path, resolution_m: float, x_m: float, y_m: float
-) -> tuple[float, tuple[float, float]]:
-    """Return side and origin, if they are metres."""
+def _placed(resolution_m: float, x_m: float, y_m: float) -> tuple[float, tuple[float, float]]:
+    """Return side and origin, which must be metres."""
     if not 0.0 < resolution_m <= LARGEST_COORDINATE_M:
-        raise InputError(
-            f"cells of {resolution_m:g} m", file=path, key="resolution", remedy="metres above 0"
-        )
+        raise InputError(f"cells of {resolution_m:g} m", key="resolution", remedy="metres above 0")
     if not max(abs(x_m), abs(y_m)) <= LARGEST_COORDINATE_M:
         raise InputError(
             f"({x_m:g}, {y_m:g}) is no place in metres",
-            file=path,
             key="origin",
             remedy="give metres near those of world.bounds_m",
         )
@@ -240,7 +227,7 @@ def _placed(
 
 
 def _shades(path: Path, raw: bool) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return how bright the pixels of an image are, from 0 to 1, and which are opaque."""
+    """Return the brightness of the pixels of an image, from 0 to 1, and which are opaque."""
     from PIL import Image
 
     kind = IMAGES.get(path.suffix.lower())
@@ -254,13 +241,13 @@ def _shades(path: Path, raw: bool) -> tuple[NDArray[np.float64], NDArray[np.bool
             image = Image.open(io.BytesIO(content), formats=[kind])
         except Image.DecompressionBombError:
             raise InputError(
-                f"declares far more than {MOST_CELLS:,} cells", file=path, remedy=FEWER_CELLS
+                f"declares far more than {MOST_CELLS:,} cells", remedy=FEWER_CELLS
             ) from None
         with image:
-            _require_cells(path, image.width * image.height)
+            _require_cells(image.width * image.height)
             if image.mode not in (*DEEP_MODES, *BYTE_MODES) or (raw and image.mode in DEEP_MODES):
                 raise InputError(
-                    f"pixels of kind {image.mode} are not read", file=path, remedy="use 8 bit grey"
+                    f"pixels of kind {image.mode} are not read", remedy="use 8 bit grey"
                 )
             deep = image.mode in DEEP_MODES
             pixels = np.asarray(image if deep else image.convert("RGBA"))
@@ -269,17 +256,16 @@ def _shades(path: Path, raw: bool) -> tuple[NDArray[np.float64], NDArray[np.bool
     return pixels[..., :3].sum(axis=-1, dtype=np.uint16) / 765.0, pixels[..., 3] == 255
 
 
-def _require_cells(path: Path, count: int) -> None:
+def _require_cells(count: int) -> None:
     """Refuse a grid of too many cells, or of none."""
     if not 0 < count <= MOST_CELLS:
         raise InputError(
             f"has {count:,} cells, should have 1 to {MOST_CELLS:,}",
-            file=path,
             remedy=FEWER_CELLS,
         )
 
 
-def _cell(path: Path, text: str, row: int, key: str) -> float:
+def _cell(text: str, row: int, key: str) -> float:
     """Return a number of a CSV file."""
     try:
         value = float(text) if text.strip() else math.nan
@@ -288,7 +274,6 @@ def _cell(path: Path, text: str, row: int, key: str) -> float:
     if math.isinf(value) or (row == 2 and math.isnan(value)):
         raise InputError(
             f"{_shown(text)} is not a number",
-            file=path,
             key=key,
             row=row,
             remedy="write numbers from 0 (free) to 100 (occupied), -1 where it is not known",

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
-from planopt.files.npz import npz_names
+from planopt.files.npz import npz_names, read_npz
 from planopt.files.reading import csv_rows, foreign_reader, read_bytes, require_array_size
 from planopt.files.writing import write_whole
-from planopt.world.raster import Raster, checked_raster, npz_arrays, read_npz_raster, write_npz
+from planopt.world.raster import Raster, checked_raster
 
 HDF5_SIGNATURE = b"\x89HDF"
 NETCDF_AXES = ("y", "x")
@@ -65,7 +65,7 @@ def read_netcdf(path: Path, variable: str) -> Raster:
     if y.ndim == 1 and y.size > 1 and y[0] > y[-1]:
         y, values = y[::-1], values[::-1]
     quantity, unit = (_text(attributes.get(name)) for name in ("long_name", "units"))
-    return replace(checked_raster(x, y, values, path, variable), quantity=quantity, unit=unit)
+    return replace(checked_raster(x, y, values, variable), quantity=quantity, unit=unit)
 
 
 def _text(value: object) -> str:
@@ -78,7 +78,7 @@ _Read = tuple[list[NDArray[np.float64]], Mapping[str, Any]]
 
 
 class _BoundedBytes(io.BytesIO):
-    """The bytes of a file, from which not much more than its size is read in all.
+    """The bytes of a file, with a limit on what is read in all.
 
     Variables of a damaged header may overlap, each as large as the file.
     """
@@ -100,12 +100,12 @@ def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
     from scipy.io import netcdf_file
 
     class Reader(netcdf_file):
-        """A file that is not closed: attributes from its content may replace its methods."""
+        """A file that is never closed: attributes from its content may replace its methods."""
 
         def __del__(self) -> None: ...
 
     held = Reader(_BoundedBytes(content), "r").variables
-    _require_map(path, {name: held[name].dimensions for name in held}, variable)
+    _require_map({name: held[name].dimensions for name in held}, variable)
     found = [
         _floats(held[name].data, vars(held[name]), path, name) for name in (*NETCDF_AXES, variable)
     ]
@@ -120,25 +120,24 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
     except ImportError as error:
         raise InputError(
             "NetCDF-4 cannot be read without h5netcdf",
-            file=path,
             remedy="install planopt[maps], or convert with nccopy -k classic",
         ) from error
     with h5py.File(io.BytesIO(content), "r") as opened:
         hdf5: Any = opened
         for name in hdf5:
             if isinstance(hdf5.get(name, getlink=True), h5py.ExternalLink):
-                raise InputError("links to another file", file=path, key=name)
+                raise InputError("links to another file", key=name)
             item = hdf5[name]
             if not isinstance(item, h5py.Dataset):
                 continue
             if item.external or item.is_virtual:
-                raise InputError("takes its values from another file", file=path, key=name)
+                raise InputError("takes its values from another file", key=name)
             require_array_size(path, name, *(item.shape or ()))
             # Chunks are unpacked whole.
             require_array_size(path, name, *(item.chunks or ()))
         with h5netcdf.File(opened, "r") as file:
             held = file.variables
-            _require_map(path, {name: held[name].dimensions for name in held}, variable)
+            _require_map({name: held[name].dimensions for name in held}, variable)
             found = [
                 _floats(held[name][...], held[name].attrs, path, name)
                 for name in (*NETCDF_AXES, variable)
@@ -146,18 +145,17 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
             return found, dict(held[variable].attrs)
 
 
-def _require_map(path: Path, held: Mapping[str, tuple[str, ...]], variable: str) -> None:
-    """Refuse a file without the variable on y, x; `held` has the dimensions of each variable."""
+def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
+    """Refuse a file without the variable on y, x, by the dimensions of its variables."""
     for name in (*NETCDF_AXES, variable):
         if name not in held:
             raise InputError(
-                f"the file holds no {name!r}", file=path, remedy=f"it holds {listed(sorted(held))}"
+                f"the file holds no {name!r}", remedy=f"it holds {listed(sorted(held))}"
             )
     dimensions = tuple(held[variable])
     if dimensions != NETCDF_AXES:
         raise InputError(
             f"its dimensions are {listed(dimensions)}, should be {listed(NETCDF_AXES)}",
-            file=path,
             key=variable,
         )
 
@@ -165,9 +163,9 @@ def _require_map(path: Path, held: Mapping[str, tuple[str, ...]], variable: str)
 def _floats(
     values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str
 ) -> NDArray[np.float64]:
-    """Return values as floats, scaled by the attributes, NaN where they are missing."""
+    """Return values as floats, scaled by their attributes, NaN where they are missing."""
     if values.dtype.kind not in "iuf":
-        raise InputError(f"{values.dtype} is not numeric", file=path, key=name)
+        raise InputError(f"{values.dtype} is not numeric", key=name)
     require_array_size(path, name, *values.shape)
     floats = values.astype(np.float64)
     missing = np.zeros(floats.shape, dtype=np.bool_)
@@ -230,9 +228,7 @@ def read_geotiff(path: Path, variable: str) -> Raster:
     rasterio = import_rasterio(path)
     content = read_bytes(path)
     if content[:4] not in SIGNATURES:
-        raise InputError(
-            "is not a TIFF file", file=path, remedy="save it as GeoTIFF, NetCDF, NPZ or CSV"
-        )
+        raise InputError("is not a TIFF file", remedy="save it as GeoTIFF, NetCDF, NPZ or CSV")
     with (
         foreign_reader(path, "a GeoTIFF"),
         rasterio.Env(GDAL_NUM_THREADS=1),
@@ -242,11 +238,9 @@ def read_geotiff(path: Path, variable: str) -> Raster:
         require_array_size(path, variable, file.height, file.width)
         for shape in file.block_shapes:
             require_array_size(path, variable, *shape)
-        band = _band(file.descriptions, variable, path)
+        band = _band(file.descriptions, variable)
         if np.dtype(file.dtypes[band - 1]).kind not in "iuf":
-            raise InputError(
-                "is not numeric", file=path, key=variable, remedy="give a band of numbers"
-            )
+            raise InputError("is not numeric", key=variable, remedy="give a band of numbers")
         values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
         quantity, unit = file.tags(band).get("quantity", ""), file.units[band - 1] or ""
         transform, system = file.transform, file.crs
@@ -254,31 +248,27 @@ def read_geotiff(path: Path, variable: str) -> Raster:
     if transform.b or transform.d or transform.is_identity:
         raise InputError(
             "the map is rotated or has no coordinates",
-            file=path,
             remedy="resample it to axes x and y in metres",
         )
     if in_degrees:
-        raise InputError(
-            "the coordinates are degrees", file=path, remedy="project the map to metres"
-        )
+        raise InputError("the coordinates are degrees", remedy="project the map to metres")
     rows, columns = values.shape
     with np.errstate(all="ignore"):  # coordinates that are not finite
         x = transform.c + transform.a * (np.arange(columns) + 0.5)
         y = transform.f + transform.e * (np.arange(rows) + 0.5)
     if transform.e < 0:
         y, values = y[::-1], values[::-1]
-    return replace(checked_raster(x, y, values, path, variable), quantity=quantity, unit=unit)
+    return replace(checked_raster(x, y, values, variable), quantity=quantity, unit=unit)
 
 
-def _band(descriptions: tuple[str | None, ...], variable: str, path: Path) -> int:
-    """Number of the band, from 1."""
+def _band(descriptions: tuple[str | None, ...], variable: str) -> int:
+    """Return the number of the band, from 1."""
     if descriptions.count(variable) == 1:
         return descriptions.index(variable) + 1
     if descriptions == (None,):
         return 1
     raise InputError(
         f"the file has no band described as {variable!r}",
-        file=path,
         remedy=f"it has {listed(str(name) for name in descriptions)}",
     )
 
@@ -304,49 +294,44 @@ def read_csv(path: Path, variable: str) -> Raster:
     rows = csv_rows(path)
     nothing: tuple[int, list[str]] = (1, [])
     header = [name.strip() for name in next(rows, nothing)[1]]
-    where = [_column(header, name, path) for name in (*AXES, variable)]
-    # A third of the memory of lists of floats.
+    where = [_column(header, name) for name in (*AXES, variable)]
+    # An array takes a third of the memory of lists of floats.
     numbers = array("d")
     for line, cells in rows:
-        numbers.extend(_number(cells, at, path, line, header[at]) for at in where)
-    return _on_grid(np.array(numbers).reshape(-1, 3), path, variable)
+        numbers.extend(_number(cells, at, line, header[at]) for at in where)
+    return _on_grid(np.array(numbers).reshape(-1, 3), variable)
 
 
-def _on_grid(table: NDArray[np.float64], path: Path, variable: str) -> Raster:
-    """The raster whose cells are the rows x, y, value."""
+def _on_grid(table: NDArray[np.float64], variable: str) -> Raster:
+    """Return the raster whose cells are the rows x, y, value."""
     if not np.isfinite(table[:, :2]).all():
-        raise InputError(
-            "a cell centre is not finite", file=path, remedy="leave rows without a place out"
-        )
+        raise InputError("a cell centre is not finite", remedy="leave rows without a place out")
     x, ix = np.unique(table[:, 0], return_inverse=True)
     y, iy = np.unique(table[:, 1], return_inverse=True)
     if len(np.unique(iy * x.size + ix)) != len(table) or len(table) != x.size * y.size:
         raise InputError(
             f"{len(table)} rows are not each cell of a grid of {y.size} x {x.size} once",
-            file=path,
             remedy="give a row for each cell, nan where there is no value",
         )
     values = np.empty((y.size, x.size))
     values[iy, ix] = table[:, 2]
-    return checked_raster(x, y, values, path, variable)
+    return checked_raster(x, y, values, variable)
 
 
-def _column(header: list[str], name: str, path: Path) -> int:
+def _column(header: list[str], name: str) -> int:
     if header.count(name) != 1:
         raise InputError(
             f"the file has no column {name!r}" if name not in header else f"two columns {name!r}",
-            file=path,
             key=name,
             remedy=f"it has {listed(header)}",
         )
     return header.index(name)
 
 
-def _number(cells: list[str], at: int, path: Path, row: int, name: str) -> float:
+def _number(cells: list[str], at: int, row: int, name: str) -> float:
     if at >= len(cells):
         raise InputError(
             "the row is too short",
-            file=path,
             key=name,
             row=row,
             remedy="give each row as many cells as the header",
@@ -357,17 +342,61 @@ def _number(cells: list[str], at: int, path: Path, row: int, name: str) -> float
     except ValueError:
         raise InputError(
             f"{cell!r} is not a number",
-            file=path,
             key=name,
             row=row,
             remedy="write a number, or leave the cell empty where nothing is known",
         ) from None
 
 
+QUANTITIES = "quantities"
+"""Entry of an npz file with the name, quantity and unit of each variable, as text (k, 3)."""
+
+
+def write_npz(path: Path, rasters: Mapping[str, Raster]) -> None:
+    """Write rasters of the same axes as an ``npz`` file with the axes ``x`` and ``y``."""
+    first = next(iter(rasters.values()))
+    arrays: dict[str, Any] = {name: raster.values for name, raster in rasters.items()}
+    arrays[QUANTITIES] = [(name, each.quantity, each.unit) for name, each in rasters.items()]
+    # NumPy would append its own ending to a name in capitals.
+    with path.open("wb") as file:
+        np.savez_compressed(file, x=first.x_m, y=first.y_m, **arrays)
+
+
+def read_npz_raster(path: Path, variable: str) -> Raster:
+    """Read one variable of an ``npz`` file: a map of Sionna RT if it has cell centres."""
+    if CENTRES in npz_names(path):
+        return read_sionna_map(path, variable)
+    x, y, values = npz_arrays(path, ("x", "y", variable))
+    table = read_npz(path, (QUANTITIES,)).get(QUANTITIES, np.zeros((0, 3), dtype="U1"))
+    rows: list[Any] = table.tolist() if table.dtype.kind == "U" and table.ndim == 2 else []
+    known: dict[str, list[str]] = {row[0]: row[1:] for row in rows if len(row) == 3}
+    quantity, unit = known.get(variable, ("", ""))
+    return replace(checked_raster(x, y, values, variable), quantity=quantity, unit=unit)
+
+
+def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
+    """Return arrays of an npz file as floats."""
+    arrays = read_npz(path, names)
+    found: list[NDArray[np.float64]] = []
+    for name in names:
+        if name not in arrays:
+            raise InputError(
+                f"the file holds no {name!r}",
+                remedy=f"it holds {listed(npz_names(path))}",
+            )
+        if arrays[name].dtype.kind not in "biuf":
+            raise InputError(
+                f"{arrays[name].dtype} is not numeric", key=name, remedy="give numbers"
+            )
+        with np.errstate(all="ignore"):  # from longer floats
+            found.append(arrays[name].astype(np.float64))
+    return found
+
+
 CENTRES = "cell_centers"
 
 TURNED_M = 1e-2
-"""How far, in metres, a centre may be off its row or column: Sionna computes in float32."""
+"""Largest deviation of a centre from its row or column: Sionna RT computes in float32."""
 
 
 def read_sionna_map(path: Path, variable: str) -> Raster:
@@ -377,22 +406,21 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
     if gain.ndim == 3:
         if index is None and len(gain) != 1:
             raise InputError(
-                f"there are {len(gain)} transmitters", file=path, key=name, remedy=f"say {name}[0]"
+                f"there are {len(gain)} transmitters", key=name, remedy=f"say {name}[0]"
             )
         if (index or 0) >= len(gain):
             raise InputError(
                 f"there is no transmitter {index}, only {len(gain)}, counted from 0",
-                file=path,
                 key=name,
                 remedy="name one that is there",
             )
         gain = gain[index or 0]
     if gain.ndim != 2 or centres.shape != (*gain.shape, 3):
         raise InputError(
-            f"shapes {gain.shape} and {centres.shape} are not of a planar map", file=path, key=name
+            f"shapes {gain.shape} and {centres.shape} are not of a planar map", key=name
         )
     if not gain.size:
-        raise InputError("the map has no cells", file=path, key=name)
+        raise InputError("the map has no cells", key=name)
     x, y = centres[0, :, 0], centres[:, 0, 1]
     with np.errstate(all="ignore"):  # centres that are not finite
         off = np.maximum(np.abs(centres[..., 0] - x), np.abs(centres[..., 1] - y[:, None]))
@@ -400,77 +428,69 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
     if not (off <= TURNED_M).all():
         raise InputError(
             "the map's plane is turned: rows do not run along x",
-            file=path,
             key=CENTRES,
             remedy="make the map of a plane whose rows run along x",
         )
     if (gain < 0.0).any():
         raise InputError(
             "a linear gain is negative",
-            file=path,
             key=name,
             remedy="give path gains, not decibels, or name the variable that has decibels",
         )
     decibels = np.full(gain.shape, np.nan)
     np.log10(gain, out=decibels, where=gain > 0.0)
-    return checked_raster(x, y, 10.0 * decibels, path, variable)
+    return checked_raster(x, y, 10.0 * decibels, variable)
 
 
 def _name_and_index(variable: str) -> tuple[str, int | None]:
-    """``path_gain[2]`` as its parts."""
+    """Return the parts of ``path_gain[2]``."""
     match = re.fullmatch(r"(.+)\[(\d{1,6})\]", variable)
     return (variable, None) if match is None else (match[1], int(match[2]))
 
 
-def _read_any_npz(path: Path, variable: str) -> Raster:
-    """Sionna RT's if it holds cell centres, planopt's otherwise, whose errors are the clearer."""
-    read = read_sionna_map if CENTRES in npz_names(path) else read_npz_raster
-    return read(path, variable)
-
-
 READERS: dict[str, Callable[[Path, str], Raster]] = {
     ".csv": read_csv,
-    ".npz": _read_any_npz,
+    ".npz": read_npz_raster,
     ".nc": read_netcdf,
     ".tif": read_geotiff,
     ".tiff": read_geotiff,
 }
 """Readers by the ending of the file."""
 
-GEOTIFF = (".tif", ".tiff")
+WRITERS: dict[str, Callable[[Path, Mapping[str, Raster]], None]] = {
+    ".csv": write_csv,
+    ".npz": write_npz,
+    ".nc": write_netcdf,
+    ".tif": write_geotiff,
+    ".tiff": write_geotiff,
+}
+"""Writers by the ending of the file."""
 
 
 def read_raster(path: Path, variable: str) -> Raster:
     """Read one variable of a raster file."""
-    return READERS[raster_ending(path)](path, variable)
+    reader = READERS[raster_ending(path)]
+    try:
+        return reader(path, variable)
+    except InputError as error:
+        raise error.located(path) from error.__cause__
 
 
 def write_rasters(path: Path, rasters: Mapping[str, Raster]) -> None:
     """Write rasters of the same axes into one file, whole or not at all."""
     check_raster_output(path)
-    ending = raster_ending(path)
-
-    def write(temporary: Path) -> None:
-        if ending == ".csv":
-            write_csv(temporary, rasters)
-        elif ending == ".npz":
-            write_npz(temporary, rasters)
-        elif ending == ".nc":
-            write_netcdf(temporary, rasters)
-        else:
-            write_geotiff(temporary, rasters)
-
-    write_whole(path, write)
+    write = WRITERS[raster_ending(path)]
+    write_whole(path, lambda temporary: write(temporary, rasters))
 
 
 def check_raster_output(path: Path) -> None:
     """Raise what :func:`write_rasters` would raise for the name, before any work is done."""
-    if raster_ending(path) in GEOTIFF:
+    if WRITERS[raster_ending(path)] is write_geotiff:
         import_rasterio(path)
 
 
 def raster_ending(path: Path) -> str:
-    """The ending of a raster file, in small letters."""
+    """Return the ending of a raster file, in small letters."""
     ending = path.suffix.lower()
     if ending not in READERS:
         raise InputError(

@@ -21,12 +21,11 @@ from planopt.world.occupancy_grid import OccupancyGrid, UnknownCells, grid_obsta
 from planopt.world.workspace import Obstacle, footprint
 
 DEEPEST = 32
-"""Geometries nested in collections and rings deeper than this are no map: parsers that are called
-within themselves run out of stack."""
+"""Limit of the nesting of geometries: recursive parsers run out of stack."""
 
 SURELY_DEGREES = 20.0
-"""Coordinates that are farther from zero than so many times the extent of all of them, and within
-180 and 90, are degrees: of metres they would be a map of centimetres far from its origin."""
+"""Coordinates within 180 and 90 whose distance from zero is more than this multiple of their extent
+are degrees: in metres the map would be tiny and far from its origin."""
 
 _GEOJSON = "give GeoJSON of Polygon or MultiPolygon features, or buildings with an exterior"
 
@@ -38,24 +37,20 @@ _Part = TypeVar("_Part")
 def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obstacle, ...]:
     """Read the obstacles of a file, by its ending."""
     ending = path.suffix.lower()
-    if is_grid(path):
-        try:
-            return grid_obstacles(read_grid(path), path.stem, unknown)
-        except InputError as error:
-            raise error.located(path) from error
-    if ending not in (".geojson", ".json", ".wkt"):
-        raise InputError(
-            f"obstacles cannot be read from a file ending in {ending!r}",
-            file=path,
-            remedy="use .geojson, .json, .wkt, .yaml or .csv",
-        )
-    text = read_text(path)
     try:
+        if is_grid(path):
+            return grid_obstacles(read_grid(path), path.stem, unknown)
         if ending == ".wkt":
-            return tuple(_from_wkt_file(path.stem, text))
-        return _from_json(path.stem, text)
+            return tuple(_from_wkt_file(path.stem, read_text(path)))
+        if ending in (".geojson", ".json"):
+            return _from_json(path.stem, read_text(path))
     except InputError as error:
         raise error.located(path) from error
+    raise InputError(
+        f"obstacles cannot be read from a file ending in {ending!r}",
+        file=path,
+        remedy="use .geojson, .json, .wkt, .yaml or .csv",
+    )
 
 
 def obstacle_from_wkt(name: str, text: str) -> Obstacle:
@@ -70,7 +65,7 @@ def obstacle_from_wkt(name: str, text: str) -> Obstacle:
 
 
 def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
-    """Obstacles of a file with one geometry over any number of lines, or with one a line."""
+    """Yield the obstacles of a file with one geometry, or with one in each line."""
     whole = _tolerant_wkt(text)
     if whole is not None:
         yield from obstacles_of_geometry(stem, whole)
@@ -87,7 +82,7 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
 
 
 def _tolerant_wkt(text: str) -> shapely.Geometry | None:
-    """The geometry of `text`, its rings closed where they are not, or None."""
+    """Return the geometry of `text`, with its rings closed, or None."""
     letters = np.frombuffer(text.encode(), dtype=np.uint8)
     depth = np.cumsum((letters == ord("(")).astype(np.int64) - (letters == ord(")")))
     if depth.max(initial=0) > DEEPEST:
@@ -102,7 +97,7 @@ def _tolerant_wkt(text: str) -> shapely.Geometry | None:
 
 
 def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
-    """The geometry of `text`, or an error that says what is wrong with it."""
+    """Return the geometry of `text`, or raise what is wrong with it."""
     geometry = _tolerant_wkt(text)
     if geometry is not None:
         return geometry
@@ -115,7 +110,7 @@ def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
 
 
 def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:
-    """Obstacles of a polygon or of a collection of polygons, numbered if there are several."""
+    """Yield the obstacles of a polygon or collection of polygons, numbered if there are several."""
     if isinstance(geometry, shapely.Polygon):
         exterior, *holes = (
             shapely.get_coordinates(ring).tolist()
@@ -152,7 +147,7 @@ def _from_json(stem: str, text: str) -> tuple[Obstacle, ...]:
 
 
 def _areas(name: str, value: Any) -> Iterator[Obstacle]:
-    """Return the obstacles of a building file or of a GeoJSON object (RFC 7946, in metres)."""
+    """Yield the obstacles of a building file or of a GeoJSON object (RFC 7946, in metres)."""
     match value:
         case {"buildings": [*buildings]}:
             for number, building in enumerate(buildings, start=1):
@@ -188,7 +183,7 @@ def _building(name: str, value: Any) -> Obstacle:
 
 
 def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
-    """Refuse GeoJSON in degrees, as RFC 7946 has it: of metres it would be a speck."""
+    """Refuse GeoJSON in degrees, as RFC 7946 has it."""
     if not obstacles:
         return
     named = DEGREES.search(json.dumps(table.get("crs")))
@@ -209,7 +204,7 @@ DEGREES = re.compile(r"CRS84|EPSG:+(\d*:)?(4326|4258|4269)\b", re.IGNORECASE)
 
 
 def _feature_name(feature: dict[str, Any], otherwise: str) -> str:
-    """Return a feature's name: property ``name``, then its id."""
+    """Return the name of a feature: its property ``name``, else its id."""
     match feature:
         case {"properties": {"name": name}} if name is not None:
             return str(name)
@@ -218,13 +213,13 @@ def _feature_name(feature: dict[str, Any], otherwise: str) -> str:
 
 
 def _named_parts(name: str, parts: list[_Part]) -> Iterator[tuple[str, _Part]]:
-    """The parts with their names: the name itself if there is only one."""
+    """Yield the parts with their names: the name itself if there is only one."""
     for number, part in enumerate(parts, start=1):
         yield (name if len(parts) == 1 else f"{name} part {number}"), part
 
 
 def _short(value: object) -> str:
-    """`value` as JSON, cut to what fits a message."""
+    """Return `value` as JSON, shortened for a message."""
     text = json.dumps(value)
     return text if len(text) <= 40 else f"{text[:40]}..."
 

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.world.clearance import clearance_m, index_obstacles
-from planopt.world.raster import Raster, nearest_cells, read_npz_raster
+from planopt.world.raster import Raster, nearest_cells
+from planopt.world.raster_files import read_raster
 from planopt.world.workspace import Workspace
 
 X = np.array([1.0, 3.0, 5.0])
@@ -25,7 +26,7 @@ def saved(folder: Path, **arrays: NDArray[np.generic]) -> Path:
 
 def test_round_trip(tmp_path: Path) -> None:
     """What was saved is read back as floats, row 0 at the smallest y."""
-    raster = read_npz_raster(saved(tmp_path, x=X.astype(np.float32)), "gain")
+    raster = read_raster(saved(tmp_path, x=X.astype(np.float32)), "gain")
     assert raster.values.dtype == raster.x_m.dtype == np.float64
     np.testing.assert_array_equal(raster.values, [[0, 1, 2], [3, 4, 5]])
     np.testing.assert_array_equal(raster.x_m, X)
@@ -36,8 +37,8 @@ def test_round_trip(tmp_path: Path) -> None:
 def test_munich_map(munich: Workspace) -> None:
     """The map's own building mask agrees with the footprints: axes and rows are not swapped."""
     file = Path(__file__).parents[2] / "problems" / "data" / "munich_mast45m.npz"
-    gain = read_npz_raster(file, "path_gain_db")
-    building = read_npz_raster(file, "building")
+    gain = read_raster(file, "path_gain_db")
+    building = read_raster(file, "building")
     assert gain.values.shape == (400, 400)
     assert gain.cell_m == (2.0, 2.0)
     positions = np.random.default_rng(1).uniform(-400, 400, (2000, 2))
@@ -64,20 +65,20 @@ def test_bad_contents(tmp_path: Path, arrays: dict[str, NDArray[np.generic]], sa
     """Arrays that are no map are errors with file and key; nothing is unpickled."""
     path = saved(tmp_path, **arrays)
     with pytest.raises(InputError, match=says) as caught:
-        read_npz_raster(path, "gain")
+        read_raster(path, "gain")
     assert str(caught.value).startswith(str(path))
 
 
 def test_missing_variable_lists_what_is_there(tmp_path: Path) -> None:
     """The error names the variables that could have been meant."""
     with pytest.raises(InputError, match=r"no 'loss'.*x, y, gain"):
-        read_npz_raster(saved(tmp_path), "loss")
+        read_raster(saved(tmp_path), "loss")
 
 
 def test_not_an_npz(tmp_path: Path) -> None:
     """A missing, an empty, a cut and a foreign file are errors with the file."""
     with pytest.raises(InputError, match=r"none\.npz: there is no such file"):
-        read_npz_raster(tmp_path / "none.npz", "gain")
+        read_raster(tmp_path / "none.npz", "gain")
     whole = saved(tmp_path).read_bytes()
     np.save(tmp_path / "array.npy", X)
     contents = [
@@ -93,7 +94,7 @@ def test_not_an_npz(tmp_path: Path) -> None:
         path = tmp_path / "bad.npz"
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"bad\.npz.*: (is damaged, or )?(is )?not an npz"):
-            read_npz_raster(path, "gain")
+            read_raster(path, "gain")
 
 
 @settings(deadline=None)

@@ -91,7 +91,7 @@ class RasterDensityTable(Table):
                 "has neither file nor values of rows of one length", key="density.values"
             )
         x, y = (np.array(each or [], dtype=np.float64) for each in (self.x_m, self.y_m))
-        return RasterDensity(checked_raster(x, y, np.array(self.values), None, "density"))
+        return RasterDensity(checked_raster(x, y, np.array(self.values), "density"))
 
 
 DensityTable = Annotated[

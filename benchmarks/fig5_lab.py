@@ -32,7 +32,7 @@ from planopt import (
 )
 from planopt.channel import Station, fit_channel
 from planopt.problems import ArrayTruth, GivenParameters, SampledMeasurements
-from planopt.problems.comparison_settings import seeds_of
+from planopt.problems.settings import seeds_of
 from planopt.report import comparison_text
 from planopt.world.raster import cell_centres_m
 

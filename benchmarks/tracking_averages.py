@@ -28,7 +28,7 @@ from planopt.objectives import TermsObjective, TrackingTerm
 from planopt.objectives.terms.tracking import TrackingForm
 from planopt.objectives.tracking import Criterion
 from planopt.planning.loop.metrics import LOST_RATIO
-from planopt.problems.target import Packets
+from planopt.problems.settings import Packets
 from planopt.studies.comparison_rows import mean_interval
 
 

@@ -14,7 +14,7 @@ from planopt.planning.plan import Verdict as Verdict
 from planopt.planning.results import Run as Run
 from planopt.planning.results import Solution as Solution
 from planopt.planning.solve import Planner as Planner
-from planopt.problems.base_station import BaseStation as BaseStation
+from planopt.problems.channel_setup import BaseStation as BaseStation
 from planopt.problems.channel_setup import ChannelSetup as ChannelSetup
 from planopt.problems.constraints import ConnectivityRule as ConnectivityRule
 from planopt.problems.constraints import Constraints as Constraints
@@ -22,7 +22,7 @@ from planopt.problems.load import load as load
 from planopt.problems.problem import Problem as Problem
 from planopt.problems.robot import Robot as Robot
 from planopt.problems.settings import PlannerSettings as PlannerSettings
-from planopt.problems.target import Target as Target
+from planopt.problems.settings import Target as Target
 from planopt.studies.compare import compare as compare
 from planopt.studies.comparison import Comparison as Comparison
 from planopt.tasks.calls import check as check

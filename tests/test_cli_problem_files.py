@@ -11,8 +11,8 @@ import pytest
 from planopt import load
 from planopt.cli import main
 from planopt.errors import OutputError
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.library import list_problems
-from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.studies.bench.cases import library_names
 
 NAMES = library_names()

@@ -72,8 +72,8 @@ def compare(
 
     Without settings a problem's own comparison is run, which its table compare describes.
     """
-    from planopt.problems.comparison_settings import DEFAULT_SEEDS
     from planopt.problems.load import load
+    from planopt.problems.settings import DEFAULT_SEEDS
     from planopt.problems.tasks import task_of
     from planopt.report import comparison_text
     from planopt.studies.compare import Lists, default_seeds, exit_code, own_settings, settings_of
@@ -168,7 +168,7 @@ def _where_all_is(folder: Path | None) -> str:
 
 def asked_seeds(text: str, first: int | None) -> range:
     """The seeds of the options ``--seeds`` and ``--first-seed``."""
-    from planopt.problems.comparison_settings import seeds_of
+    from planopt.problems.settings import seeds_of
 
     chosen = seeds_of(text, "--seeds")
     if first is None:

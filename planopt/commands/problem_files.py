@@ -67,8 +67,7 @@ def init(
     """Begin a problem file: a copy of one of the library, with the maps that it names."""
     from planopt.files.reading import read_bytes
     from planopt.files.writing import write_whole
-    from planopt.problems.library import library_folder, list_problems
-    from planopt.problems.read_toml import named_files, read_toml
+    from planopt.problems.library import library_folder, list_problems, named_files, read_toml
 
     library = {entry.name: entry.path for entry in list_problems()}
     if source not in library:

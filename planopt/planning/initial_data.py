@@ -38,7 +38,6 @@ from planopt.channel.power_log import LogFormat, read_log
 from planopt.errors import InputError
 from planopt.objectives.measuring import MeasuringRule
 from planopt.parts import calling
-from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
     FittedTruth,
@@ -48,10 +47,12 @@ from planopt.problems.channel_setup import (
     ModelTruth,
     RasterTruth,
     SampledMeasurements,
+    log_of,
+    raster_truth_of,
 )
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
-from planopt.problems.target import Target
+from planopt.problems.settings import Target
 from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles, inside_bounds
 from planopt.world.raster import Raster, cell_centres_m
 from planopt.world.raster_files import read_raster

@@ -10,8 +10,8 @@ from planopt.problems.channel_setup import ModelTruth as ModelTruth
 from planopt.problems.channel_setup import RasterTruth as RasterTruth
 from planopt.problems.channel_setup import SampledMeasurements as SampledMeasurements
 from planopt.problems.library import list_problems as list_problems
-from planopt.problems.save import problem_from_dict as problem_from_dict
-from planopt.problems.save import problem_to_dict as problem_to_dict
+from planopt.problems.load import problem_from_dict as problem_from_dict
+from planopt.problems.load import problem_to_dict as problem_to_dict
 from planopt.problems.settings import ReportSettings as ReportSettings
 from planopt.problems.tasks import TaskProblem as TaskProblem
 from planopt.pursuit.service import Record as Record

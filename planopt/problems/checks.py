@@ -17,9 +17,9 @@ import numpy as np
 import shapely
 
 from planopt.errors import InputError
+from planopt.keys import LARGEST_COORDINATE_M
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling
-from planopt.problems.base_station import log_of, raster_truth_of
 from planopt.problems.channel_setup import (
     ArrayTruth,
     FittedTruth,
@@ -28,6 +28,8 @@ from planopt.problems.channel_setup import (
     ModelTruth,
     RasterTruth,
     SampledMeasurements,
+    log_of,
+    raster_truth_of,
 )
 from planopt.robots.drive import state_after, stopping_motion
 from planopt.robots.dynamics import RestsByInput
@@ -40,7 +42,7 @@ from planopt.world.clearance import (
 )
 from planopt.world.motion import CLOSE_M, step_distances_m
 from planopt.world.moving_discs import centres_at
-from planopt.world.workspace import LARGEST_COORDINATE_M, node_estimate
+from planopt.world.workspace import node_estimate
 
 if TYPE_CHECKING:
     from planopt.problems.problem import Problem

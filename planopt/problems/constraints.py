@@ -15,8 +15,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError
 
 from planopt.errors import InputError, listed
+from planopt.keys import Part, ValidatedAs, table_of
 from planopt.parts import calling, part_of, require_name
-from planopt.problems.tables import Part, ValidatedAs, table_of
 
 _RULES = "planopt.planning.proof.connectivity_rules"
 

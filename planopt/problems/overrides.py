@@ -10,11 +10,10 @@ from typing import Any, TypeVar, cast
 
 from planopt.errors import InputError
 from planopt.parts import part_of
-from planopt.problems.load import check_files
+from planopt.problems.load import check_files, saved_table
 from planopt.problems.objective import ReachObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import Problem, check_problem, tables_of
-from planopt.problems.save import saved_table
 from planopt.problems.tasks import TaskProblem, problem_from
 
 AnyProblem = TypeVar("AnyProblem", bound=Problem | TaskProblem)

@@ -12,8 +12,8 @@ import numpy as np
 from planopt.channel.measurements import Measurements
 from planopt.channel.power_log import LogFormat
 from planopt.errors import InputError
+from planopt.problems.library import read_toml
 from planopt.problems.problem import Problem
-from planopt.problems.read_toml import read_toml
 from planopt.world.occupancy_files import is_grid, read_grid
 
 DEGREE_NAMES = ("lat", "lon", "lng")

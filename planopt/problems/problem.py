@@ -12,19 +12,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from planopt.keys import located
 from planopt.objectives.terms.term import Term, TermSetting, require_kind
 from planopt.parts import part_of, parts_of
-from planopt.problems.base_station import BaseStation
-from planopt.problems.channel_setup import ChannelSetup
+from planopt.problems.channel_setup import BaseStation, ChannelSetup
 from planopt.problems.checks import check
-from planopt.problems.comparison_settings import ComparisonSettings
 from planopt.problems.constraints import Constraints
-from planopt.problems.messages import located
 from planopt.problems.objective import CostToGo, ReachObjective, TermsObjective
 from planopt.problems.robot import Robot
 from planopt.problems.schema import SCHEMA_VERSION, ProblemFile, Task
-from planopt.problems.settings import PlannerSettings, ReportSettings
-from planopt.problems.target import Target
+from planopt.problems.settings import ComparisonSettings, PlannerSettings, ReportSettings, Target
 from planopt.short_repr import wrapped
 from planopt.world.workspace import Workspace
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field, Strict, model_validator
 
 from planopt.errors import InputError, listed
+from planopt.keys import Name, Pair, Part, Table, fault_of
 from planopt.parts import class_name
-from planopt.problems.tables import Name, Pair, Part, Table, fault_of
 from planopt.robots.dynamics import Dynamics
 from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
 

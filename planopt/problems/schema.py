@@ -15,17 +15,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.keys import Name, Table
 from planopt.objectives.terms.term import Term, registered_terms
-from planopt.problems.base_station import BaseStation
-from planopt.problems.channel_setup import ChannelSetup
-from planopt.problems.comparison_settings import ComparisonSettings
+from planopt.problems.channel_setup import BaseStation, ChannelSetup
 from planopt.problems.constraints import Constraints
 from planopt.problems.objective import OBJECTIVE, ReachObjective, TermsObjective
 from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.robot import Robot
-from planopt.problems.settings import PlannerSettings, ReportSettings
-from planopt.problems.tables import Name, Table
-from planopt.problems.target import Target
+from planopt.problems.settings import ComparisonSettings, PlannerSettings, ReportSettings, Target
 from planopt.problems.world_tables import WORLD
 from planopt.robots.models import Unicycle
 from planopt.world.workspace import MovingObstacle, Workspace

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 from planopt.errors import InputError
-from planopt.problems.messages import located
+from planopt.keys import located
 from planopt.short_repr import short_repr
 
 GROUP = "planopt.tasks"

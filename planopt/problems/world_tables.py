@@ -12,7 +12,7 @@ import shapely
 from pydantic import Field, model_validator
 
 from planopt.errors import InputError
-from planopt.problems.tables import FileName, Name, Pair, Quad, ReadAs, Table, fault_of, saved
+from planopt.keys import FileName, Name, Pair, Quad, ReadAs, Table, fault_of, saved
 from planopt.world.occupancy_files import is_grid
 from planopt.world.occupancy_grid import UnknownCells
 from planopt.world.readers import obstacle_from_wkt, read_obstacles

@@ -15,14 +15,14 @@ from planopt.errors import InputError, NoPlanError
 from planopt.parts import parts_of
 from planopt.planning.loop.log import Outcome
 from planopt.planning.results import NOT_DONE, RunSummary, short_summary
-from planopt.problems.comparison_settings import (
+from planopt.problems.overrides import with_changes
+from planopt.problems.problem import Problem
+from planopt.problems.settings import (
     DEFAULT_SEEDS,
     ComparisonSettings,
     require_swept,
     seeds_of,
 )
-from planopt.problems.overrides import with_changes
-from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, task_of
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import comparison_rows

@@ -38,13 +38,13 @@ from planopt.files.typed_json import decoded, encoded
 from planopt.files.writing import remove_remains, strict_text, write_text
 from planopt.objectives.terms.term import Term, outside_terms, register
 from planopt.problems.constraints import register_rule, registered_rules
+from planopt.problems.library import FILE_KEYS
 from planopt.problems.planner_kinds import (
     PlannerKind,
     register_planner,
     registered_planners,
 )
 from planopt.problems.problem import Problem
-from planopt.problems.read_toml import FILE_KEYS
 from planopt.problems.tasks import TaskProblem, task_of
 
 UNDECIDING = ("report", "compare")

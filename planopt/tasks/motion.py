@@ -14,7 +14,6 @@ from planopt.planning.results import RunSummary, Solution, summary_of
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem, problem_from_tables
-from planopt.problems.save import problem_to_dict
 from planopt.problems.schema import ProblemFile
 from planopt.tasks.task import ANIMATION, NO_PLAN, Action, Task
 

@@ -15,7 +15,6 @@ from pydantic import Field
 from planopt.errors import InputError, NoPlanError
 from planopt.files.typed_json import finite
 from planopt.planning.plan import Termination, Verdict
-from planopt.problems.tables import SMALLEST, Metres, Table
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.certificate import DesignData, Requirement, certify
 from planopt.pursuit.design import (

@@ -18,11 +18,10 @@ from planopt.files.compare import differences, in_words
 from planopt.files.tables import Column, Data, comparable, dataframe, read_table, write_tables
 from planopt.files.typed_json import whole_number
 from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
+from planopt.keys import Name, Table, located
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
 from planopt.planning.results import RunSummary, short_summary
-from planopt.problems.messages import located
 from planopt.problems.settings import ReportSettings
-from planopt.problems.tables import Name, Table
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 
 if TYPE_CHECKING:

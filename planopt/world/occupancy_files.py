@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.files.reading import csv_rows, foreign_reader, read_bytes, read_text
+from planopt.keys import LARGEST_COORDINATE_M
 from planopt.world.occupancy_grid import MOST_CELLS, OccupancyGrid
-from planopt.world.workspace import LARGEST_COORDINATE_M
 
 LARGEST_YAML_BYTES = 64 * 1024
 

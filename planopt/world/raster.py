@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.keys import LARGEST_COORDINATE_M
 from planopt.short_repr import short_repr
-from planopt.world.workspace import LARGEST_COORDINATE_M
 
 UNEVEN_CELLS = 1e-3
 """Largest deviation from an even grid, in cells: files have coordinates in float32."""

@@ -17,6 +17,7 @@ import numpy as np
 import shapely
 
 from planopt.errors import InputError
+from planopt.keys import LARGEST_COORDINATE_M
 from planopt.parts import part_of, parts_of
 from planopt.plain_values import plain
 from planopt.short_repr import short_repr
@@ -157,9 +158,6 @@ class Workspace:
         there = [one for one in self.timed if one.known_from_s <= later_s < one.until_s]
         return (*self.lasting, *there)
 
-
-LARGEST_COORDINATE_M = 1e9
-"""Beyond this a coordinate is not a place on Earth in metres."""
 
 LONGEST_NAME = 200
 """Characters in the name of an obstacle, which messages, tables and pictures repeat."""

@@ -35,8 +35,7 @@ from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
-from planopt.problems.base_station import BaseStation
-from planopt.problems.channel_setup import ChannelSetup, LoggedMeasurements
+from planopt.problems.channel_setup import BaseStation, ChannelSetup, LoggedMeasurements
 from planopt.problems.constraints import Constraints
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot

@@ -21,8 +21,8 @@ from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.problem import Problem
-from planopt.problems.save import problem_from_dict, problem_to_dict
 
 NO_TIME = 1e-9
 

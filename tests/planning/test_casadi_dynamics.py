@@ -10,7 +10,7 @@ from terms_scene import TRACKING, terms_problem
 
 from planopt.errors import InputError
 from planopt.planning.plan import Verdict
-from planopt.problems.save import problem_to_dict
+from planopt.problems import problem_to_dict
 from planopt.robots.casadi_map import CasadiMap
 
 FREE = (-np.inf, np.inf)

@@ -13,7 +13,6 @@ from planopt.channel.posterior import condition, estimate_theta
 from planopt.planning.initial_data import prepare, with_drawn_starts
 from planopt.problems.channel_setup import GivenParameters, SampledMeasurements
 from planopt.problems.load import check_files
-from planopt.problems.save import problem_from_dict, problem_to_dict
 
 SEEDS = range(60)
 

@@ -12,7 +12,7 @@ from terms_scene import TRACKING
 from planopt import load, solve
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.search.start_search import Start
-from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.robots.drive import rolled_out
 
 HORIZON = 20

@@ -23,7 +23,6 @@ from planopt.problems.planner_kinds import (
     unregister_planner,
 )
 from planopt.problems.problem import problem_from_tables
-from planopt.problems.save import problem_to_dict
 
 
 class Eastward:

@@ -16,7 +16,7 @@ from planopt import ConnectivityRule, InputError, check, load, simulate, solve
 from planopt.extend import OwnRule
 from planopt.planning.history import History
 from planopt.planning.proof.rule import rule_of
-from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.problems import problem_from_dict, problem_to_dict
 
 SEED = 3
 

@@ -17,8 +17,8 @@ from planopt.planning.free_space import leaving_path
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Verdict
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.problem import problem_at
-from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.robots.models import DoubleIntegrator, Unicycle
 from planopt.world.clearance import index_obstacles
 from planopt.world.moving_discs import NOTHING_MOVES

@@ -15,8 +15,8 @@ from planopt.objectives.terms.term import TermSetting
 from planopt.objectives.terms.tracking import LONGEST_ADDITIVE, TrackingTerm
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
+from planopt.problems import problem_to_dict
 from planopt.problems.overrides import with_overrides
-from planopt.problems.save import problem_to_dict
 
 
 def term_context(**keys):

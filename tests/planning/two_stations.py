@@ -10,7 +10,7 @@ import numpy as np
 
 from planopt.channel.belief import Belief
 from planopt.planning.initial_data import Prepared
-from planopt.problems.base_station import BaseStation
+from planopt.problems.channel_setup import BaseStation
 from planopt.problems.problem import Problem
 from tests.planning.scenes import (
     PowerAt,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.constraints import ConnectivityRule
-from planopt.problems.save import problem_from_dict, problem_to_dict
 
 GOOD = {
     "each_step": {"p_min": 0.9, "slack_max_db": 2.0, "parameter_uncertainty": "all"},

@@ -12,10 +12,9 @@ import pytest
 
 from planopt.errors import InputError
 from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
-from planopt.problems.library import library_folder
+from planopt.problems.library import library_folder, read_toml
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
-from planopt.problems.read_toml import read_toml
 
 OPEN_FIELD = (library_folder() / "open_field.toml").read_text(encoding="utf-8")
 

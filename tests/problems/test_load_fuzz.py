@@ -12,10 +12,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from planopt.errors import InputError
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.library import library_folder
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
-from planopt.problems.save import problem_from_dict, problem_to_dict
 
 Build = Callable[[object], Problem]
 

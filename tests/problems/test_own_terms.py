@@ -9,7 +9,7 @@ from pydantic import Field
 from planopt.errors import InputError
 from planopt.objectives.terms import term as registry
 from planopt.objectives.terms.term import Term, registered_terms
-from planopt.problems.save import problem_from_dict, problem_to_dict
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.schema import json_schema
 
 

@@ -28,10 +28,10 @@ from small_tables import (
 
 from planopt.channel.ground_truth import Nakagami
 from planopt.errors import InputError
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.channel_setup import LoggedMeasurements
 from planopt.problems.load import load
 from planopt.problems.problem import Problem
-from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.studies.bench.cases import library_names
 
 RAYLEIGH = {"kind": "rayleigh"}

@@ -12,11 +12,10 @@ import pytest
 from planopt.errors import InputError
 from planopt.extend import casadi_term
 from planopt.planning.initial_data import draw_initial_data
-from planopt.problems.library import find_problem
+from planopt.problems import problem_from_dict, problem_to_dict
+from planopt.problems.library import find_problem, read_toml
 from planopt.problems.load import load
 from planopt.problems.problem import Problem, problem_from_tables
-from planopt.problems.read_toml import read_toml
-from planopt.problems.save import problem_from_dict, problem_to_dict
 
 Change = Callable[[dict[str, Any]], None]
 

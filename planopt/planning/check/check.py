@@ -40,9 +40,8 @@ from planopt.planning.plan import Plan, Verdict
 from planopt.planning.reservations import worst_of_robots
 from planopt.planning.results import Run, Solution
 from planopt.problems.library import SUFFIX, library_folder
-from planopt.problems.load import load_motion
+from planopt.problems.load import load_motion, problem_to_dict
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
-from planopt.problems.save import problem_to_dict
 from planopt.short_repr import short_repr
 
 

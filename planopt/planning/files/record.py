@@ -18,7 +18,7 @@ from pydantic_core import PydanticCustomError
 
 from planopt.files.tables import LARGEST, REMEDY
 from planopt.files.typed_json import encoded
-from planopt.problems.messages import input_error
+from planopt.keys import input_error
 
 
 @dataclass(frozen=True)

@@ -52,8 +52,8 @@ from planopt.planning.files.run_tables import (
 from planopt.planning.plan import Pivot, Plan, Verdict
 from planopt.planning.results import Run, Solution
 from planopt.planning.values.context import Aim
+from planopt.problems.load import problem_from_dict, problem_to_dict
 from planopt.problems.problem import Problem
-from planopt.problems.save import problem_from_dict, problem_to_dict
 from planopt.robots.drive import Drive, braked_motion
 from planopt.world.motion import TimedMotion
 

@@ -18,7 +18,7 @@ from planopt.objectives.tracking import Held
 from planopt.planning.initial_data import free_target_path
 from planopt.planning.values.context import Aim, target_model
 from planopt.problems.problem import Problem
-from planopt.problems.target import Packets
+from planopt.problems.settings import Packets
 from planopt.targets.information_filter import (
     InformationState,
     TargetModel,

@@ -16,7 +16,7 @@ from planopt.coverage.assignment import (
 )
 from planopt.coverage.localisation import EventSensor
 from planopt.errors import InputError
-from planopt.problems.tables import SMALLEST, Metres, Table
+from planopt.keys import SMALLEST, Metres, Table
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from planopt.channel import (
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, station_map
 from planopt.errors import InputError
-from planopt.problems.tables import FileName, Metres, Pair, Table
+from planopt.keys import FileName, Metres, Pair, Table
 
 CELLS = 8
 """Cells of a drawn channel within the distance over which its shadowing forgets."""

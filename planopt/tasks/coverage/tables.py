@@ -16,8 +16,8 @@ from planopt.coverage.events import Sensing
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.network import Counting, Method
 from planopt.errors import InputError
+from planopt.keys import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
-from planopt.problems.tables import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
 from planopt.problems.world_tables import ObstacleTable
 from planopt.tasks.coverage.demands import DemandTable
 from planopt.tasks.coverage.radio import RadioTable

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.errors import InputError
+from planopt.keys import SMALLEST, Metres, Name, Pair, Quad, Table
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
-from planopt.problems.tables import SMALLEST, Metres, Name, Pair, Quad, Table
 from planopt.problems.tasks import TaskProblem
 from planopt.problems.world_tables import ObstacleTable, obstacle_table, obstacles_of
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of

@@ -11,8 +11,8 @@ from planopt import InputError, check, explain
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.solve import solve
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.problem import check_problem
-from planopt.problems.save import problem_from_dict, problem_to_dict
 
 MAPPING = {"kind": "mapping", "form": "information"}
 GOAL = {"kind": "goal", "weight": 5.0}

@@ -16,8 +16,8 @@ from planopt.planning.proof.context import search_prediction
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.steered_path import SteeringWay
 from planopt.planning.values.steering import GoalSteering
+from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables
-from planopt.problems.save import problem_to_dict
 from planopt.world.clearance import index_obstacles
 
 GOAL = {"kind": "goal"}

@@ -34,7 +34,6 @@ from planopt.problems.overrides import require_motion, with_overrides
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, task_of
-from planopt.problems.world_tables import check_obstacle
 from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
 from planopt.world.workspace import Obstacle
@@ -318,8 +317,6 @@ class Planner:
                 )
         remedy = "planopt.obstacles_from makes obstacles of polygons, tables and grids"
         later = parts_of("obstacles", obstacles, Obstacle, remedy)
-        for obstacle in later:
-            check_obstacle(obstacle)
         said = None if connected is None else _links(connected)
         now = [self._state(number, state) for number, state in enumerate(states)]
         measured = [

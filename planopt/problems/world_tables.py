@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
-from itertools import pairwise
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,78 +11,11 @@ import shapely
 from pydantic import Field, model_validator
 
 from planopt.errors import InputError
-from planopt.keys import FileName, Name, Pair, Quad, ReadAs, Table, fault_of, saved
+from planopt.keys import FileName, Pair, Quad, ReadAs, Table, fault_of, saved
 from planopt.world.occupancy_files import is_grid
 from planopt.world.occupancy_grid import UnknownCells
 from planopt.world.readers import obstacle_from_wkt, read_obstacles
-from planopt.world.workspace import MovingObstacle, Obstacle, Workspace, check_name, footprint
-
-
-class MovingTable(Table):
-    """One disc: ``start_m`` and ``velocity_m_s``, or ``times_s`` and ``positions_m``."""
-
-    name: Name
-    """What messages and pictures call it."""
-    radius_m: float = Field(gt=0, le=1e4)
-    """Radius of the disc in metres; constraints.clearance_m is kept from it."""
-    start_m: Pair | None = None
-    """Centre [x, y] in metres at time 0, when planning begins."""
-    velocity_m_s: Pair | None = None
-    """Velocity [x, y] in m/s, from start_m on or after the last of times_s; without it there, the
-    disc stands."""
-    times_s: list[Annotated[float, Field(ge=0, le=1e7)]] | None = Field(default=None, min_length=1)
-    """Times in seconds, increasing, at which the centre is at positions_m; it stands before the
-    first."""
-    positions_m: list[Pair] | None = Field(default=None, min_length=1)
-    """Centres [x, y] in metres at times_s."""
-    position_std_m: float = Field(default=0.0, ge=0, le=1e4)
-    """Standard deviation in metres, along each axis, of the predicted centre."""
-    acceleration_std_m_s2: float = Field(default=0.0, ge=0, le=1e3)
-    """Standard deviation in m/s^2, along each axis, of an acceleration that is not predicted; the
-    centre's error grows with the time ahead."""
-    probability: float = Field(default=MovingObstacle.probability, gt=0, lt=1)
-    """Least probability, for each step, that the centre keeps within what the radius is grown by
-    for these deviations."""
-
-    @model_validator(mode="after")
-    def _one_motion(self) -> MovingTable:
-        straight = self.start_m is not None and self.velocity_m_s is not None
-        timed = self.times_s is not None and self.positions_m is not None
-        given = sum(each is not None for each in (self.start_m, self.times_s, self.positions_m))
-        if not (straight and given == 1) and not (timed and given == 2):
-            raise fault_of(
-                "needs either start_m and velocity_m_s, or times_s and positions_m: leave the "
-                "others out",
-            )
-        if "probability" in self.model_fields_set and not self.obstacle.is_uncertain:
-            raise fault_of(
-                "has probability, which needs position_std_m or acceleration_std_m_s2: write "
-                "position_std_m = 0.5, or leave probability out",
-            )
-        if self.times_s is not None and self.positions_m is not None:
-            if len(self.times_s) != len(self.positions_m):
-                raise fault_of(
-                    f"has {len(self.times_s)} times_s and {len(self.positions_m)} positions_m: "
-                    "give a place for each time"
-                )
-            if any(later <= earlier for earlier, later in pairwise(self.times_s)):
-                raise fault_of("has times_s that do not increase: sort them")
-        return self
-
-    @property
-    def obstacle(self) -> MovingObstacle:
-        """The obstacle that it describes."""
-        times, places = self.times_s or [0.0], self.positions_m or [self.start_m or (0.0, 0.0)]
-        return MovingObstacle(
-            name=self.name,
-            radius_m=self.radius_m,
-            times_s=tuple(times),
-            positions_m=tuple(places),
-            velocity_m_s=self.velocity_m_s or (0.0, 0.0),
-            position_std_m=self.position_std_m,
-            acceleration_std_m_s2=self.acceleration_std_m_s2,
-            probability=self.probability,
-        )
+from planopt.world.workspace import MovingObstacle, Obstacle, Workspace, footprint
 
 
 class ObstacleTable(Table):
@@ -138,7 +70,7 @@ class WorldTable(Table):
     """[x_min, y_min, x_max, y_max] in metres."""
     obstacles: tuple[ObstacleTable, ...] = Field(default=(), strict=False)
     """The forbidden areas."""
-    moving: list[MovingTable] = Field(default=[], max_length=50)
+    moving: tuple[MovingObstacle, ...] = Field(default=(), strict=False, max_length=50)
     """Obstacles that move as predicted."""
 
 
@@ -153,37 +85,15 @@ def _workspace_of(table: WorldTable, folder: Path) -> Workspace:
         for index, entry in enumerate(table.obstacles)
         for obstacle in obstacles_of(entry, index, folder)
     ]
-    return Workspace(table.bounds_m, obstacles, [each.obstacle for each in table.moving])
+    return Workspace(table.bounds_m, obstacles, table.moving)
 
 
-def _checked_keys(workspace: Workspace) -> dict[str, Any]:
-    """Check obstacles from Python, and return the rest of their workspace's table."""
-    for obstacle in (*workspace.obstacles, *workspace.timed):
-        check_obstacle(obstacle)
-    moving = [_moving_keys(obstacle) for obstacle in workspace.moving]
-    return {"bounds_m": workspace.bounds_m, "moving": moving}
+def _world_keys(workspace: Workspace) -> dict[str, Any]:
+    """Return the keys of a workspace from Python, but for its obstacles, which are checked."""
+    return {"bounds_m": workspace.bounds_m, "moving": workspace.moving}
 
 
-WORLD = ReadAs(WorldTable, _workspace_of, Workspace, to_keys=_checked_keys, needs_folder=True)
-
-
-def check_obstacle(obstacle: Obstacle) -> None:
-    """Raise an InputError for an obstacle that no file could have."""
-    key = "world.obstacles"
-    check_name(obstacle.name)
-    if not obstacle.polygon.is_valid or obstacle.polygon.area == 0.0:
-        raise InputError(
-            f"{obstacle.name} crosses itself or has no area",
-            key=key,
-            remedy="list the corners in order along the outline",
-        )
-    if not 0.0 <= obstacle.known_from_s < obstacle.until_s:
-        raise InputError(
-            f"{obstacle.name} is known from {obstacle.known_from_s!r} s until "
-            f"{obstacle.until_s!r} s",
-            key=key,
-            remedy="give known_from_s from 0 on, and a larger until_s or none",
-        )
+WORLD = ReadAs(WorldTable, _workspace_of, Workspace, to_keys=_world_keys, needs_folder=True)
 
 
 def obstacles_of(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
@@ -211,7 +121,7 @@ def world_table(workspace: Workspace) -> dict[str, Any]:
     return {
         "bounds_m": list(workspace.bounds_m),
         "obstacles": [obstacle_table(each) for each in (*workspace.lasting, *workspace.timed)],
-        "moving": [_moving_keys(obstacle) for obstacle in workspace.moving],
+        "moving": saved(workspace.moving),
     }
 
 
@@ -225,13 +135,6 @@ def obstacle_table(obstacle: Obstacle) -> dict[str, Any]:
         table["until_s"] = obstacle.until_s
     holes = [_ring(ring) for ring in shapely.get_rings(polygon)[1:]]
     return {**table, "holes": holes} if holes else table
-
-
-def _moving_keys(obstacle: MovingObstacle) -> dict[str, Any]:
-    table = saved(asdict(obstacle))
-    if not obstacle.is_uncertain:
-        del table["probability"]
-    return table
 
 
 def _ring(ring: shapely.LinearRing) -> list[list[float]]:

@@ -14,6 +14,7 @@ from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
 from planopt.files.typed_json import finite
+from planopt.keys import SMALLEST, Metres, Table
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.certificate import DesignData, Requirement, certify

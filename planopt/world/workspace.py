@@ -11,13 +11,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from numbers import Real
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 import shapely
+from pydantic import Field, model_validator
 
 from planopt.errors import InputError
-from planopt.keys import LARGEST_COORDINATE_M
+from planopt.keys import LARGEST_COORDINATE_M, Name, Pair, Part, Table, fault_of
 from planopt.parts import part_of, parts_of
 from planopt.plain_values import plain
 from planopt.short_repr import short_repr
@@ -49,44 +50,120 @@ class Obstacle:
         return self.known_from_s > 0.0 or self.until_s < math.inf
 
     def __post_init__(self) -> None:
+        check_name(self.name)
         remedy = "planopt.obstacles_from makes obstacles of corners, tables and grids"
         part_of(f"the obstacle {self.name!r}", self.polygon, shapely.Polygon, remedy)
+        if not self.polygon.is_valid or self.polygon.area == 0.0:
+            raise InputError(
+                f"{self.name} crosses itself or has no area",
+                key="world.obstacles",
+                remedy="list the corners in order along the outline",
+            )
+        if not 0.0 <= self.known_from_s < self.until_s:
+            raise InputError(
+                f"{self.name} is known from {self.known_from_s!r} s until {self.until_s!r} s",
+                key="world.obstacles",
+                remedy="give known_from_s from 0 on, and a larger until_s or none",
+            )
+
+
+class MotionKeys(Table):
+    """The motion of a disc: start_m and velocity_m_s, or times_s and positions_m."""
+
+    start_m: Pair | None = None
+    """Centre [x, y] in metres at time 0, when planning begins."""
+    velocity_m_s: Pair | None = None
+    """Velocity [x, y] in m/s, from start_m on or after the last of times_s; without it there, the
+    disc stands."""
+    times_s: list[Annotated[float, Field(ge=0, le=1e7)]] | None = Field(default=None, min_length=1)
+    """Times in seconds, increasing, at which the centre is at positions_m; it stands before the
+    first."""
+    positions_m: list[Pair] | None = Field(default=None, min_length=1)
+    """Centres [x, y] in metres at times_s."""
+
+    @model_validator(mode="after")
+    def _one_motion(self) -> MotionKeys:
+        straight = self.start_m is not None and self.velocity_m_s is not None
+        timed = self.times_s is not None and self.positions_m is not None
+        given = sum(each is not None for each in (self.start_m, self.times_s, self.positions_m))
+        if not (straight and given == 1) and not (timed and given == 2):
+            raise fault_of(
+                "needs either start_m and velocity_m_s, or times_s and positions_m: leave the "
+                "others out",
+            )
+        return self
 
 
 @dataclass(frozen=True)
-class MovingObstacle:
-    """A disc that moves as predicted.
+class MovingObstacle(Part):
+    """A disc that moves as predicted: straight between known positions."""
 
-    Attributes
-    ----------
-    name
-        What messages call it.
-    radius_m
-        Radius of the disc.
-    times_s, positions_m
-        Positions of its centre at increasing times; it stands before the first and moves straight
-        between.
-    velocity_m_s
-        Velocity after the last.
-    position_std_m, acceleration_std_m_s2
-        Standard deviations of the predicted centre along each axis: now, and of its acceleration.
-    probability
-        Least probability that the centre stays within the growth of the disc during a step.
-    """
+    at = "world.moving[]"
+    Keys = MotionKeys
+    not_keys = frozenset({"times_s", "positions_m", "velocity_m_s"})
 
-    name: str
-    radius_m: float
+    name: Name
+    """What messages and pictures call it."""
+    radius_m: Annotated[float, Field(gt=0, le=1e4)]
+    """Radius of the disc in metres; constraints.clearance_m is kept from it."""
     times_s: tuple[float, ...]
+    """Increasing times in seconds at which the centre is at positions_m; it stands before the
+    first."""
     positions_m: tuple[tuple[float, float], ...]
+    """Centres [x, y] in metres at times_s."""
     velocity_m_s: tuple[float, float] = (0.0, 0.0)
-    position_std_m: float = 0.0
-    acceleration_std_m_s2: float = 0.0
-    probability: float = 0.99
+    """Velocity [x, y] in m/s after the last of times_s."""
+    position_std_m: Annotated[float, Field(ge=0, le=1e4)] = 0.0
+    """Standard deviation in metres, along each axis, of the predicted centre."""
+    acceleration_std_m_s2: Annotated[float, Field(ge=0, le=1e3)] = 0.0
+    """Standard deviation in m/s^2, along each axis, of an acceleration that is not predicted; the
+    centre's error grows with the time ahead."""
+    probability: Annotated[float, Field(gt=0, lt=1)] = 0.99
+    """Least probability, for each step, that the centre stays within the growth of the radius for
+    these deviations."""
 
     @property
     def is_uncertain(self) -> bool:
         """Return whether its path is uncertain: only then does the probability matter."""
         return self.position_std_m > 0.0 or self.acceleration_std_m_s2 > 0.0
+
+    def to_keys(self) -> dict[str, Any]:
+        """Return the keys of its table."""
+        keys = super().to_keys() | {
+            "times_s": list(self.times_s),
+            "positions_m": list(self.positions_m),
+            "velocity_m_s": self.velocity_m_s,
+        }
+        if not self.is_uncertain:
+            del keys["probability"]
+        return keys
+
+    @classmethod
+    def of_keys(cls, table: Any) -> dict[str, Any]:
+        """Return the fields; a disc that moves straight has one position."""
+        values = super().of_keys(table) | {
+            "times_s": tuple(table.times_s or [0.0]),
+            "positions_m": tuple(table.positions_m or [table.start_m]),
+            "velocity_m_s": table.velocity_m_s or (0.0, 0.0),
+        }
+        uncertain = table.position_std_m > 0.0 or table.acceleration_std_m_s2 > 0.0
+        if "probability" in table.model_fields_set and not uncertain:
+            raise fault_of(
+                "has probability, which needs position_std_m or acceleration_std_m_s2: write "
+                "position_std_m = 0.5, or leave probability out",
+            )
+        return values
+
+    def fault(self) -> str | None:
+        """Return how times and positions do not fit."""
+        if len(self.times_s) != len(self.positions_m):
+            return (
+                f"has {len(self.times_s)} times_s and {len(self.positions_m)} positions_m: give a "
+                "place for each time"
+            )
+        if any(later <= earlier for earlier, later in pairwise(self.times_s)):
+            return "has times_s that do not increase: sort them"
+        return None
 
 
 @dataclass(frozen=True, init=False)

@@ -11,6 +11,7 @@ import shapely
 from planopt import InputError, check, load, simulate, solve
 from planopt.channel.posterior import condition, estimate_theta
 from planopt.planning.initial_data import prepare, with_drawn_starts
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.channel_setup import GivenParameters, SampledMeasurements
 from planopt.problems.load import check_files
 

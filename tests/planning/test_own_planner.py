@@ -13,7 +13,7 @@ from planopt import check, load, solve
 from planopt.errors import InputError
 from planopt.planning.candidates import held, released
 from planopt.planning.planners import LawnmowerPlanner
-from planopt.problems import planner_kinds
+from planopt.problems import planner_kinds, problem_to_dict
 from planopt.problems.planner_kinds import (
     OWN,
     PlannerKind,

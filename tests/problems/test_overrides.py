@@ -7,9 +7,8 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
-import shapely
 
-from planopt import ConnectivityRule, Constraints, InputError, Obstacle, Problem, Robot
+from planopt import ConnectivityRule, Constraints, InputError, Problem, Robot
 from planopt.objectives import TermsObjective
 from planopt.problems import Unicycle, list_problems
 from planopt.problems.load import load
@@ -128,12 +127,6 @@ def robot(problem: Problem, **changes) -> Problem:
     return replace(problem, robots=(replace(problem.robots[0], **changes), *problem.robots[1:]))
 
 
-def obstacle(problem: Problem, polygon: shapely.Polygon) -> Problem:
-    """One obstacle more."""
-    more = (*problem.workspace.obstacles, Obstacle("bad", polygon))
-    return replace(problem, workspace=replace(problem.workspace, obstacles=more))
-
-
 def test_what_no_task_asks() -> None:
     """Copies are checked before they are used: counts, names, areas, and what the task needs."""
     reach, track = load("open_field"), load("outdoor_track")
@@ -142,8 +135,6 @@ def test_what_no_task_asks() -> None:
         replace(reach, stations=()),
         replace(reach, robots=()),
         replace(reach, name="a/../b"),
-        obstacle(reach, shapely.Polygon([(20, 20), (30, 30), (30, 20), (20, 30)])),
-        obstacle(reach, shapely.Polygon()),
         replace(reach, robots=reach.robots * 2),
         robot(track, goal_m=(1.0, 1.0)),
         replace(track, targets=()),

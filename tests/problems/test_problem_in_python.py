@@ -38,8 +38,8 @@ from planopt.problems import (
     SampledMeasurements,
     problem_from_dict,
     problem_to_dict,
-    term_tables,
 )
+from planopt.problems.objective import read_term
 
 STATION = BaseStation(position_m=(20, 15), transmit_power_dbm=0.0, threshold_dbm=-70.0)
 ROBOT = Robot(start_m=[5, 5], goal_m=np.array([35.0, 25.0]), speed_max_m_s=2.0)
@@ -289,11 +289,19 @@ def test_no_number_of_measurements(count) -> None:
         SampledMeasurements(count)
 
 
-def test_a_name_of_an_obstacle_is_text() -> None:
-    """As in a file."""
-    nameless = Obstacle(None, shapely.box(10, 10, 12, 12))
-    with pytest.raises(InputError, match=r"name: is None, should be text"):
-        small(workspace=Workspace((0.0, 0.0, 40.0, 30.0), (nameless,)))
+@pytest.mark.parametrize(
+    ("name", "polygon", "times", "words"),
+    [
+        (None, shapely.box(10, 10, 12, 12), (), r"name: is None, should be text"),
+        ("bow", shapely.Polygon([(20, 20), (30, 30), (30, 20), (20, 30)]), (), "crosses itself"),
+        ("none", shapely.Polygon(), (), "no area"),
+        ("late", shapely.box(10, 10, 12, 12), (3.0, 2.0), "known from 3.0 s until 2.0 s"),
+    ],
+)
+def test_no_obstacle(name, polygon, times, words) -> None:
+    """An obstacle is checked where it is made."""
+    with pytest.raises(InputError, match=words):
+        Obstacle(name, polygon, *times)
 
 
 def test_a_connection_is_true_or_false() -> None:
@@ -421,7 +429,7 @@ def test_terms_have_the_defaults_of_files() -> None:
     """A term says only what it must; weights are named."""
     assert LearningTerm() == LearningTerm("D", weight=1.0)
     table = {"kind": "path_loss_learning"}
-    assert term_tables.read_term(table) == LearningTerm()
+    assert read_term(table) == LearningTerm()
 
 
 @pytest.mark.parametrize("dynamics", ["double_integrator", DoubleIntegrator])

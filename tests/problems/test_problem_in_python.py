@@ -298,7 +298,7 @@ def test_no_number_of_measurements(count) -> None:
         ("late", shapely.box(10, 10, 12, 12), (3.0, 2.0), "known from 3.0 s until 2.0 s"),
     ],
 )
-def test_no_obstacle(name, polygon, times, words) -> None:
+def test_obstacle_checked_where_made(name, polygon, times, words) -> None:
     """An obstacle is checked where it is made."""
     with pytest.raises(InputError, match=words):
         Obstacle(name, polygon, *times)

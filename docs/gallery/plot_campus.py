@@ -134,5 +134,5 @@ for name, report in reports.items():
 # fading behind buildings is not Gaussian.
 if reports:
     calibration_figure = draw_calibration(
-        {name: report.scores["channel"].calibration for name, report in reports.items()}
+        {name: report.scores["channel"] for name, report in reports.items()}
     )

@@ -1,10 +1,6 @@
 """Public names of the radio channel; each is imported from its module when it is first used."""
 
 from planopt.channel.belief import Belief as Belief
-from planopt.channel.calibration import Calibration as Calibration
-from planopt.channel.calibration import HeldOutReport as HeldOutReport
-from planopt.channel.calibration import calibrate as calibrate
-from planopt.channel.calibration import held_out_report as held_out_report
 from planopt.channel.channel_map import PosteriorMap as PosteriorMap
 from planopt.channel.channel_map import posterior_map as posterior_map
 from planopt.channel.connectivity_law import connected_to_any as connected_to_any
@@ -22,6 +18,8 @@ from planopt.channel.ground_truth import model_truth as model_truth
 from planopt.channel.ground_truth import multipath_of as multipath_of
 from planopt.channel.ground_truth import raster_truth as raster_truth
 from planopt.channel.ground_truth import true_power_dbm as true_power_dbm
+from planopt.channel.held_out import HeldOutReport as HeldOutReport
+from planopt.channel.held_out import held_out_report as held_out_report
 from planopt.channel.held_out import predictors_of as predictors_of
 from planopt.channel.joint import JointPrediction as JointPrediction
 from planopt.channel.joint import joint_prediction as joint_prediction

@@ -29,6 +29,7 @@ from planopt.channel.gaussian_sites import (
     matched_sites,
     needs_site,
     rounded_variance_db2,
+    truncated_normal,
 )
 from planopt.channel.measurement_covariance import (
     Origins,
@@ -39,7 +40,6 @@ from planopt.channel.measurement_covariance import (
 from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import BLOCK, Window, place_blocks, surrounding_windows
 from planopt.channel.parameters import ChannelParameters, regressors
-from planopt.channel.truncated_normal import truncated_normal
 
 SITE_BESIDE = 64
 """Measurements beside a block whose sites are matched. At 1,500 measurements, 20 % to 70 %

@@ -15,8 +15,9 @@ from planopt.commands.output import drawing, progress, results_folder, show
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
-    from planopt.channel.calibration import GroupedRatio, HeldOutReport, HeldOutScore
+    from planopt.channel.calibration import GroupedRatio
     from planopt.channel.estimation.channel_fit import ChannelFit
+    from planopt.channel.held_out import HeldOutReport, HeldOutScore
 
 HoldOutOption = Annotated[
     str | None,
@@ -57,8 +58,7 @@ def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) 
     """
     import numpy as np
 
-    from planopt.channel.calibration import held_out_report
-    from planopt.channel.held_out import deal, predictors_of
+    from planopt.channel.held_out import deal, held_out_report, predictors_of
     from planopt.channel.power_log import parse_groups, read_groups
 
     groups = read_groups(log, parse_groups(text), fitted.log_format)
@@ -140,8 +140,7 @@ def _draw_held_out(report: HeldOutReport, folder: Path) -> None:
     from planopt.report import draw_calibration, draw_reliability, save_figure
 
     scores = {name.replace("_", " "): score for name, score in report.scores.items()}
-    calibrations = {name: score.calibration for name, score in scores.items()}
-    save_figure(draw_calibration(calibrations), folder / "held_out.png")
+    save_figure(draw_calibration(scores), folder / "held_out.png")
     series = {name: score.reliability for name, score in scores.items()}
     title = f"P(power at least {report.threshold_dbm:g} dBm), held out"
     save_figure(draw_reliability(series, title), folder / "reliability.png")

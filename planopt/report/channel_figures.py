@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.belief import Belief
-from planopt.channel.calibration import EDGES, Calibration, ReliabilityBin
+from planopt.channel.calibration import EDGES, ReliabilityBin
 from planopt.channel.channel_map import PosteriorMap
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.correlation_fit import BINS, empirical_correlation
+from planopt.channel.held_out import HeldOutScore
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station, regressors, station_distance_m
 from planopt.errors import InputError
@@ -275,12 +276,12 @@ def _with_error(fit: ChannelFit, name: str) -> str:
     return f"{value:.3g} ± {error:.2g}" if error < 100.0 else f"{value:.3g} ± {error:.0f}"
 
 
-def draw_calibration(calibrations: Mapping[str, Calibration]) -> Figure:
+def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:
     """Draw coverage against level with its 95 % interval, and the histogram of the PIT.
 
     Parameters
     ----------
-    calibrations
+    scores
         By the name of the predictor, for the legend.
 
     Raises
@@ -288,20 +289,20 @@ def draw_calibration(calibrations: Mapping[str, Calibration]) -> Figure:
     InputError
         There is none.
     """
-    if not calibrations:
-        raise InputError("there is no calibration to draw", key="calibrations")
+    if not scores:
+        raise InputError("there is no score to draw", key="scores")
     figure, (coverage, pit) = new_figure(12.0, 5.4, ["AB"])
     entries: list[Artist] = []
-    for number, (name, one) in enumerate(calibrations.items()):
-        levels = np.array([(each.level, each.share, each.low, each.high) for each in one.coverage])
-        label = f"{name}: rmse {one.rmse_db:.2f} dB"
+    for number, (name, one) in enumerate(scores.items()):
+        levels = [(level, each.value, each.low, each.high) for level, each in one.coverage.items()]
+        label = f"{name}: rmse {one.rmse_db.value:.2f} dB"
         look = curve_look(number)
-        entries.append(draw_intervals(coverage, *(100.0 * levels.T), label=label, **look))
+        entries.append(draw_intervals(coverage, *(100.0 * np.array(levels).T), label=label, **look))
         steps = {"baseline": None, "color": look["color"], "linewidth": 1.6, "label": name}
-        pit.stairs(100.0 * one.pit_share, one.pit_edges, **steps)
+        pit.stairs(100.0 * one.pit_share, np.linspace(0.0, 1.0, len(one.pit_share) + 1), **steps)
     nominal = {"color": BLACK, "linewidth": 1.0, "label": "nominal"}
     entries += coverage.plot([0.0, 100.0], [0.0, 100.0], **nominal)
-    pit.axhline(100.0 / len(next(iter(calibrations.values())).pit_share), **nominal)
+    pit.axhline(100.0 / len(next(iter(scores.values())).pit_share), **nominal)
     coverage.set_xlim(40.0, 101.0)
     coverage.set_ylim(30.0, 101.0)
     pit.set_xlim(0.0, 1.0)
@@ -310,16 +311,8 @@ def draw_calibration(calibrations: Mapping[str, Calibration]) -> Figure:
     words = "predicted probability of less than measured [1]"
     dress(pit, "probability integral transform", words, "measurements [%]")
     legend_below(figure, entries, 4)
-    count = _range_words([one.count for one in calibrations.values()])
-    censored = _range_words([one.censored for one in calibrations.values()])
-    head(figure, f"calibration on {count} held-out measurements, {censored} censored")
+    head(figure, "calibration on held-out measurements")
     return figure
-
-
-def _range_words(counts: Sequence[int]) -> str:
-    """Return a number, or the least and the largest if they differ."""
-    least, largest = min(counts), max(counts)
-    return f"{least}" if least == largest else f"{least} to {largest}"
 
 
 def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str) -> Figure:

@@ -7,8 +7,15 @@ import pytest
 from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_of
 
 from planopt import InputError
-from planopt.channel import Measurements, Prediction, Station, calibrate, condition, posterior_map
-from planopt.channel.calibration import reliability
+from planopt.channel import (
+    Measurements,
+    Prediction,
+    Station,
+    condition,
+    held_out_report,
+    posterior_map,
+)
+from planopt.channel.calibration import GroupedRatio, reliability
 from planopt.report import (
     draw_belief,
     draw_calibration,
@@ -43,10 +50,15 @@ def calibrations():
     """One prediction with the right standard deviation, one with half of it."""
     power = np.random.default_rng(0).normal(0.0, 2.0, 200)
     data = Measurements(np.zeros((200, 2)), power, np.arange(200) < 10)
-    return {
-        name: calibrate(Prediction(np.zeros(200), np.full(200, deviation)), data)
-        for name, deviation in (("right", 2.0), ("sure", 1.0))
-    }
+    groups = np.arange(200) % 8
+
+    def predictor(deviation_db):
+        return lambda held_out: Prediction(
+            np.zeros(len(held_out)), np.full(len(held_out), deviation_db)
+        )
+
+    predictors = {"path_loss": predictor(2.0), "sure": predictor(1.0)}
+    return held_out_report(data, groups, groups, lambda _: predictors).scores
 
 
 def bins(optimism: float):
@@ -109,7 +121,7 @@ def figures(problem, belief, measurements, fit, maps, calibrations):
                 "predicted probability of less than measured [1]",
                 "measurements [%]",
             },
-            ["right: rmse 1.94 dB", "sure: rmse 1.94 dB", "nominal"],
+            ["path_loss: rmse 1.94 dB", "sure: rmse 1.94 dB", "nominal"],
         ),
         (
             "reliability",
@@ -258,7 +270,7 @@ def test_coverage_and_pit(figures, calibrations):
     """Coverage in percent against level, the PIT as steps."""
     sure = calibrations["sure"]
     line = line_of(panel_of(figures["calibration"], "coverage"), "sure: rmse 1.94 dB")
-    expected = [[100.0 * one.level, 100.0 * one.share] for one in sure.coverage]
+    expected = [[100.0 * level, 100.0 * one.value] for level, one in sure.coverage.items()]
     np.testing.assert_allclose(line.get_xydata(), expected)
     (steps,) = (
         patch
@@ -266,14 +278,15 @@ def test_coverage_and_pit(figures, calibrations):
         if patch.get_label() == "sure"
     )
     np.testing.assert_allclose(steps.get_data().values, 100.0 * sure.pit_share)
-    np.testing.assert_allclose(steps.get_data().edges, sure.pit_edges)
+    np.testing.assert_allclose(
+        steps.get_data().edges, np.linspace(0.0, 1.0, len(sure.pit_share) + 1)
+    )
 
 
 def test_an_end_that_passes_its_share_by_rounding(calibrations):
     """A share whose interval ends there is drawn with no bar on that side."""
-    right = calibrations["right"]
-    past = replace(right.coverage[0], share=1.0, low=1.0 + 1e-15, high=1.0 - 1e-15)
-    drawn(draw_calibration({"past": replace(right, coverage=(past,))}))
+    past = GroupedRatio(1.0, 1.0 + 1e-15, 1.0 - 1e-15)
+    drawn(draw_calibration({"past": replace(calibrations["sure"], coverage={0.5: past})}))
 
 
 def test_reliability_points(figures):

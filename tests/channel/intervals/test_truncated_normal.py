@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
-from planopt.channel.truncated_normal import LEAST_CLOSED_FORM, truncated_normal
+from planopt.channel.gaussian_sites import LEAST_CLOSED_FORM, truncated_normal
 
 
 def one(upper, width):

@@ -1,105 +1,131 @@
-"""Coverage, PIT and error of predictions whose faults are known."""
+"""Ratios over groups and reliability tables: known cases, and how often intervals hold."""
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.stats import norm, uniform
+from scipy import stats
 
 from planopt import InputError
-from planopt.channel import Measurements, Prediction, calibrate
-from planopt.channel.calibration import share_between
-
-COUNT = 20_000
-
-
-def drawn(spread=1.0, shift=0.0, limit_above=None):
-    """Powers drawn from N(-80, 4), some seen only as a limit; and a faulty prediction of them."""
-    rng = np.random.default_rng(0)
-    power = rng.normal(-80.0, 4.0, COUNT)
-    censored = np.zeros(COUNT, dtype=bool)
-    if limit_above is not None:
-        censored = power < limit_above
-        power = np.where(censored, limit_above, power)
-    prediction = Prediction(np.full(COUNT, -80.0 + shift), np.full(COUNT, 4.0 * spread))
-    return prediction, Measurements(rng.uniform(0.0, 1.0, (COUNT, 2)), power, censored)
-
-
-def test_right_predictions():
-    """Every interval contains its level, the PIT is uniform, the error is the deviation."""
-    found = calibrate(*drawn())
-    for one in found.coverage:
-        assert one.low < one.level < one.high
-        assert one.low < one.share < one.high
-    np.testing.assert_allclose(found.pit_share, 0.05, atol=0.006)
-    assert found.pit_share.sum() == pytest.approx(1.0)
-    assert found.rmse_db == pytest.approx(4.0, rel=0.02)
-    assert (found.count, found.censored) == (COUNT, 0)
-
-
-@pytest.mark.parametrize("spread", [0.5, 2.0])
-def test_wrong_deviation(spread):
-    """A deviation wrong by a factor: coverage is 2 Phi(z factor) - 1."""
-    for one in calibrate(*drawn(spread)).coverage:
-        expected = 2.0 * norm.cdf(norm.ppf(0.5 + 0.5 * one.level) * spread) - 1.0
-        assert one.share == pytest.approx(expected, abs=0.01)
-
-
-def test_wrong_mean():
-    """A mean too high by a deviation puts the PIT low, and into the error."""
-    found = calibrate(*drawn(shift=4.0))
-    expected = norm.cdf(norm.ppf(np.linspace(0.0, 1.0, 21)) + 1.0)
-    np.testing.assert_allclose(found.pit_share, np.diff(expected), atol=0.01)
-    assert found.rmse_db == pytest.approx(np.sqrt(32.0), rel=0.02)
-
-
-@pytest.mark.parametrize("limit", [-84.0, -78.0])
-def test_censored_are_counted_in_parts(limit):
-    """Right predictions stay right with a floor; only the uncensored are in the error."""
-    prediction, held_out = drawn(limit_above=limit)
-    found = calibrate(prediction, held_out)
-    for one in found.coverage:
-        assert one.share == pytest.approx(one.level, abs=0.01)
-    np.testing.assert_allclose(found.pit_share, 0.05, atol=0.006)
-    exact = ~held_out.censored
-    assert found.censored == (~exact).sum()
-    assert found.rmse_db == pytest.approx(np.sqrt(np.mean((held_out.power_dbm[exact] + 80.0) ** 2)))
-
-
-def test_parts_of_a_limit():
-    """Shares by hand, the ends of the range included."""
-    upper, censored = np.array([0.4]), np.array([True])
-    assert share_between(upper, censored, 0.1, 0.2) == pytest.approx(0.25)
-    assert share_between(upper, censored, 0.3, 1.0) == pytest.approx(0.25)
-    nothing = np.array([0.0])
-    assert share_between(nothing, censored, 0.0, 0.1) == 1.0
-    assert share_between(nothing, censored, 0.1, 0.2) == 0.0
-    exact = np.array([False, False])
-    assert share_between(np.array([1.0, 0.5]), exact, 0.95, 1.0) == 0.5
-    assert share_between(np.array([0.1, 0.2]), exact, 0.1, 0.2) == 0.5
-
-
-def test_wilson_interval_covers():
-    """Over many small samples the interval holds the true share about 95 times in 100."""
-    rng = np.random.default_rng(1)
-    held = []
-    for _ in range(300):
-        pit = uniform.rvs(size=40, random_state=rng)
-        prediction = Prediction(np.zeros(40), np.ones(40))
-        data = Measurements(np.zeros((40, 2)), norm.ppf(pit), np.zeros(40, dtype=bool))
-        (one,) = calibrate(prediction, data, (0.8,)).coverage
-        held.append(one.low <= 0.8 <= one.high)
-    assert 0.91 <= np.mean(held) <= 0.985
-
-
-@pytest.mark.parametrize(
-    ("mean", "deviation", "levels"),
-    [
-        (np.zeros(2), np.ones(2), (0.5,)),
-        (np.zeros(3), np.zeros(3), (0.5,)),
-        (np.zeros(3), np.ones(3), (1.0,)),
-    ],
+from planopt.channel.calibration import (
+    EDGES,
+    FEWEST_GROUPS,
+    grouped_ratio,
+    reliability,
+    share_interval,
 )
-def test_bad_input(mean, deviation, levels):
-    """Lengths that differ, no deviation, a level out of range."""
-    data = Measurements(np.zeros((3, 2)), np.zeros(3), np.zeros(3, dtype=bool))
+
+
+def test_groups_of_one_size_are_students_interval():
+    """Equal denominators make it the ordinary interval of a mean of group means."""
+    means = np.array([0.91, 0.95, 0.93, 0.99, 0.90])
+    found = grouped_ratio(means * 40.0, np.full(5, 40.0))
+    low, high = stats.t.interval(0.95, 4, means.mean(), stats.sem(means))
+    assert found.value == pytest.approx(means.mean())
+    assert (found.low, found.high) == pytest.approx((low, high))
+
+
+def test_interval_holds_where_members_belong_together():
+    """Errors that a group shares: the interval holds, one that counts members would not."""
+    generator = np.random.default_rng(0)
+    held, naive = 0, 0
+    for _ in range(400):
+        size = generator.integers(20, 60, 25).astype(float)
+        shared = generator.standard_normal(25) * 0.3
+        found = grouped_ratio((1.0 + shared) * size, size)
+        held += found.low <= 1.0 <= found.high
+        naive += abs(found.value - 1.0) <= 1.96 * 0.3 / np.sqrt(size.sum())
+    assert 0.91 <= held / 400 <= 0.98
+    assert naive / 400 < 0.5
+
+
+def test_root_and_floor():
+    """The root is of all three; no share is below zero."""
+    found = grouped_ratio(np.array([0.0, 9.0]), np.array([1.0, 1.0]))
+    assert found.low == 0.0
+    root = found.root()
+    assert (root.value, root.low, root.high) == pytest.approx((4.5**0.5, 0.0, found.high**0.5))
+
+
+@pytest.mark.parametrize(("over", "under"), [([1.0], [2.0]), ([0.0, 0.0], [0.0, 0.0]), ([], [])])
+def test_no_interval(over, under):
+    """One group, or nothing to divide by."""
     with pytest.raises(InputError):
-        calibrate(Prediction(mean, deviation), data, levels)
+        grouped_ratio(np.array(over), np.array(under))
+
+
+def test_bins_partition_the_predictions():
+    """Every prediction is in one bin, on an edge in the upper one, NaN in none."""
+    generator = np.random.default_rng(0)
+    predicted = np.concatenate([generator.uniform(size=500), EDGES, [np.nan]])
+    realised = generator.uniform(size=len(predicted)) < 0.5
+    groups = np.arange(len(predicted)) % 7
+    bins = reliability(predicted, realised, groups)
+    assert [(one.low, one.high) for one in bins] == list(pairwise(EDGES))
+    assert sum(one.count for one in bins) == 500 + len(EDGES)
+    for one in bins:
+        inside = (predicted >= one.low) & (predicted < one.high)
+        if one.high == 1.0:
+            inside |= predicted == 1.0
+        assert one.count == inside.sum()
+        assert one.groups == len(set(groups[inside]))
+        assert one.predicted == pytest.approx(predicted[inside].mean())
+        assert one.realised == pytest.approx(realised[inside].mean())
+
+
+def test_no_interval_from_few_groups():
+    """Four runs give none, five do, however many steps each has."""
+    for groups in (FEWEST_GROUPS - 1, FEWEST_GROUPS):
+        count = 20 * groups
+        [one] = reliability(np.full(count, 0.9), np.arange(count) % 10 != 0, np.arange(count) // 20)
+        assert (one.interval is None) == (groups < FEWEST_GROUPS)
+        assert (one.agrees is None) == (one.interval is None)
+
+
+def test_independent_outcomes_are_the_exact_binomial_interval():
+    """One outcome a group: a design effect of g / (g - 1), and Clopper and Pearson's interval."""
+    groups, hits = 40, 31
+    low, high = share_interval(np.arange(groups) < hits, np.ones(groups))
+    exact = stats.binomtest(hits, groups).proportion_ci(0.95, method="exact")
+    fewer = stats.beta.ppf(
+        [0.025, 0.975],
+        [hits * 39 / 40, hits * 39 / 40 + 1],
+        [9 * 39 / 40 + 1, 9 * 39 / 40],
+    )
+    assert (low, high) == pytest.approx(tuple(fewer))
+    assert low < exact.low and high > exact.high
+
+
+def test_one_outcome_only_is_worth_the_groups():
+    """Twenty runs that were connected throughout: the interval of 20 trials, t's correction off."""
+    low, high = share_interval(np.full(20, 50.0), np.full(20, 50.0))
+    assert high == 1.0
+    worth = 20 * (stats.t.ppf(0.975, 999) / stats.t.ppf(0.975, 19)) ** 2
+    assert low == pytest.approx(0.025 ** (1.0 / worth))
+    assert share_interval(np.zeros(20), np.full(20, 50.0)) == pytest.approx((0.0, 1.0 - low))
+
+
+@pytest.mark.parametrize("share", [0.7, 0.95, 0.995])
+@pytest.mark.parametrize("together", [0.0, 0.3])
+def test_interval_holds_where_steps_belong_together(share, together):
+    """Runs that share their luck (Gaussian copula): 95 % of intervals hold the truth, or more."""
+    generator = np.random.default_rng(int(1e4 * share + 10 * together))
+    held = ordinary = 0
+    for _ in range(400):
+        sizes = 1.0 + generator.poisson(15, 20)
+        luck = generator.standard_normal(20) * np.sqrt(together)
+        chance = stats.norm.cdf((stats.norm.ppf(share) - luck) / np.sqrt(1.0 - together))
+        connected = generator.binomial(sizes.astype(int), chance).astype(float)
+        low, high = share_interval(connected, sizes)
+        held += low <= share <= high
+        counted = stats.binomtest(int(connected.sum()), int(sizes.sum())).proportion_ci(0.95)
+        ordinary += counted.low <= share <= counted.high
+    assert held >= 0.93 * 400
+    if together and share < 0.99:
+        assert ordinary < 0.85 * 400
+
+
+def test_lengths_must_agree():
+    """Three predictions of two outcomes are refused."""
+    with pytest.raises(InputError, match="cannot be compared"):
+        reliability(np.zeros(3), np.zeros(2, dtype=bool), np.zeros(3, dtype=int))

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt import Problem
+from planopt.problems.problem import problem_from_tables
 
 
 @pytest.fixture

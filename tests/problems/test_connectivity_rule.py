@@ -1,11 +1,13 @@
-"""The keys of each rule of connectivity: what fits together, and that saving keeps them."""
+"""Rules and dynamics of a file that must fit together, and saving them."""
 
 from __future__ import annotations
 
 import pytest
+from terms_scene import TABLES, TRACKING
 
+from planopt import ConnectivityRule, InputError
 from planopt.problems import problem_from_dict, problem_to_dict
-from planopt.problems.constraints import ConnectivityRule
+from planopt.problems.problem import problem_from_tables
 
 GOOD = {
     "each_step": {"p_min": 0.9, "slack_max_db": 2.0, "parameter_uncertainty": "all"},
@@ -54,3 +56,61 @@ def test_plain_problems_say_nothing_of_rules(learning, built):
         "goal_radius_m",
         "separation_m",
     }
+
+
+TRAM = {"name": "tram", "start_m": [30.0, 30.0], "velocity_m_s": [0.1, 0.0], "radius_m": 1.0}
+
+
+def loaded(tmp_path, *robots, **constraints):
+    """A problem of these robots beside a tram."""
+    tables = {
+        **TABLES,
+        "problem": {**TABLES["problem"], "task": "track"},
+        "objective": {"terms": [TRACKING]},
+        "targets": [{"start_m": [14.0, 18.0], "velocity_m_s": [0.9, 0.2]}],
+        "robots": [
+            {"name": f"r{number}", "speed_max_m_s": 2.0, **robot}
+            for number, robot in enumerate(robots)
+        ],
+        "world": {**TABLES["world"], "moving": [TRAM]},
+        "constraints": {**TABLES["constraints"], **constraints},
+    }
+    return problem_from_tables(tables, folder=tmp_path, file=None)
+
+
+def heavy(x, y, *velocity):
+    """A double integrator that takes 4 m to stop from full speed."""
+    return {
+        "start_m": [x, y],
+        "dynamics": "double_integrator",
+        "acceleration_max_m_s2": 0.5,
+        "start_velocity_m_s": list(velocity),
+    }
+
+
+WHEELS = {"start_m": [12.0, 8.0], "dynamics": "unicycle", "turn_rate_max_rad_s": 1.0}
+
+
+def test_every_dynamics_is_welcome(tmp_path):
+    """With a separation and beside what moves."""
+    problem = loaded(tmp_path, heavy(5.0, 8.0, 0.0, 0.0), WHEELS, separation_m=3.0)
+    assert problem.constraints.separation_m == 3.0
+    assert len(problem.workspace.moving) == 1
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_robots_that_cannot_stop_apart_are_refused(tmp_path, first):
+    """Wherever the fast one stands in the file, it is named."""
+    robots = [heavy(5.0, 8.0, 2.0, 0.0), WHEELS]
+    with pytest.raises(InputError, match=r"leads within 3 m of r") as caught:
+        loaded(tmp_path, *(robots if first else robots[::-1]), separation_m=3.1)
+    assert caught.value.key == f"robots[{0 if first else 1}].start_velocity_m_s"
+    loaded(tmp_path, *robots, separation_m=3.0)
+    loaded(tmp_path, heavy(5.0, 8.0, -0.5, 0.0), WHEELS, separation_m=3.0)
+
+
+def test_both_may_move(tmp_path):
+    """Two that follow each other stop apart; two that meet do not."""
+    loaded(tmp_path, heavy(5.0, 8.0, 1.5, 0.0), heavy(9.0, 8.0, 1.5, 0.0), separation_m=3.5)
+    with pytest.raises(InputError, match="less than the separation"):
+        loaded(tmp_path, heavy(5.0, 8.0, 1.5, 0.0), heavy(9.0, 8.0, -0.5, 0.0), separation_m=3.0)

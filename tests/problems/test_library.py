@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, label
 from scipy.stats import norm
 
-from planopt.channel.ground_truth import Rician
+from planopt import InputError, load
+from planopt.channel import Rician
 from planopt.cli import main
-from planopt.errors import InputError
-from planopt.problems import library
-from planopt.problems.channel_setup import ModelTruth, RasterTruth, SampledMeasurements
-from planopt.problems.library import find_problem, list_problems
-from planopt.problems.load import load
+from planopt.problems import ModelTruth, RasterTruth, library, list_problems
+from planopt.problems.library import find_problem
 from planopt.world.clearance import clearance_m, index_obstacles
 
 NAMES = [
@@ -72,28 +70,6 @@ def test_library_lists_its_problems_by_name() -> None:
         problem = load(entry.name)
         assert (problem.name, problem.description) == (entry.name, entry.description)
         assert problem.file == entry.path
-
-
-@pytest.mark.parametrize(
-    ("name", "start", "goal", "threshold", "step"),
-    [
-        ("munich_courier", (45, -351), (-183, 89), -83, 6),
-        ("munich_hard", (-219, 17), (47, -349), -80, 5),
-    ],
-)
-def test_munich_files_are_the_agreed_scenarios(
-    name: str, start: tuple[float, float], goal: tuple[float, float], threshold: float, step: float
-) -> None:
-    """Start, goal, power, bound, step and clearance as agreed when the data were checked."""
-    problem = load(name)
-    robot, station = problem.robots[0], problem.stations[0]
-    assert (robot.start_m, robot.goal_m) == (start, goal)
-    assert (station.transmit_power_dbm, station.threshold_dbm) == (30, threshold)
-    assert problem.step_length_m == pytest.approx(step)
-    assert problem.constraints.p_min == 0.8
-    assert problem.constraints.clearance_m == 2
-    assert problem.channel.measurements == SampledMeasurements(300)
-    assert len(problem.workspace.obstacles) == 742
 
 
 MUNICH = [name for name in NAMES if name.startswith("munich")]

@@ -1,20 +1,21 @@
-"""Loading files: where they are, what they hold, and one clear error for what cannot be read."""
+"""Loading files: what they hold, one clear error for what cannot be read, and fuzzing."""
 
 from __future__ import annotations
 
+import copy
+import json
 import os
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
-from planopt.errors import InputError
-from planopt.problems.channel_setup import LoggedMeasurements, RasterTruth
+from planopt import InputError, Problem, load
+from planopt.problems import LoggedMeasurements, RasterTruth, problem_from_dict, problem_to_dict
 from planopt.problems.library import library_folder, read_toml
-from planopt.problems.load import load
-from planopt.problems.problem import Problem
 
 OPEN_FIELD = (library_folder() / "open_field.toml").read_text(encoding="utf-8")
 
@@ -24,15 +25,6 @@ def written(folder: Path, text: str | bytes) -> Path:
     path = folder / "p.toml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
-
-
-def test_a_copy_of_a_library_file_loads_the_same(tmp_path: Path) -> None:
-    """Nothing but the file depends on where a problem without other files stands."""
-    copy = load(written(tmp_path, OPEN_FIELD))
-    original = load("open_field")
-    assert copy.file == tmp_path / "p.toml"
-    assert copy.workspace == original.workspace
-    assert copy.channel == original.channel
 
 
 def test_byte_order_mark_and_carriage_returns_are_read(tmp_path: Path) -> None:
@@ -98,14 +90,6 @@ def test_text_that_is_no_problem_is_one_error(
     assert caught.value.row == row
 
 
-def test_parse_errors_say_the_column(tmp_path: Path) -> None:
-    """The parser's place is told apart from its message."""
-    with pytest.raises(InputError) as caught:
-        load(written(tmp_path, "[problem]\nname = \n"))
-    assert "line" not in caught.value.message
-    assert caught.value.remedy == "at column 8"
-
-
 def test_error_of_an_obstacle_file_names_both_places(tmp_path: Path) -> None:
     """The file that is wrong is the obstacle file; the key says where it is asked for."""
     (tmp_path / "a.wkt").write_text("POINT (1 2)")
@@ -114,15 +98,6 @@ def test_error_of_an_obstacle_file_names_both_places(tmp_path: Path) -> None:
         load(written(tmp_path, text))
     assert caught.value.file == str(tmp_path / "a.wkt")
     assert caught.value.key == "world.obstacles[2]"
-
-
-def test_missing_obstacle_file_names_it(tmp_path: Path) -> None:
-    """An obstacle file that is not there is an error with its path."""
-    text = OPEN_FIELD.replace('wkt = "POLYGON', 'file = "none.geojson" #')
-    text = text.replace('name = "pond"\n', "")
-    with pytest.raises(InputError, match="no such file") as caught:
-        load(written(tmp_path, text))
-    assert caught.value.file == str(tmp_path / "none.geojson")
 
 
 def test_polygon_that_crosses_itself_names_its_entry(tmp_path: Path) -> None:
@@ -188,9 +163,93 @@ def test_file_that_cannot_be_read_is_one_error(
         read_toml(path)
 
 
-def test_file_tables_and_dict_tables_are_the_same(
-    built: Callable[[object], Problem],
+Build = Callable[[object], Problem]
+
+SCALARS = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.sampled_from([10**400, -(2**64)])
+    | st.floats()
+    | st.sampled_from([0.0, -1.0, 1e308, 5e-324, 1e9])
+    | st.text(max_size=8)
+    | st.sampled_from(["raster", "model", "POLYGON EMPTY", "a.wkt", "\0", "\ud800", "../x.json"])
+)
+
+KEYS = st.text(max_size=6) | st.sampled_from(["name", "file", "count", "holes", "kind", "wkt"])
+
+VALUES = st.recursive(
+    SCALARS,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=4),
+    max_leaves=10,
+)
+
+
+def places(value: object, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Path of every value in nested tables."""
+    if isinstance(value, dict):
+        items: list[tuple[Any, Any]] = list(value.items())
+    elif isinstance(value, list):
+        items = list(enumerate(value))
+    else:
+        items = []
+    return [path, *(place for key, inner in items for place in places(inner, (*path, key)))][
+        0 if path else 1 :
+    ]
+
+
+@settings(
+    max_examples=400,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+@given(data=st.data())
+def test_mutated_tables_give_a_problem_or_our_error(
+    data: st.DataObject, tables: dict[str, Any], built: Build
 ) -> None:
-    """A problem file is nothing more than its parsed tables."""
-    tables: dict[str, Any] = tomllib.loads(OPEN_FIELD)
-    assert built(tables).workspace == load("open_field").workspace
+    """Values replaced, keys renamed, added or deleted: no error of a dependency gets through."""
+    mutated = copy.deepcopy(tables)
+    for _ in range(data.draw(st.integers(1, 3))):
+        *parents, last = data.draw(st.sampled_from(places(mutated)))
+        table: Any = mutated
+        for part in parents:
+            table = table[part]
+        action = data.draw(st.sampled_from(["replace", "delete", "rename", "add"]))
+        if action == "replace":
+            table[last] = data.draw(VALUES)
+        elif action == "delete" or isinstance(table, list):
+            del table[last]
+        elif action == "rename":
+            table[data.draw(KEYS)] = table.pop(last)
+        else:
+            table[data.draw(KEYS)] = data.draw(VALUES)
+        if not places(mutated):
+            break
+    try:
+        problem = built(mutated)
+    except InputError as error:
+        assert str(error)
+        return
+    # What is accepted can be saved and comes back the same.
+    text = json.dumps(problem_to_dict(problem), allow_nan=False)
+    assert problem_from_dict(json.loads(text), file=problem.file) == problem
+
+
+@settings(
+    max_examples=200,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(start=st.integers(0, len(OPEN_FIELD)), length=st.integers(0, 30), text=st.text(max_size=10))
+@example(start=0, length=len(OPEN_FIELD), text="")
+def test_mutated_text_gives_a_problem_or_our_error(
+    tmp_path_factory: pytest.TempPathFactory, start: int, length: int, text: str
+) -> None:
+    """A piece of the file replaced by anything: a problem, or an error with the file in it."""
+    path = tmp_path_factory.getbasetemp() / "mutated.toml"
+    changed = OPEN_FIELD[:start] + text + OPEN_FIELD[start + length :]
+    path.write_bytes(changed.encode("utf-8", "surrogatepass"))
+    try:
+        assert isinstance(load(path), Problem)
+    except InputError as error:
+        assert error.file == str(path)

@@ -8,10 +8,9 @@ from functools import partial
 
 import pytest
 
-from planopt import ConnectivityRule, Constraints, InputError, Problem, Robot
+from planopt import ConnectivityRule, Constraints, InputError, Problem, Robot, load
 from planopt.objectives import TermsObjective
 from planopt.problems import Unicycle, list_problems
-from planopt.problems.load import load
 from planopt.problems.overrides import with_overrides
 from planopt.problems.tasks import MOTION
 
@@ -32,12 +31,6 @@ def test_only_the_named_settings_change() -> None:
         planner=replace(problem.planner, horizon=20, name="lattice"),
         objective=replace(problem.objective, cost_to_go="geodesic"),
     )
-
-
-def test_nothing_named_nothing_changed() -> None:
-    """Without settings the problem is as it was."""
-    problem = load("open_field")
-    assert with_overrides(problem) == problem
 
 
 @pytest.mark.parametrize("horizon", [0, 501, 10_000, -1])

@@ -6,9 +6,10 @@ from typing import Annotated, ClassVar
 import pytest
 from pydantic import Field
 
-from planopt.errors import InputError
+from planopt import InputError
+from planopt.extend import Term
 from planopt.objectives.terms import term as registry
-from planopt.objectives.terms.term import Term, registered_terms
+from planopt.objectives.terms.term import registered_terms
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.schema import json_schema
 

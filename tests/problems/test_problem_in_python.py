@@ -15,6 +15,7 @@ from planopt import (
     ChannelSetup,
     ConnectivityRule,
     Constraints,
+    InputError,
     Obstacle,
     PlannerSettings,
     Problem,
@@ -26,7 +27,6 @@ from planopt import (
     solve,
 )
 from planopt.channel import true_power_dbm
-from planopt.errors import InputError
 from planopt.objectives import LearningTerm, ReachObjective, TermsObjective, TrackingTerm
 from planopt.planning.initial_data import draw_initial_data
 from planopt.problems import (
@@ -39,9 +39,9 @@ from planopt.problems import (
     problem_from_dict,
     problem_to_dict,
 )
-from planopt.problems.objective import read_term
 
 STATION = BaseStation(position_m=(20, 15), transmit_power_dbm=0.0, threshold_dbm=-70.0)
+
 ROBOT = Robot(start_m=[5, 5], goal_m=np.array([35.0, 25.0]), speed_max_m_s=2.0)
 
 
@@ -423,13 +423,6 @@ def test_remarks_of_a_library_problem_with_another_truth(tmp_path) -> None:
     assert sum("the library's open_field has" in one for one in remarks) == 1
     by_key = [one for one in remarks if "in the library's" in one]
     assert not any("truth" in one or "count" in one for one in by_key)
-
-
-def test_terms_have_the_defaults_of_files() -> None:
-    """A term says only what it must; weights are named."""
-    assert LearningTerm() == LearningTerm("D", weight=1.0)
-    table = {"kind": "path_loss_learning"}
-    assert read_term(table) == LearningTerm()
 
 
 @pytest.mark.parametrize("dynamics", ["double_integrator", DoubleIntegrator])

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planopt.errors import InputError
+from planopt import InputError, Problem
 from planopt.extend import casadi_term
 from planopt.planning.initial_data import draw_initial_data
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.library import find_problem, read_toml
-from planopt.problems.load import load
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.problem import problem_from_tables
 
 Change = Callable[[dict[str, Any]], None]
 
@@ -65,13 +64,6 @@ def set_in(*keys: Any) -> Change:
         found[last] = value
 
     return change
-
-
-def test_stations_have_thresholds_and_places_of_their_own() -> None:
-    """In the order of the file."""
-    problem = load("two_station_courier")
-    assert [radio.name for radio in problem.stations] == ["west", "east"]
-    assert problem.stations[0].threshold_dbm != problem.stations[1].threshold_dbm
 
 
 @pytest.mark.parametrize("change", [lambda tables: None, logged, raster, both(logged, raster)])

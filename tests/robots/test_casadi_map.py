@@ -1,16 +1,16 @@
-"""Dynamics from a CasADi function: the same as the models written out, bounds, clear errors."""
+"""Dynamics from a CasADi function, and Runge-Kutta: order, bounds, clear errors."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from planopt.errors import InputError
-from planopt.robots.casadi_map import CasadiMap
-from planopt.robots.models import Unicycle
+from planopt import InputError
+from planopt.extend import CasadiMap
+from planopt.problems import Unicycle
+from planopt.robots.casadi_map import runge_kutta
+from planopt.robots.models import cosine, sine
 
 FREE = (-np.inf, np.inf)
 
@@ -98,11 +98,6 @@ def test_excess_counts_bounds_and_length() -> None:
     assert model.excess_m(states * 1.01, inputs, 0.5) > 0.0
 
 
-def test_replacing_the_substeps_keeps_the_rest() -> None:
-    """The dataclass is plain data beside its function."""
-    assert replace(wheels(), substeps=3).substeps == 3
-
-
 def test_nothing_to_drive() -> None:
     """No states and inputs give no ways and no excess."""
     model = wheels()
@@ -111,3 +106,35 @@ def test_nothing_to_drive() -> None:
     assert model.excess_m(np.zeros((1, 3)), inputs, 0.5) <= 0.0
     after = model.step(tuple(states.T), tuple(inputs.T), 0.5)
     assert [value.shape for value in after] == [(0,)] * 3
+
+
+def unicycle_slope(state, control):
+    """The unicycle as a differential equation."""
+    return (control[0] * cosine(state[2]), control[0] * sine(state[2]), control[1])
+
+
+def test_error_falls_with_the_fourth_power() -> None:
+    """Against the exact arc, halving the parts divides the error by about 16."""
+    state, control = (0.3, -0.2, 0.7), (2.0, 1.9)
+    exact = np.array(Unicycle(3.0, 2.0).step(state, control, 1.0))
+    errors = [
+        np.linalg.norm(np.array(runge_kutta(unicycle_slope, state, control, 1.0, n)[-1]) - exact)
+        for n in (4, 8, 16, 32)
+    ]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert orders == pytest.approx([4.0, 4.0, 4.0], abs=0.1)
+
+
+def test_numpy_and_casadi_agree() -> None:
+    """To 1e-12, single numbers and arrays alike."""
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
+    state, control = tuple(ca.vertsplit(x)), tuple(ca.vertsplit(u))
+    symbolic = ca.Function(
+        "rk", [x, u], [ca.vertcat(*runge_kutta(unicycle_slope, state, control, 0.5, 3)[-1])]
+    )
+    states = np.random.default_rng(0).normal(size=(5, 3))
+    controls = (np.full(5, 1.5), np.full(5, -0.4))
+    batch = runge_kutta(unicycle_slope, tuple(states.T), controls, 0.5, 3)[-1]
+    for number, one in enumerate(states):
+        expected = np.array(symbolic(one, [1.5, -0.4])).ravel()
+        assert [column[number] for column in batch] == pytest.approx(expected, abs=1e-12)

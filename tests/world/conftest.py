@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from planopt import Workspace
 from planopt.world.readers import read_obstacles
-from planopt.world.workspace import Workspace
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from planopt import Obstacle, Workspace
 from planopt.world.clearance import (
     clearance_m,
     containing_obstacle,
@@ -19,7 +20,6 @@ from planopt.world.clearance import (
     segments_clear,
     swept_clearance_m,
 )
-from planopt.world.workspace import Obstacle, Workspace
 
 BOUNDS = (-10.0, -10.0, 20.0, 20.0)
 YARD = shapely.Polygon(

@@ -1,20 +1,145 @@
-"""Raster files: what is written is read back, in every format, and bad files are clear errors."""
+"""Maps on a grid: looked up, read and written in every format, and bad files."""
+
+from __future__ import annotations
 
 import builtins
+import contextlib
+import gc
+import os
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.io import netcdf_file
 
-from planopt.errors import InputError, OutputError
-from planopt.world.raster import Raster
+from planopt import InputError, Workspace
+from planopt.world.clearance import clearance_m, index_obstacles
+from planopt.world.raster import Raster, nearest_cells
 from planopt.world.raster_files import check_raster_output, read_raster, write_rasters
 
+GRID_X = np.array([1.0, 3.0, 5.0])
+
+GRID_Y = np.array([-4.0, -1.0])
+
+GRID = Raster(GRID_X, GRID_Y, np.arange(6.0).reshape(2, 3))
+
+
+def saved(folder: Path, **arrays: NDArray[np.generic]) -> Path:
+    """An npz with good axes unless others are given."""
+    path = folder / "map.npz"
+    np.savez(path, **{"x": GRID_X, "y": GRID_Y, "gain": np.arange(6).reshape(2, 3)} | arrays)
+    return path
+
+
+def test_npz_values_and_axes(tmp_path: Path) -> None:
+    """What was saved is read back as floats, row 0 at the smallest y."""
+    raster = read_raster(saved(tmp_path, x=GRID_X.astype(np.float32)), "gain")
+    assert raster.values.dtype == raster.x_m.dtype == np.float64
+    np.testing.assert_array_equal(raster.values, [[0, 1, 2], [3, 4, 5]])
+    np.testing.assert_array_equal(raster.x_m, GRID_X)
+    np.testing.assert_array_equal(raster.y_m, GRID_Y)
+    assert raster.cell_m == (2.0, 3.0)
+
+
+def test_munich_map(munich: Workspace) -> None:
+    """The map's own building mask agrees with the footprints: axes and rows are not swapped."""
+    file = Path(__file__).parents[2] / "problems" / "data" / "munich_mast45m.npz"
+    gain = read_raster(file, "path_gain_db")
+    building = read_raster(file, "building")
+    assert gain.values.shape == (400, 400)
+    assert gain.cell_m == (2.0, 2.0)
+    positions = np.random.default_rng(1).uniform(-400, 400, (2000, 2))
+    covered = building.values[nearest_cells(building, positions)] == 1
+    inside = clearance_m(index_obstacles(munich), positions) == 0
+    assert (covered == inside).mean() > 0.95
+
+
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({"gain": np.zeros((3, 2))}, r"key gain: shape \(3, 2\) does not fit"),
+        ({"x": np.array([1.0, 3.0, 6.0])}, "key x: .*evenly"),
+        ({"y": np.array([1.0, -3.0])}, "key y: .*ascending"),
+        ({"y": np.array([1.0, np.nan])}, "key y: .*finite"),
+        ({"y": np.array([1.0, np.inf])}, "key y: .*finite"),
+        ({"y": np.array([1.0])}, r"key y: shape \(1,\)"),
+        ({"y": np.zeros((2, 2))}, r"key y: shape \(2, 2\)"),
+        ({"gain": np.full((2, 3), "a")}, "key gain: <U1 is not numeric"),
+        ({"gain": np.full((2, 3), None)}, "key gain: holds Python objects"),
+    ],
+)
+def test_bad_contents(tmp_path: Path, arrays: dict[str, NDArray[np.generic]], says: str) -> None:
+    """Arrays that are no map are errors with file and key; nothing is unpickled."""
+    path = saved(tmp_path, **arrays)
+    with pytest.raises(InputError, match=says) as caught:
+        read_raster(path, "gain")
+    assert str(caught.value).startswith(str(path))
+
+
+def test_missing_variable_lists_what_is_there(tmp_path: Path) -> None:
+    """The error names the variables that could have been meant."""
+    with pytest.raises(InputError, match=r"no 'loss'.*x, y, gain"):
+        read_raster(saved(tmp_path), "loss")
+
+
+def test_not_an_npz(tmp_path: Path) -> None:
+    """A missing, an empty, a cut and a foreign file are errors with the file."""
+    with pytest.raises(InputError, match=r"none\.npz: there is no such file"):
+        read_raster(tmp_path / "none.npz", "gain")
+    whole = saved(tmp_path).read_bytes()
+    np.save(tmp_path / "array.npy", GRID_X)
+    contents = [
+        b"",
+        b"x,y\n1,2\n",
+        whole[:-30],
+        b"junk" + whole,
+        (tmp_path / "array.npy").read_bytes(),
+    ]
+    spoilt = bytearray(whole)
+    spoilt[150] ^= 255
+    for content in [*contents, bytes(spoilt)]:
+        path = tmp_path / "bad.npz"
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"bad\.npz.*: (is damaged, or )?(is )?not an npz"):
+            read_raster(path, "gain")
+
+
+@settings(deadline=None)
+@given(st.floats(0.0, 6.0), st.floats(-5.5, 0.5))
+def test_nearest_cell_is_nearest(x: float, y: float) -> None:
+    """No other cell centre is nearer, by brute force over all of them."""
+    iy, ix = nearest_cells(GRID, np.array([[x, y]]))
+    centres = np.hypot(GRID_X[None, :] - x, GRID_Y[:, None] - y)
+    assert centres[iy[0], ix[0]] <= centres.min() + 1e-12
+
+
+def test_cells_are_clamped_and_rows_ascend() -> None:
+    """Up to one cell outside counts as the cell at the border; ties go up."""
+    positions = np.array([[-1.9, -8.4], [7.9, 3.4], [3.0, -1.0], [2.0, -2.5]])
+    iy, ix = nearest_cells(GRID, positions)
+    np.testing.assert_array_equal(iy, [0, 1, 1, 1])
+    np.testing.assert_array_equal(ix, [0, 2, 1, 1])
+
+
+@pytest.mark.parametrize("bad", [(-2.1, -2), (8.1, -2), (3, -8.6), (3, 3.6), (np.nan, -2)])
+def test_places_off_the_map_are_refused(bad: tuple[float, float]) -> None:
+    """Farther than one cell outside, and NaN, are errors that say which place."""
+    with pytest.raises(InputError, match=rf"\({bad[0]:g}, {bad[1]:g}\) is outside the map"):
+        nearest_cells(GRID, np.array([[3.0, -2.0], bad]))
+
+
 X, Y = np.array([1.0, 3.0, 5.0]), np.array([-4.0, -1.5])
+
 MEAN = Raster(
     X, Y, np.array([[-61.25, np.nan, -70.0], [-80.5, -90.125, 1e-7]]), "received power", "dBm"
 )
+
 CHANCE = Raster(X, Y, np.arange(6.0).reshape(2, 3) / 7, "probability", "1")
+
 ENDINGS = [".csv", ".npz", ".nc", ".tif", ".TIFF", ".NPZ"]
 
 
@@ -91,13 +216,6 @@ def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     (tmp_path / "map.nc").write_bytes(b"\x89HDF\r\n\x1a\n")
     with pytest.raises(InputError, match=r"install planopt\[maps\]"):
         read_raster(tmp_path / "map.nc", "gain")
-
-
-def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
-    """An OutputError, and no part of a file."""
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError):
-        write_rasters(tmp_path / "file" / "map.csv", {"gain": MEAN})
 
 
 def test_csv_rows_in_any_order(tmp_path: Path) -> None:
@@ -271,3 +389,165 @@ def test_bad_sionna_map(tmp_path: Path, arrays: dict, variable: str, says: str) 
     """Each fault is named."""
     with pytest.raises(InputError, match=says):
         read_raster(sionna(tmp_path / "map.npz", **arrays), variable)
+
+
+RASTER = Raster(np.arange(5.0), np.arange(4.0), np.arange(20.0).reshape(4, 5))
+
+
+def test_sidecars_of_a_tif_are_not_read(tmp_path: Path) -> None:
+    """GDAL would take band names and values from neighbours of the file."""
+    pytest.importorskip("rasterio")
+    path = tmp_path / "map.tif"
+    write_rasters(path, {"gain": RASTER})
+    (tmp_path / "map.tif.aux.xml").write_text(
+        "<PAMDataset><GeoTransform>0,9,0,0,0,-9</GeoTransform><PAMRasterBand band='1'>"
+        "<Description>other</Description></PAMRasterBand></PAMDataset>"
+    )
+    (tmp_path / "map.tif.msk").write_bytes(path.read_bytes())
+    found = read_raster(path, "gain")
+    np.testing.assert_array_equal(found.values, RASTER.values)
+    np.testing.assert_allclose(found.x_m, RASTER.x_m)
+
+
+@pytest.mark.parametrize(("width", "height", "block"), [(60_000, 60_000, 256), (512, 512, 8192)])
+def test_a_tif_that_declares_more_than_it_holds(
+    width: int, height: int, block: int, tmp_path: Path
+) -> None:
+    """A sparse file of a few kilobytes; large blocks are allocated whole."""
+    rasterio = pytest.importorskip("rasterio")
+    with rasterio.open(
+        tmp_path / "map.tif",
+        "w",
+        driver="GTiff",
+        width=width,
+        height=height,
+        count=1,
+        dtype="float64",
+        tiled=True,
+        blockxsize=block,
+        blockysize=block,
+        sparse_ok=True,
+        transform=rasterio.Affine(1.0, 0.0, 9.0, 0.0, -1.0, 0.0),
+    ):
+        pass
+    with pytest.raises(InputError, match=r"declares .* values, more than the limit"):
+        read_raster(tmp_path / "map.tif", "gain")
+
+
+def test_a_tif_whose_faults_are_no_text(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """GDAL's message quotes the file, and rasterio cannot decode it: Python would print that."""
+    pytest.importorskip("rasterio")
+    path = tmp_path / "map.tif"
+    write_rasters(path, {"gain": RASTER})
+    path.write_bytes(path.read_bytes().replace(b"<Item ", b"<It\x80m "))
+    with contextlib.suppress(InputError):
+        read_raster(path, "gain")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "name", ["fp", "variables", "use_mmap", "close", "flush", "mode", "dimensions", "_recs"]
+)
+def test_netcdf_3_attributes_named_like_parts_of_the_reader(name: str, tmp_path: Path) -> None:
+    """SciPy sets them on its own object: an error of ours or the values, and nothing printed."""
+    path = tmp_path / "map.nc"
+    with netcdf_file(path, "w") as file:
+        for axis, values in (("y", RASTER.y_m), ("x", RASTER.x_m)):
+            file.createDimension(axis, len(values))
+            file.createVariable(axis, "d", (axis,))[:] = values
+        file.createVariable("gain", "d", ("y", "x"))[:] = RASTER.values
+        file._attributes[name] = b"w"
+    with contextlib.suppress(InputError):
+        np.testing.assert_array_equal(read_raster(path, "gain").values, RASTER.values)
+    gc.collect()
+
+
+def test_netcdf_3_whose_variables_overlap(tmp_path: Path) -> None:
+    """Many variables that each declare most of the file are refused before they are all read."""
+    path = tmp_path / "map.nc"
+    size = 4_000_000
+    header = b"CDF\x01" + struct.pack(">I", 0) + struct.pack(">II", 10, 1)
+    header += struct.pack(">I", 1) + b"x\0\0\0" + struct.pack(">I", size) + bytes(8)
+    header += struct.pack(">II", 11, 5_000)
+    for number in range(5_000):
+        header += struct.pack(">I4sII", 4, b"%04d" % number, 1, 0) + bytes(8)
+        header += struct.pack(">III", 1, size, 100)
+    path.write_bytes(header + bytes(size))
+    with pytest.raises(InputError, match=r"map\.nc: declares more than the file holds"):
+        read_raster(path, "gain")
+
+
+def hdf5(path: Path, **extra: object) -> Path:
+    """A NetCDF-4 file with the axes and whatever `extra` makes of the variable."""
+    h5netcdf = pytest.importorskip("h5netcdf")
+    with h5netcdf.File(path, "w") as file:
+        file.dimensions = {"y": 4, "x": 5}
+        file.create_variable("y", ("y",), data=RASTER.y_m)
+        file.create_variable("x", ("x",), data=RASTER.x_m)
+        file.create_variable("gain", ("y", "x"), data=RASTER.values, **extra)
+    return path
+
+
+def test_a_netcdf_4_that_declares_more_than_it_holds(tmp_path: Path) -> None:
+    """A dataset that was never written takes no room in the file."""
+    h5py = pytest.importorskip("h5py")
+    path = hdf5(tmp_path / "map.nc")
+    with h5py.File(path, "a") as file:
+        del file["gain"]
+        gain = file.create_dataset("gain", (10**5, 10**5), "f8", chunks=(100, 100))
+        gain.dims[0].attach_scale(file["y"])
+        gain.dims[1].attach_scale(file["x"])
+    assert path.stat().st_size < 100_000
+    with pytest.raises(InputError, match=r"map\.nc, key gain: declares 100000 x 100000 values"):
+        read_raster(path, "gain")
+
+
+@pytest.mark.parametrize("kind", ["link", "storage", "virtual"])
+def test_a_netcdf_4_that_reads_other_files(kind: str, tmp_path: Path) -> None:
+    """HDF5 has three ways to take content from elsewhere."""
+    h5py = pytest.importorskip("h5py")
+    hdf5(tmp_path / "other.nc")
+    (tmp_path / "secret.txt").write_bytes(b"s" * 160)
+    path = hdf5(tmp_path / "map.nc")
+    with h5py.File(path, "a") as file:
+        del file["gain"]
+        if kind == "link":
+            file["gain"] = h5py.ExternalLink("other.nc", "/gain")
+        elif kind == "storage":
+            file.create_dataset("gain", (4, 5), "f8", external=[("secret.txt", 0, 160)])
+        else:
+            layout = h5py.VirtualLayout((4, 5), "f8")
+            layout[:] = h5py.VirtualSource(tmp_path / "other.nc", "gain", (4, 5))
+            file.create_virtual_dataset("gain", layout)
+    with pytest.raises(InputError, match=r"map\.nc, key gain: .* another file"):
+        read_raster(path, "gain")
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no devices")
+def test_a_map_that_is_a_device_or_a_pipe(ending: str, tmp_path: Path) -> None:
+    """Neither is opened."""
+    if ending == ".tif":
+        pytest.importorskip("rasterio")
+    (tmp_path / f"zero{ending}").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / f"pipe{ending}")
+    for name in ("zero", "pipe"):
+        with pytest.raises(InputError, match="is not a regular file"):
+            read_raster(tmp_path / f"{name}{ending}", "gain")
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])
+def test_values_that_are_infinite(ending: str, tmp_path: Path) -> None:
+    """The decibels of nothing are no value; plus infinity is a fault with its place."""
+    if ending == ".tif":
+        pytest.importorskip("rasterio")
+    values = RASTER.values.copy()
+    values[1, 2] = -np.inf
+    path = tmp_path / f"map{ending}"
+    write_rasters(path, {"gain": Raster(RASTER.x_m, RASTER.y_m, values)})
+    found = read_raster(path, "gain").values
+    assert np.isnan(found[1, 2]) and np.isnan(found).sum() == 1
+    values[1, 2] = np.inf
+    write_rasters(path, {"gain": Raster(RASTER.x_m, RASTER.y_m, values)})
+    with pytest.raises(InputError, match=r"key gain: is infinite at \(2, 1\) m"):
+        read_raster(path, "gain")

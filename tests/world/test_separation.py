@@ -1,3 +1,7 @@
+"""Separating lines from pieces of obstacles and from moving discs."""
+
+from __future__ import annotations
+
 import numpy as np
 import pytest
 import shapely
@@ -5,16 +9,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from planopt import Obstacle, Workspace
+from planopt.world.motion import closest_approach_m
+from planopt.world.moving_discs import (
+    MovingDiscs,
+    joined_discs,
+    passing_gaps_m,
+    path_distances_m,
+    paths_gap_m,
+)
 from planopt.world.separation import (
     PackedPieces,
     SeparatingLines,
+    convex_pieces,
     lines_for,
+    moving_lines,
     pack_pieces,
     separating_lines,
 )
-from planopt.world.workspace import Obstacle, Workspace
 
 Array = NDArray[np.float64]
+
 FAR = np.array([7e5, 5.3e6])
 
 
@@ -195,8 +210,172 @@ def test_kept_slots_follow_the_path() -> None:
     assert_lines_separate(pieces, moved, starts + 1.0, ends + 1.0)
 
 
-def test_no_segments() -> None:
-    """No segments, no lines."""
-    nothing = np.empty((0, 2))
-    lines = separating_lines(pack_pieces(world(SQUARE)), nothing, nothing, 3, 10.0)
-    assert lines.gaps.shape == (0, 3)
+@st.composite
+def star_polygons(draw: st.DrawFn) -> shapely.Polygon:
+    """Random star polygons, some with a star-shaped hole, some far from the origin."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    corners = draw(st.integers(3, 25))
+    angles = 2 * np.pi * (np.arange(corners) + rng.uniform(0, 0.8, corners)) / corners
+    ring = rng.uniform(3, 20, corners)[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
+    hole = rng.uniform(0.1, 0.4) * ring[:: draw(st.integers(1, 2))]
+    centre = np.array(draw(st.sampled_from([(0.0, 0.0), (7e5, 5.3e6)])))
+    with_hole = draw(st.booleans()) and len(hole) >= 3
+    polygon = shapely.Polygon(ring + centre, [hole + centre] if with_hole else [])
+    return polygon if polygon.is_valid else shapely.Polygon(ring + centre).convex_hull
+
+
+def turns(piece: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Cross products at the corners: all positive for a convex counter-clockwise ring."""
+    before = np.roll(piece, 1, axis=0) - piece
+    after = np.roll(piece, -1, axis=0) - piece
+    return after[:, 0] * before[:, 1] - after[:, 1] * before[:, 0]
+
+
+def assert_exact_cover(polygon: shapely.Polygon, pieces: tuple[NDArray[np.float64], ...]) -> None:
+    """Pieces are strictly convex, do not overlap, and cover the polygon and nothing else."""
+    parts = [shapely.Polygon(piece) for piece in pieces]
+    assert all((turns(piece) > 0).all() for piece in pieces)
+    assert sum(part.area for part in parts) == pytest.approx(polygon.area, rel=1e-9)
+    union = shapely.union_all(parts, grid_size=0)
+    assert shapely.symmetric_difference(union, polygon).area <= 1e-8 * polygon.length
+    assert {tuple(corner) for piece in pieces for corner in piece} <= set(
+        map(tuple, shapely.get_coordinates(polygon))
+    )
+
+
+@settings(deadline=None)
+@given(star_polygons())
+def test_pieces_are_exactly_the_polygon(polygon: shapely.Polygon) -> None:
+    """Convex, disjoint, same union, and no new corners, for random stars with and without holes."""
+    assert_exact_cover(polygon, convex_pieces(polygon))
+
+
+def test_munich_footprints(munich: Workspace) -> None:
+    """All 742 footprints are covered exactly, half of them by themselves."""
+    pieces = [convex_pieces(obstacle.polygon) for obstacle in munich.obstacles]
+    for obstacle, cut in zip(munich.obstacles, pieces, strict=True):
+        assert_exact_cover(obstacle.polygon, cut)
+        if obstacle.polygon.equals(obstacle.polygon.convex_hull):
+            assert len(cut) == 1
+    assert sum(map(len, pieces)) < 1800  # the triangles are 3737
+
+
+@pytest.mark.parametrize(
+    "ring",
+    [
+        [(0, 0), (2, 0), (2, 1), (0, 1)],
+        [(0, 0), (0, 1), (2, 1), (2, 0)],
+        [(0, 0), (1, 0), (1, 0), (2, 0), (2, 0.5), (2, 1), (2, 1), (0, 1), (0, 0.25)],
+    ],
+)
+def test_convex_is_one_piece(ring: list[tuple[float, float]]) -> None:
+    """A rectangle is one piece with four corners, however it is written."""
+    (piece,) = convex_pieces(shapely.Polygon(ring))
+    assert {tuple(corner) for corner in piece} == {(0, 0), (2, 0), (2, 1), (0, 1)}
+    assert (turns(piece) > 0).all()
+
+
+def test_letter_l_is_two_pieces() -> None:
+    """One reflex corner needs one cut, also with repeated and collinear corners."""
+    plain = shapely.Polygon([(0, 0), (2, 0), (2, 1), (1, 1), (1, 3), (0, 3)])
+    written = shapely.Polygon(
+        [(0, 0), (1, 0), (2, 0), (2, 0), (2, 1), (1, 1), (1, 1), (1, 2), (1, 3), (0, 3), (0, 1)]
+    )
+    assert len(convex_pieces(plain)) == 2
+    assert_exact_cover(written, convex_pieces(written))
+    assert len(convex_pieces(written)) <= 3
+
+
+def test_rounding_is_not_a_reflex_corner() -> None:
+    """A corner that rounding put a tenth of a nanometre inside its side costs no extra piece."""
+    ring = [(0, 0), (1, 1e-10), (2, 0), (2, 1), (0, 1)]
+    (piece,) = convex_pieces(shapely.Polygon(ring))
+    assert len(piece) == 4
+
+
+STEPS = 6
+
+
+def random_discs(generator, count):
+    """Discs on random walks, some asked a distance of their own from."""
+    centres = np.cumsum(generator.normal(size=(count, STEPS + 1, 2)), axis=1) * 2.0
+    return MovingDiscs(
+        tuple(f"m{k}" for k in range(count)),
+        centres,
+        generator.uniform(0.1, 1.0, (count, STEPS)),
+        generator.uniform(0.2, 1.5, count),
+        generator.random(count) < 0.5,
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_both_rows_keep_the_distance(seed):
+    """Random segments that keep the rows keep the distance; the start path keeps its own gap."""
+    generator = np.random.default_rng(seed)
+    discs = random_discs(generator, 3)
+    path = np.cumsum(generator.normal(size=(STEPS + 1, 2)), axis=0)
+    clearance = 0.4
+    lines = moving_lines(discs, path, clearance, 3, np.inf)
+    near = path_distances_m(discs, path)
+    kept = 0
+    for k in range(STEPS):
+        for j in range(3):
+            disc, n = lines.piece[k, j], lines.normals[k, j]
+            assert np.linalg.norm(n) == pytest.approx(1.0)
+            gap = near[disc, k] - discs.apart_m[disc, k] + clearance
+            assert lines.gaps[k, j] == pytest.approx(gap)
+            assert n @ path[k] - lines.start_offsets[k, j] >= gap - 1e-9
+            assert n @ path[k + 1] - lines.offsets[k, j] >= gap - 1e-9
+            begins, ends = generator.normal(scale=6.0, size=(2, 400, 2))
+            keeps = (begins @ n - lines.start_offsets[k, j] >= clearance) & (
+                ends @ n - lines.offsets[k, j] >= clearance
+            )
+            kept += int(keeps.sum())
+            gaps = passing_gaps_m(discs, k, begins[keeps], ends[keeps])[disc]
+            assert (gaps >= -1e-9).all()
+    assert kept > 100
+
+
+def test_nearest_discs_have_the_lines():
+    """Fewer lines than discs; those far away get none, those that are needed always."""
+    generator = np.random.default_rng(1)
+    discs = random_discs(generator, 6)
+    path = np.cumsum(generator.normal(size=(STEPS + 1, 2)), axis=0)
+    gaps = path_distances_m(discs, path) - discs.apart_m
+    lines = moving_lines(discs, path, 0.0, 2, np.inf)
+    assert (np.sort(np.argsort(gaps, axis=0)[:2].T) == np.sort(lines.piece)).all()
+    none = moving_lines(discs, path, 0.0, 2, -100.0)
+    assert (none.piece == -1).all()
+    assert np.isinf(none.gaps).all()
+    worst = np.zeros(gaps.shape, dtype=bool)
+    worst[gaps.argmax(axis=0), np.arange(STEPS)] = True
+    needed = moving_lines(discs, path, 0.0, 2, -100.0, worst)
+    assert (needed.piece[:, 0] == gaps.argmax(axis=0)).all()
+
+
+def test_a_path_through_the_centre_has_a_line_across_it():
+    """No direction leads from the centre to it, and neither does any from a shared standstill."""
+    centres = np.zeros((1, 2, 2))
+    one, flag = np.ones((1, 1)), np.zeros(1, dtype=bool)
+    disc = MovingDiscs(("m",), centres, one, np.zeros(1), flag)
+    through = moving_lines(disc, np.array([[-1.0, 0.0], [1.0, 0.0]]), 0.0, 1, np.inf)
+    assert abs(through.normals[0, 0, 1]) == 1.0
+    assert through.gaps[0, 0] == -1.0
+    shared = moving_lines(disc, np.zeros((2, 2)), 0.0, 1, np.inf)
+    assert np.linalg.norm(shared.normals[0, 0]) == 1.0
+
+
+def test_many_ways_at_once():
+    """The least gap of a way is the least over discs and steps, one by one."""
+    generator = np.random.default_rng(3)
+    discs = joined_discs(random_discs(generator, 2), random_discs(generator, 2))
+    ways = np.cumsum(generator.normal(size=(5, STEPS + 1, 2)), axis=1)
+    expected = [
+        min(
+            float(closest_approach_m(way[k], way[k + 1], c[k], c[k + 1])) - discs.apart_m[number, k]
+            for number, c in enumerate(discs.centres_m)
+            for k in range(STEPS)
+        )
+        for way in ways
+    ]
+    np.testing.assert_allclose(paths_gap_m(discs, ways), expected)

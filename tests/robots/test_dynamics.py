@@ -9,12 +9,15 @@ import shapely
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from planopt.robots.drive import rolled_out
-from planopt.robots.dynamics import Dynamics
-from planopt.robots.models import DoubleIntegrator, Unicycle
+from planopt.extend import Dynamics
+from planopt.problems import DoubleIntegrator, Unicycle
+from planopt.robots.drive import dynamics_defect_m, rolled_out
+from planopt.robots.models import sinc
 
 STEP_S = 0.7
+
 DOUBLE = DoubleIntegrator(3.0, 1.3)
+
 WHEELS = Unicycle(3.0, 2.5, -1.0)
 
 
@@ -166,3 +169,49 @@ def test_excess_is_seen(dynamics: Dynamics, column: int, beyond: float) -> None:
     inputs[1, column] = beyond
     drive = rolled_out(dynamics, state, inputs, 0.1)
     assert dynamics.excess_m(drive.states, inputs, 0.1) > 0.0
+
+
+def test_sinc_is_numpys() -> None:
+    """To round-off over a half turn to either side, zero and tiny angles included."""
+    angle = np.concatenate([np.linspace(-np.pi, np.pi, 2001), [0.0, 1e-300, 1e-9, -1e-5]])
+    assert sinc(angle) == pytest.approx(np.sinc(angle / np.pi), abs=4e-15)
+
+
+def test_derivative_at_zero() -> None:
+    """CasADi's derivative of it is finite at zero, where sin(z)/z has none as it is written."""
+    z = ca.SX.sym("z")
+    both = ca.Function("both", [z], [ca.jacobian(sinc(z), z), ca.hessian(sinc(z), z)[0]])
+    slope, curvature = both(0.0)
+    assert float(slope) == 0.0
+    assert float(curvature) == pytest.approx(-1.0 / 3.0, abs=1e-14)
+
+
+PATH = np.array([[1.0, 1.0], [4.0, 1.0], [4.0, 5.0], [4.0, 5.0]])
+
+START = np.array([1.0, 1.0])
+
+
+def test_a_path_within_the_speed_has_none():
+    """Steps of 3, 4 and 0 m are allowed where 4 m are; a shorter limit is missed by the rest."""
+    assert dynamics_defect_m(PATH, START, 4.0) == 0.0
+    assert dynamics_defect_m(PATH, START, 3.5) == pytest.approx(0.5)
+    assert dynamics_defect_m(PATH, START, 2.0) == pytest.approx(2.0)
+
+
+def test_a_path_that_begins_elsewhere_jumps():
+    """The jump to its first place counts even where every step is short enough."""
+    assert dynamics_defect_m(PATH, np.array([1.0, 4.0]), 10.0) == pytest.approx(3.0)
+    assert dynamics_defect_m(PATH, np.array([1.0, 1.5]), 2.0) == pytest.approx(2.0)
+
+
+def test_a_path_without_steps_can_only_jump():
+    """One place: its distance from the robot."""
+    assert dynamics_defect_m(PATH[:1], START, 1.0) == 0.0
+    assert dynamics_defect_m(PATH[:1], np.array([1.0, 3.0]), 1.0) == 2.0
+
+
+def test_not_a_number_is_no_small_defect():
+    """NaN in a path is never taken for a path that keeps the model."""
+    broken = PATH.copy()
+    broken[2] = np.nan
+    assert not dynamics_defect_m(broken, START, 4.0) <= 1e-5

@@ -1,14 +1,17 @@
-"""Predicted discs cover what they predict: turns within a step, and errors of known chance."""
+"""Lines from moving discs, and predicted discs that cover what they predict."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from planopt import MovingObstacle
 from planopt.world.moving_discs import centres_at, growth_m, predicted_discs
-from planopt.world.workspace import MovingObstacle
 
 TURNING = MovingObstacle("cart", 1.5, (2.0, 3.3, 7.0), ((0.0, 0.0), (4.0, 1.0), (4.0, -6.0)))
+
 STRAIGHT = MovingObstacle("van", 2.0, (0.0,), ((3.0, 4.0),), (1.0, -0.5))
 
 

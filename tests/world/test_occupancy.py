@@ -1,19 +1,24 @@
-"""Occupancy grids from files: ROS maps by the rules of map_server, CSV, and what is refused."""
+"""Occupancy grids: their files by the rules of map_server, and the polygons of closed cells."""
 
 from __future__ import annotations
 
-import io
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 from PIL import Image
 
-from planopt.errors import InputError
-from planopt.problems.load import load
-from planopt.world import occupancy_files
+from planopt import InputError, load
+from planopt.problems import OccupancyGrid
+from planopt.world import occupancy_files, occupancy_grid
 from planopt.world.occupancy_files import read_grid
+from planopt.world.occupancy_grid import TILE_CELLS, grid_obstacles
 from planopt.world.readers import read_obstacles
 
 YAML = """\
@@ -24,6 +29,7 @@ negate: 0
 occupied_thresh: 0.65
 free_thresh: 0.196
 """
+
 SHADES = np.array([[0, 254, 205], [254, 254, 0]], dtype=np.uint8)
 """As SLAM writes them: occupied, free, unknown; the first row is the top."""
 
@@ -183,32 +189,6 @@ def test_image_of_another_format(tmp_path: Path) -> None:
         read_grid(tmp_path / "hall.yaml")
 
 
-def test_random_damage(tmp_path: Path) -> None:
-    """Bytes cut, changed and put in: a grid or our error, nothing else."""
-    generator = np.random.default_rng(5)
-    stream = io.BytesIO()
-    Image.fromarray(SHADES).save(stream, "png")
-    text = YAML.replace("hall.pgm", "hall.png").encode()
-    for name, content in (("hall.png", stream.getvalue()), ("hall.yaml", text)):
-        (tmp_path / "hall.png").write_bytes(stream.getvalue())
-        (tmp_path / "hall.yaml").write_bytes(text)
-        for _ in range(150):
-            damaged = bytearray(content)
-            at = int(generator.integers(len(damaged)))
-            match generator.integers(3):
-                case 0:
-                    del damaged[at:]
-                case 1:
-                    damaged[at] = generator.integers(256)
-                case _:
-                    damaged[at:at] = generator.bytes(4)
-            (tmp_path / name).write_bytes(damaged)
-            try:
-                read_grid(tmp_path / "hall.yaml")
-            except InputError as error:
-                assert str(tmp_path) in str(error)
-
-
 def test_too_many_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The size that an image declares is looked at before its pixels are."""
     monkeypatch.setattr(occupancy_files, "MOST_CELLS", 5)
@@ -287,3 +267,99 @@ def test_in_a_problem(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace('"nothing"', '"free"'))
     with pytest.raises(InputError, match="unknown, which goes only with the file of an occupancy"):
         load(path)
+
+
+PATTERNS = arrays.arrays(np.bool_, st.tuples(st.integers(1, 9), st.integers(1, 9)))
+
+
+def grid_of(
+    occupied: NDArray[np.bool_], resolution_m: float = 1.0, origin_m: tuple[float, float] = (0, 0)
+) -> OccupancyGrid:
+    """A grid without unknown cells."""
+    return OccupancyGrid(occupied, np.zeros_like(occupied), resolution_m, origin_m)
+
+
+def polygons_of(occupied: NDArray[np.bool_], **options) -> list[shapely.Polygon]:
+    """The polygons of the obstacles."""
+    return [obstacle.polygon for obstacle in grid_obstacles(grid_of(occupied, **options), "a")]
+
+
+def cells_of(occupied: NDArray[np.bool_]) -> shapely.Geometry:
+    """All occupied cells, each drawn as a box and joined by GEOS."""
+    boxes = [shapely.box(x, y, x + 1, y + 1) for y, x in np.argwhere(occupied)]
+    return shapely.union_all(boxes)
+
+
+@settings(deadline=None)
+@given(PATTERNS)
+def test_union_is_the_cells(occupied: NDArray[np.bool_]) -> None:
+    """Valid polygons that do not overlap and together are the cells, by GEOS's own union."""
+    polygons = polygons_of(occupied)
+    assert all(shapely.is_valid(polygons))
+    assert shapely.area(polygons).sum() == occupied.sum()
+    assert shapely.union_all(polygons).equals(cells_of(occupied))
+    turns = [shapely.get_num_coordinates(polygon) for polygon in polygons]
+    simple = [shapely.get_num_coordinates(shapely.simplify(p, 0.0)) for p in polygons]
+    # Simplification keeps the first corner of a ring, so it can only be as short.
+    assert turns == simple
+
+
+@settings(deadline=None)
+@given(arrays.arrays(np.bool_, st.tuples(st.integers(1, 30), st.integers(1, 30))))
+def test_squares_do_not_change_the_union(occupied: NDArray[np.bool_]) -> None:
+    """Cut along squares of four cells, no obstacle leaves its square, and nothing is lost."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(occupancy_grid, "TILE_CELLS", 4)
+        polygons = polygons_of(occupied)
+    assert all(shapely.is_valid(polygons))
+    assert shapely.area(polygons).sum() == occupied.sum()
+    for x_min, y_min, x_max, y_max in shapely.bounds(polygons):
+        assert x_min // 4 == (x_max - 1) // 4 and y_min // 4 == (y_max - 1) // 4
+    assert shapely.union_all(polygons).equals(cells_of(occupied))
+
+
+def test_place_and_scale() -> None:
+    """Row 0 is the smallest y; the origin is the corner of its first cell."""
+    occupied = np.zeros((3, 4), dtype=bool)
+    occupied[0, 1:3] = True
+    (polygon,) = polygons_of(occupied, resolution_m=0.05, origin_m=(-10.0, 7.0))
+    assert polygon.equals(shapely.box(-10.0 + 0.05, 7.0, -10.0 + 0.15000000000000002, 7.05))
+
+
+def test_holes_and_islands_in_them() -> None:
+    """A ring of walls has a hole, and what stands in it is another obstacle."""
+    occupied = np.ones((7, 7), dtype=bool)
+    occupied[1:6, 1:6] = False
+    occupied[3, 3] = True
+    first, second = sorted(polygons_of(occupied), key=lambda polygon: -polygon.area)
+    assert (len(first.interiors), first.area, second.area) == (1, 24.0, 1.0)
+
+
+def test_unknown_cells_and_names() -> None:
+    """Unknown cells are closed or open, as is asked for; several obstacles are numbered."""
+    occupied, unknown = np.zeros((2, 5), dtype=bool), np.zeros((2, 5), dtype=bool)
+    occupied[0, 0] = unknown[1, 4] = True
+    grid = OccupancyGrid(occupied, unknown, 1.0, (0.0, 0.0))
+    assert [obstacle.name for obstacle in grid_obstacles(grid, "hall")] == ["hall 1", "hall 2"]
+    assert [obstacle.name for obstacle in grid_obstacles(grid, "hall", "free")] == ["hall"]
+    assert grid_obstacles(grid_of(np.zeros((3, 3), dtype=bool)), "hall") == ()
+
+
+def test_too_ragged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pattern of single cells is refused before its polygons are made."""
+    monkeypatch.setattr(occupancy_grid, "MOST_EDGES", 100)
+    with pytest.raises(InputError, match="200 edges, more than the limit of 100"):
+        polygons_of(np.indices((10, 10)).sum(axis=0) % 2 == 0)
+
+
+def test_a_large_map_takes_seconds() -> None:
+    """A thousand by a thousand cells of speckled rooms; CPU time, generously."""
+    generator = np.random.default_rng(0)
+    occupied = np.zeros((1000, 1000), dtype=bool)
+    occupied[::50] = occupied[:, ::50] = True
+    occupied |= generator.random(occupied.shape) < 0.02
+    begun = time.process_time()
+    polygons = polygons_of(occupied)
+    assert time.process_time() - begun < 10.0
+    assert shapely.area(polygons).sum() == occupied.sum()
+    assert len(polygons) > (1000 // TILE_CELLS) ** 2

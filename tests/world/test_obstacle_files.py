@@ -1,17 +1,28 @@
+"""Obstacles from files and rings: GeoJSON, WKT, buildings, and what is no map."""
+
+from __future__ import annotations
+
 import json
+import math
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import shapely
 
-from planopt.errors import InputError
+from planopt import InputError, Workspace
 from planopt.world.readers import obstacle_from_wkt, read_obstacles
-from planopt.world.workspace import Workspace
+from planopt.world.workspace import footprint
 
 SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]
+
 HOLE = [[1, 1], [2, 1], [2, 2], [1, 1]]
+
 FAR = [[10, 0], [11, 0], [11, 1], [10, 0]]
+
 POLYGON = {"type": "Polygon", "coordinates": [SQUARE, HOLE]}
+
 TWO = {"type": "MultiPolygon", "coordinates": [[SQUARE, HOLE], [FAR]]}
 
 
@@ -63,6 +74,7 @@ def test_geojson_without_collection(tmp_path: Path, content: object, names: list
 
 
 WKT_SQUARE = "POLYGON ((0 0, 4 0, 4 4, 0 4, 0 0), (1 1, 2 1, 2 2, 1 1))"
+
 WKT_FAR = "POLYGON ((10 0, 11 0, 11 1))"
 
 
@@ -93,14 +105,6 @@ def test_building_file(tmp_path: Path) -> None:
     ]
     path = saved(tmp_path, "a.json", {"frame": "x", "buildings": buildings})
     assert names_and_areas(path) == [("Hall", 15.5), ("building 2", 0.5)]
-
-
-def test_byte_order_mark(tmp_path: Path) -> None:
-    """Files saved by editors that put a mark first are read."""
-    (tmp_path / "a.json").write_text(json.dumps(POLYGON), encoding="utf-8-sig")
-    (tmp_path / "a.wkt").write_text(WKT_FAR, encoding="utf-8-sig")
-    assert names_and_areas(tmp_path / "a.json") == [("a", 15.5)]
-    assert names_and_areas(tmp_path / "a.wkt") == [("a", 0.5)]
 
 
 def test_munich(munich: Workspace) -> None:
@@ -184,3 +188,159 @@ def test_one_obstacle_from_wkt(text: str, says: str) -> None:
     """Text that is not one polygon is refused."""
     with pytest.raises(InputError, match=says):
         obstacle_from_wkt("Hall", text)
+
+
+CORNERS = [(0, 0), (4, 0), (4, 4), (0, 4)]
+
+
+@pytest.mark.parametrize(
+    "ring", [CORNERS, [*CORNERS, CORNERS[0]], CORNERS[::-1], np.array(CORNERS)]
+)
+def test_closing_direction_and_type_do_not_matter(ring: object) -> None:
+    """A ring means the same open or closed, either way round, as list or array."""
+    assert footprint("a", ring).polygon.area == 16.0
+
+
+def test_holes_and_heights() -> None:
+    """Holes are cut out and heights left out."""
+    polygon = footprint(
+        "a", [(*corner, 7) for corner in CORNERS], [[(1, 1), (2, 1), (2, 2)]]
+    ).polygon
+    assert polygon.area == 15.5
+    assert not polygon.has_z
+
+
+def test_spike_is_repaired() -> None:
+    """A spike has no area, so removing it leaves one meaning."""
+    polygon = footprint("a", [(0, 0), (4, 0), (4, 4), (2, 4), (2, 9), (2, 4), (0, 4)]).polygon
+    assert polygon.is_valid
+    assert polygon.bounds == (0, 0, 4, 4)
+
+
+def test_hole_on_the_border_is_repaired() -> None:
+    """A hole that shares a side with the outline is a notch."""
+    polygon = footprint("a", CORNERS, [[(0, 1), (0, 2), (1, 2), (1, 1)]]).polygon
+    assert polygon.is_valid
+    assert polygon.area == 15.0
+
+
+@pytest.mark.parametrize(
+    ("ring", "holes", "says"),
+    [
+        ([(0, 0), (4, 4), (4, 0), (0, 5)], [], "Self-intersection"),
+        ([(0, 0), (4, 4), (4, 0), (0, 4)], [], "no area"),
+        ([(0, 0), (1, 0), (2, 0)], [], "no area"),
+        ([(0, 0), (1, 0), (0, 0)], [], "2 different corners"),
+        (CORNERS, [[(9, 9), (8, 9), (8, 8)]], "Hole lies outside"),
+        (CORNERS, [[(1, 1), (2, 1)]], "2 different corners"),
+        ([(0, 0), (math.nan, 0), (1, 1)], [], "nan"),
+        ([(0, 0), (math.inf, 0), (1, 1)], [], "inf"),
+        ([(0, 0), (10**400, 0), (1, 1)], [], "not a place"),
+        ([(0, 0), ("1", 0), (1, 1)], [], "pair of numbers"),
+        ([(0, 0), (True, 0), (1, 1)], [], "pair of numbers"),
+        ([(0, 0), "12", (1, 1)], [], "pair of numbers"),
+        ([(0, 0), (1,), (1, 1)], [], "pair of numbers"),
+        ([(0, 0), 5, (1, 1)], [], "pair of numbers"),
+        ("ring", [], "must be a list"),
+        (None, [], "must be a list"),
+    ],
+)
+def test_bad_rings_are_named(ring: object, holes: list[object], says: str) -> None:
+    """Whatever cannot be one polygon is an error with the feature and the reason."""
+    with pytest.raises(InputError, match=says) as caught:
+        footprint("Town Hall", ring, holes)
+    assert caught.value.message.startswith("Town Hall: ")
+
+
+TRIANGLE = [[30.0, 40.0], [40.0, 40.0], [40.0, 50.0], [30.0, 40.0]]
+
+
+def geojson(folder: Path, name: object = "a", ring: object = TRIANGLE, **more: object) -> Path:
+    """A file of one feature."""
+    feature = {
+        "type": "Feature",
+        "properties": {"name": name},
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+        **more,
+    }
+    path = folder / "map.geojson"
+    path.write_text(json.dumps(feature))
+    return path
+
+
+@pytest.mark.parametrize("depth", [1500, 2_000_000])
+def test_wkt_nested_without_end(depth: int, tmp_path: Path) -> None:
+    """Refused before a parser that calls itself sees it; a million levels would end the process."""
+    text = "GEOMETRYCOLLECTION (" * depth + "POLYGON ((1 1, 2 1, 2 2, 1 1))" + ")" * depth
+    (tmp_path / "deep.wkt").write_text(text)
+    with pytest.raises(InputError, match=rf"deep\.wkt: .*nested {depth + 2} deep"):
+        read_obstacles(tmp_path / "deep.wkt")
+    with pytest.raises(InputError, match="nested"):
+        obstacle_from_wkt("deep", text)
+
+
+@pytest.mark.parametrize("depth", [300, 100_000])
+def test_json_nested_without_end(depth: int, tmp_path: Path) -> None:
+    """Collections within collections, within Python's own limit and beyond it."""
+    head, tail = '{"type": "GeometryCollection", "geometries": [', "]}"
+    (tmp_path / "a.geojson").write_text(head * depth + '{"type": "Point"}' + tail * depth)
+    with pytest.raises(InputError, match=r"a\.geojson"):
+        read_obstacles(tmp_path / "a.geojson")
+
+
+@pytest.mark.parametrize("name", ["\ud800", "a\ud800b", "\x1b[2J", "line\nbreak", "n" * 201])
+def test_names_that_cannot_be_written_or_shown(name: str, tmp_path: Path) -> None:
+    """Half a surrogate pair, terminal codes, and more than anyone reads: refused at load."""
+    with pytest.raises(InputError, match="the name") as caught:
+        read_obstacles(geojson(tmp_path, name))
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 300
+
+
+def test_names_in_other_scripts(tmp_path: Path) -> None:
+    """They are names."""
+    for name in ("Müllerstraße 5", "東京駅", "🏠", "n" * 200):
+        assert read_obstacles(geojson(tmp_path, name))[0].name == name
+
+
+def test_degrees_are_not_taken_for_metres(tmp_path: Path) -> None:
+    """A building of 20 m in Munich; metres of the same map are read."""
+    ring = np.array(
+        [[11.5754, 48.1371], [11.5757, 48.1371], [11.5757, 48.1373], [11.5754, 48.1371]]
+    )
+    with pytest.raises(InputError, match=r"11\.5754, 48\.1371, are degrees.*project"):
+        read_obstacles(geojson(tmp_path, ring=ring.tolist()))
+    metres = ((ring - ring.min(axis=0)) * [74_000.0, 111_000.0]).tolist()
+    assert len(read_obstacles(geojson(tmp_path, ring=metres))) == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["urn:ogc:def:crs:OGC:1.3:CRS84", "EPSG:4326", "urn:ogc:def:crs:EPSG::4326"]
+)
+def test_a_reference_system_in_degrees(name: str, tmp_path: Path) -> None:
+    """It is refused where the coordinates can be degrees; other systems are metres."""
+    crs = {"type": "name", "properties": {"name": name}}
+    with pytest.raises(InputError, match="are degrees"):
+        read_obstacles(geojson(tmp_path, crs=crs))
+    crs["properties"] = {"name": "EPSG:25832"}
+    assert len(read_obstacles(geojson(tmp_path, crs=crs))) == 1
+
+
+def test_a_small_scene_far_from_zero_by_its_own_size(tmp_path: Path) -> None:
+    """Pegs on a table are metres."""
+    ring = [[1.0, 1.0], [1.02, 1.0], [1.02, 1.02], [1.0, 1.0]]
+    with pytest.raises(InputError, match="degrees"):
+        read_obstacles(geojson(tmp_path, ring=ring))
+    more = {"type": "Polygon", "coordinates": [[[0.1, 0.1], [0.2, 0.1], [0.2, 0.2], [0.1, 0.1]]]}
+    collection = {"type": "GeometryCollection", "geometries": [more]}
+    collection["geometries"].append({"type": "Polygon", "coordinates": [ring]})
+    (tmp_path / "table.geojson").write_text(json.dumps(collection))
+    assert len(read_obstacles(tmp_path / "table.geojson")) == 2
+
+
+def test_an_outline_that_crosses_itself_everywhere() -> None:
+    """Repairing it would take minutes and gigabytes: it is refused at once."""
+    ring = np.random.default_rng(0).uniform(0.0, 100.0, (20_000, 2)).tolist()
+    begun = time.process_time()
+    with pytest.raises(InputError, match="not a simple polygon"):
+        footprint("scribble", ring)
+    assert time.process_time() - begun < 5.0

@@ -8,9 +8,10 @@ tried: connectivity may be given up, clearance and speed never.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,22 +29,17 @@ from planopt.problems.problem import Problem
 from planopt.robots.drive import Drive, rolled_out
 from planopt.world.clearance import ObstacleIndex
 
-SEARCH_SHARE = 0.3
-"""Searches improve on what they have found until this share of a budget is over."""
-SOLVE_SHARE = 0.4
-"""No solve takes longer than this share of a budget."""
-PROOF_SHARE = 0.1
-"""This share is left for the proof of the last solve's path."""
+SEARCH_SHARE, SOLVE_SHARE, PROOF_SHARE = 0.3, 0.4, 0.1
+"""Shares of a budget: end of the searches, limit of one solve, and time kept for the last proof."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Times by :func:`time.perf_counter`; infinite where there is no limit."""
+    """Deadlines of a plan by :func:`time.perf_counter`; infinite without a limit."""
 
-    ends_s: float = math.inf  # No new refinement begins any more
-    search_ends_s: float = math.inf  # What searches have found by then has to do
-    # No further candidate is judged any more where there is one that may be released
-    proof_ends_s: float = math.inf
+    ends_s: float = math.inf  # No refinement begins later
+    search_ends_s: float = math.inf  # Searches return their best result so far
+    proof_ends_s: float = math.inf  # No candidate is verified later if one may be released
 
     @property
     def spent(self) -> bool:
@@ -52,24 +48,20 @@ class Budget:
 
     @property
     def searched(self) -> bool:
-        """Return whether searches end with what they have."""
+        """Return whether searches must end."""
         return perf_counter() >= self.search_ends_s
 
     @property
     def proven(self) -> bool:
-        """Return whether no further candidate is judged."""
+        """Return whether no further candidate is verified."""
         return perf_counter() >= self.proof_ends_s
 
 
 UNLIMITED = Budget()
-"""No limit."""
 
 
 def budget_from(problem: Problem, begun_s: float) -> Budget:
-    """The budget of a plan that was begun at `begun_s`, by :func:`time.perf_counter`.
-
-    The last solve begins early enough to end, and to be judged, within it.
-    """
+    """Return the deadlines of a plan begun at `begun_s`, so that its last solve can be verified."""
     budget_s = problem.planner.budget_s
     if budget_s is None:
         return UNLIMITED
@@ -81,77 +73,77 @@ def budget_from(problem: Problem, begun_s: float) -> Budget:
 
 
 def solve_limit_s(problem: Problem) -> float | None:
-    """Return how long one solve may take; None where there is no limit."""
+    """Return the time limit of one solve; None without a limit."""
     budget_s = problem.planner.budget_s
     return None if budget_s is None else SOLVE_SHARE * budget_s
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A path that may be released."""
+    """A path that may be released, with its value and the verifier's finding."""
 
     path_m: NDArray[np.float64]  # (N, 2)
-    # What it is worth, in the sense of the problem, and the same of the lattice path of the same
-    # step
     objective: float
-    lattice_objective: float
-    rung: Rung  # Where it comes from
+    lattice_objective: float  # Of the initial guess of the same step
+    rung: Rung
     termination: Termination
-    # What the verifier says; None and feasible_unverified before it was asked
-    certificate: Certificate | None = None
+    certificate: Certificate | None = None  # None before verification
     verdict: Verdict = Verdict.FEASIBLE_UNVERIFIED
-    solve_s: float = 0.0  # Of the solver
+    solve_s: float = 0.0
     iterations: int = 0
     kkt_residual: float | None = None
     multipliers: dict[str, NDArray[np.float64]] = field(
         default_factory=dict[str, NDArray[np.float64]]
     )
-    # Whether clearance, bounds, motion model and the distance from what moves are kept, whatever
-    # connectivity is
+    # Whether clearance, bounds, dynamics and distances from moving obstacles are kept
     sound: bool = False
-    # What the verifier predicted along the path, the robot's own place first
-    power: Prediction | None = None
-    # How the robot drives along the path; None for the single integrator
-    drive: Drive | None = None
+    power: Prediction | None = None  # At the N + 1 positions, by the verifier
+    drive: Drive | None = None  # States and inputs; None for the single integrator
 
     @property
     def relaxes(self) -> bool:
-        """Return whether some step misses the connectivity bound."""
+        """Return whether some step misses the chance constraint."""
         return self.certificate is not None and bool(self.certificate.relaxed_steps)
 
     @property
     def hopeless(self) -> bool:
-        """Return whether the certificate shows that no path at all meets the bound at any step."""
+        """Return whether it is certified that no path meets the chance constraint at any step."""
         if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
             return False
-        # Where slack is bounded, no search shows anything.
+        # With bounded slack there is no search within reach.
         return max(self.certificate.best_margin_db, default=0.0) < 0.0
 
     @property
     def avoidable(self) -> tuple[int, ...]:
-        """Steps that miss the bound although a place that meets it is said to be within reach."""
+        """Return the steps that miss the chance constraint although it could be met by then."""
         if self.certificate is None:
             return ()
-        # Without a search for places there are none.
-        named = zip(self.certificate.relaxed_steps, self.certificate.best_margin_db, strict=False)
-        return tuple(step for step, margin in named if margin >= 0.0)
+        # Empty without a search within reach.
+        best = zip(self.certificate.relaxed_steps, self.certificate.best_margin_db, strict=False)
+        return tuple(step for step, margin in best if margin >= 0.0)
 
     @property
     def missing_db(self) -> float:
-        """Return by how much its steps miss the connectivity bound, in all."""
+        """Return the sum of the margins that its steps lack."""
         return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)
+
+
+class PathValue(Protocol):
+    """The objective of a path (N, 2), and of the drive along it for a robot with dynamics."""
+
+    def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
+        """Return the objective."""
+        ...
 
 
 @dataclass(frozen=True)
 class Judge:
-    """Everything a candidate of one step is judged by."""
+    """Values and verifies the candidates of one step."""
 
-    context: VerifierContext  # The problem, the belief, the robot's state and what moves
-    objective: Callable[[NDArray[np.float64]], float]  # Value of a path (N, 2) from there
-    # (N, 2) the rest of the last plan, which the other robots keep clear of; None without
+    context: VerifierContext
+    objective: PathValue
+    # (N, 2) remainder of the previous plan, which the other robots keep clear of
     reserved_m: NDArray[np.float64] | None = None
-    # Value of a drive, if it does not depend on its positions alone; else None
-    objective_of_drive: Callable[[Drive], float] | None = None
 
     @property
     def problem(self) -> Problem:
@@ -165,16 +157,16 @@ class Judge:
 
     @property
     def position_m(self) -> NDArray[np.float64]:
-        """``(2,)`` where the robot is."""
+        """``(2,)`` the robot's position."""
         return self.context.position_m
 
     @property
     def state(self) -> NDArray[np.float64]:
-        """``(s,)`` the robot's state, its position first."""
+        """``(s,)`` the robot's state."""
         return self.context.state
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Connectivity margins of the step's problem."""
+        """Return the margins of p_min at predicted places."""
         return margins_asked_db(self.problem, power)
 
     def candidate(
@@ -184,73 +176,64 @@ class Judge:
         termination: Termination,
         drive: Drive | None = None,
     ) -> Candidate:
-        """Make a candidate of a path, not yet verified; `drive` says how it is driven."""
-        # A solver may give back places that are no numbers.
-        found = self.sense * -np.inf
-        if np.isfinite(path_m).all():
-            by_drive = None if drive is None else self.objective_of_drive
-            found = self.objective(path_m) if by_drive is None or drive is None else by_drive(drive)
+        """Return a path as a candidate, valued but not verified."""
+        # A failed solve may return NaN.
+        found = self.objective(path_m, drive) if np.isfinite(path_m).all() else -self.sense * np.inf
         return Candidate(path_m, found, found, rung, termination, drive=drive)
 
     @property
     def sense(self) -> float:
-        """1 where more of the objective is better, -1 where less is: times this it is a worth."""
+        """Return 1 for maximisation, -1 for minimisation."""
         return 1.0 if self.problem.sense == "max" else -1.0
 
     def worth(self, candidate: Candidate) -> float:
-        """More is better, whatever the sense of the problem."""
+        """Return the objective with the sign by which more is better."""
         return self.sense * candidate.objective
 
     def judged(self, candidate: Candidate) -> Candidate:
-        """Ask the verifier."""
+        """Return the candidate with the verifier's finding."""
         path = np.vstack([self.position_m, candidate.path_m])
-        judgement = verify(self.context, path, candidate.kkt_residual, candidate.drive)
+        found = verify(self.context, path, candidate.kkt_residual, candidate.drive)
         return replace(
             candidate,
-            certificate=judgement.certificate,
-            verdict=judgement.verdict,
-            sound=judgement.sound,
-            power=judgement.power,
+            certificate=found.certificate,
+            verdict=found.verdict,
+            sound=found.sound,
+            power=found.power,
         )
 
     def standing(self, horizon: int) -> Candidate:
-        """Stand still for N = `horizon` steps; if that is not sound go on as reserved, or leave.
+        """Stand still; if that is not sound, follow the reservation, or leave an obstacle.
 
-        Every robot's plan keeps clear of what the others have reserved, so that this is the last
-        resort that no other robot is in the way of. A robot that is where it must not be moves
-        away (:func:`planopt.planning.free_space.leaving_path`).
+        The plans of all other robots keep clear of the reservation.
         """
         place = np.tile(self.position_m, (horizon, 1))
-        standing = self.judged(self.candidate(place, Rung.STOP, Termination.NO_PATH))
-        if standing.sound:
-            return standing
-        rest = standing
+        found = self.judged(self.candidate(place, Rung.STOP, Termination.NO_PATH))
+        if found.sound:
+            return found
         if self.reserved_m is not None and not np.array_equal(self.reserved_m, place):
-            rest = self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
-            if rest.sound:
-                return rest
-        moving = self.context.moving
-        path = leaving_path(self.problem, self.index, moving, self.position_m)
+            found = self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
+            if found.sound:
+                return found
+        path = leaving_path(self.problem, self.index, self.context.moving, self.position_m)
         if path is None:
-            return rest
+            return found
         return self.judged(self.candidate(path, Rung.LEAVE, Termination.NO_PATH))
 
     def plan_from(self, chosen: Candidate, wall_s: float) -> Plan:
-        """Write a judged candidate out as a plan."""
+        """Return a verified candidate as a plan."""
         if chosen.certificate is None or chosen.power is None:
             raise AssertionError("only judged candidates are released")
-        power = chosen.power
+        power, problem = chosen.power, self.problem
         positions = np.vstack([self.position_m, chosen.path_m])
-        radio = self.problem.stations[0]
+        threshold = problem.stations[0].threshold_dbm
         return Plan(
-            robot=self.problem.robots[0].name,
-            t_s=self.problem.planner.step_s * np.arange(len(positions), dtype=np.float64),
+            robot=problem.robots[0].name,
+            t_s=problem.planner.step_s * np.arange(len(positions), dtype=np.float64),
             positions_m=positions,
             mean_dbm=power.mean_db,
             deviation_db=power.deviation_db,
-            connectivity=connection_probability(
-                power.mean_db, power.deviation_db, radio.threshold_dbm
-            ),
+            connectivity=connection_probability(power.mean_db, power.deviation_db, threshold),
             objective=chosen.objective,
             lattice_objective=chosen.lattice_objective,
             termination=chosen.termination,
@@ -262,27 +245,27 @@ class Judge:
             iterations=chosen.iterations,
             multipliers=chosen.multipliers,
             message=plan_message(chosen.certificate, positions),
-            sense=self.problem.sense,
+            sense=problem.sense,
             drive=chosen.drive,
         )
 
 
 def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
-    """The plan of a path (N, 2) that no solver touched, or the one to stand where it is not sound.
+    """Return the plan of a path that no solver refined; standing still if it is not sound.
 
     Parameters
     ----------
     judge
-        What it is judged by.
+        Values and verifies the path.
     path_m
-        Where the steps end.
+        ``(N, 2)`` positions after each step.
     begun_s
-        When planning began, by :func:`time.perf_counter`.
+        Beginning of the planning by :func:`time.perf_counter`.
 
     Raises
     ------
     InputError
-        `path_m` has another shape than (N, 2) of the horizon N.
+        `path_m` has another shape than (N, 2) for the horizon N.
     """
     part_of("judge", judge, Judge, "give the judge first, then the path")
     shape = (judge.problem.planner.horizon, 2)
@@ -303,7 +286,7 @@ def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
 
 
 def held(context: VerifierContext, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """A path of N steps that begins with `path` and then stands; (N, 2)."""
+    """Return a path of N steps that begins with `path` and then stands still; (N, 2)."""
     horizon = context.problem.planner.horizon
     last = path[-1] if path else context.position_m
     return np.asarray([*path, *[last] * (horizon - len(path))])[:horizon]

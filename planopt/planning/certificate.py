@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,10 @@ from planopt.problems.constraints import rule_kind
 from planopt.problems.problem import Problem
 
 MOST_IN_WORDS = 4
-"""Of more holes the longest are told of."""
+"""Only the longest holes are listed."""
 
 SHORTEST_IN_WORDS_M = 0.5
-"""Shorter ones are rounded to nothing."""
+"""Shorter holes are not listed."""
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,16 @@ class Hole:
 
 @dataclass(frozen=True, eq=False)
 class BlockedWay:
-    """The cheapest way of a robot to its goal, which a hard bound on connectivity forbids.
+    """The cheapest path of a robot to its goal, which a hard bound on connectivity forbids.
 
     Attributes
     ----------
     robot
-        Whose way it would be.
+        Name of the robot.
     way_m
-        ``(n, 2)`` places from where the robot is to the goal.
+        ``(n, 2)`` positions from the robot to the goal.
     holes
-        Where it misses the bound, in its order.
+        Stretches that miss the bound, in the order of the path.
     """
 
     robot: str
@@ -67,9 +67,9 @@ class BlockedError(NoPlanError):
     Parameters
     ----------
     message
-        Where contact would have to be left, in words.
+        The coverage holes of the cheapest path, in words.
     blocked
-        The ways on which it would be left least.
+        The cheapest paths.
     """
 
     def __init__(self, message: str, blocked: tuple[BlockedWay, ...]) -> None:
@@ -79,20 +79,20 @@ class BlockedError(NoPlanError):
 
 def holes_along(
     places_m: NDArray[np.float64],  # (n, 2) of the path
-    connectivity: NDArray[np.float64],  # (n,) P(connected) there
+    connectivity: NDArray[np.float64],  # (n,) P(connected)
     is_below: NDArray[np.bool_],  # (n,) whether that misses the bound
 ) -> tuple[Hole, ...]:
-    """Find the holes of a path."""
+    """Return the holes of a path."""
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
     share = 0.5 * (is_below[:-1].astype(float) + is_below[1:]) * lengths
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_below.astype(int), [0]])))
     holes: list[Hole] = []
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        begin, finish = places_m[first], places_m[end - 1]
+        begin, finish = places_m[first].tolist(), places_m[end - 1].tolist()
         holes.append(
             Hole(
-                (float(begin[0]), float(begin[1])),
-                (float(finish[0]), float(finish[1])),
+                (begin[0], begin[1]),
+                (finish[0], finish[1]),
                 float(share[max(first - 1, 0) : end].sum()),
                 float(connectivity[first:end].min()),
                 end == len(places_m),
@@ -104,33 +104,39 @@ def holes_along(
 def holes_on(
     problem: Problem, power: Prediction, places_m: NDArray[np.float64]
 ) -> tuple[Hole, ...]:
-    """Find the holes of a path of places (n, 2), by what is believed."""
+    """Return the holes of a path (n, 2) with this predicted power."""
     threshold = problem.stations[0].threshold_dbm
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     slack_db = problem.constraints.rule.slack_max_db or 0.0
     return holes_along(places_m, chance, margins_asked_db(problem, power) < -slack_db)
 
 
+def named_holes(holes: Sequence[Hole], before: str, more: str) -> list[str]:
+    """Return words for the longest holes, each after `before`, and how many `more` there are."""
+    longest = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
+    named = [f"{before}{hole.words}" for hole in holes if hole in longest]
+    left = len(holes) - len(longest)
+    return [*named, f"{left} {more}"] if left > 0 else named
+
+
 def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses") -> list[str]:
-    """Lines for people about holes on the way to a goal; the longest where there are many."""
+    """Return lines about the holes on the path to a goal."""
     holes = [hole for hole in holes if hole.length_m >= SHORTEST_IN_WORDS_M]
     if not holes:
         return []
+    lines = named_holes(holes, f"{verb} a coverage hole of ", "shorter ones")
+    if len(lines) > MOST_IN_WORDS:
+        lines[-1] = f"{verb} {lines[-1]}"
     price, p_min = problem.reach.outage_price, problem.constraints.p_min
-    total_m = sum(hole.length_m for hole in holes)
-    told = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
-    lines = [f"{verb} a coverage hole of {hole.words}" for hole in holes if hole in told]
-    if len(told) < len(holes):
-        lines.append(f"{verb} {len(holes) - len(told)} shorter ones")
-    lines.append(
-        f"in all {total_m:.0f} m below constraints.p_min {p_min:g}, each metre at "
-        f"objective.outage_price {price:g}"
-    )
-    return lines
+    return [
+        *lines,
+        f"in all {sum(hole.length_m for hole in holes):.0f} m below constraints.p_min {p_min:g}, "
+        f"each metre at objective.outage_price {price:g}",
+    ]
 
 
 def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
-    """A line for people where the goal itself is out of contact; none where it is not."""
+    """Return a line if the goal itself is out of contact."""
     if not holes or not holes[-1].to_end:
         return []
     return [
@@ -141,21 +147,21 @@ def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
 
 @dataclass(frozen=True)
 class RuleResult:
-    """The value asked of a whole plan by its rule, and the value achieved.
+    """The value that a rule requires of a whole plan, and the value achieved.
 
     Attributes
     ----------
     connectivity
-        The rule.
+        Name of the rule.
     achieved, asked
-        Its value, and the bound: a least one, for ``outage`` a greatest one.
+        The value and its bound, from below or, for ``outage``, from above.
     unit
         ``probability``, ``m``, ``s``, ``Mbit`` or ``steps``.
     method
-        How the value was found.
+        Method of computation.
     slack_db
-        By how many dB the threshold would have to be lower for the path to keep the rule, as far
-        as slack is allowed; of single steps, the most.
+        The least lowering of the threshold with which the path keeps the rule, within the allowed
+        slack.
     """
 
     connectivity: str
@@ -167,7 +173,7 @@ class RuleResult:
 
     @property
     def missing(self) -> float:
-        """Return by how much the bound is missed, in its unit; negative if it is kept."""
+        """Return the shortfall in its unit; negative if the bound is kept."""
         short = self.asked - self.achieved
         return -short if rule_kind(self.connectivity).greatest else short
 
@@ -178,7 +184,7 @@ class RuleResult:
 
     @property
     def words(self) -> str:
-        """One line for people."""
+        """Return one line."""
         unit = "" if self.unit == "probability" else f" {self.unit}"
         return (
             f"connectivity ({self.connectivity.replace('_', ' ')}): {self.achieved:.4g}{unit}, "
@@ -195,38 +201,34 @@ class Certificate:
     min_clearance_m
         Least distance between the swept path and any obstacle, exact; infinite without obstacles.
     min_connectivity
-        Least probability of connection over the planned steps, from the posterior named below.
+        Least probability of connection over the planned steps.
     dynamics_defect
         Largest violation of the motion model and the input set, in metres.
     kkt_residual
-        Unscaled KKT residual of the polished point; None where nothing was polished.
+        Unscaled KKT residual of the refined path; None without refinement.
     posterior
         ``exact`` or ``neighbours:192``.
-    relaxed_steps
-        Steps (1 is the first) at which the bound is not met.
-    relaxation_db
-        By how many dB at each of them the bound is missed.
+    relaxed_steps, relaxation_db
+        Steps (1 is the first) that miss the bound, and by how many dB.
     best_margin_db
-        At each of them, the best margin (dB, negative) found over every place that the robot
-        could reach by then: negative is the proof that the bound could not be met.
+        At each of them the best margin (dB) of all places within reach by then: a negative one
+        proves that the bound could not be met.
     path_cost_m, best_cost_m
-        On the way to a goal, where the bound is missed: what the plan and the rest of the way cost
-        at the outage price, and what the cheapest path costs that the verifier finds, in metres;
-        else None. Infinite where the verifier's grid has no path.
+        If a plan to a goal misses the bound: its cost in metres at the outage price, cost-to-go
+        included, and that of the cheapest path that the verifier finds; else None. Infinite if the
+        verifier's grid has no path.
     step_cost_m, step_excess_m
-        There as well: what the first step costs, and by how much the cheapest path is dearer after
-        it than before, that included. A run's sums of both are bounded by its allowance.
+        Likewise the cost of the first step, and this cost plus that of the cheapest path after it
+        less that of the cheapest path before it. Sums of both over a run are bounded.
     reasons
         Why the verdict is not ``verified``; empty if it is.
     min_separation_m
-        Least distance from any other robot at equal times, all the way; None where no separation
-        is asked or there is no other robot. Those that have not planned yet are where their last
-        plans lead.
+        Least distance from any other robot at equal times; None without other robots or a
+        separation. Robots that plan later count by their previous plans.
     min_moving_clearance_m
-        Least distance from any moving obstacle at equal times, all the way, negative inside one;
-        None without one.
+        Least distance from any moving obstacle at equal times, negative inside one; None without.
     rule
-        What is achieved of a rule of connectivity other than p_min at each step where possible.
+        Result of a rule of connectivity other than the default one.
     """
 
     min_clearance_m: float
@@ -248,11 +250,11 @@ class Certificate:
 
     @property
     def excess_m(self) -> float | None:
-        """Return the cost beyond the cheapest path found; None where the two cannot be compared."""
-        way_m, best_m = self.path_cost_m, self.best_cost_m
-        if way_m is None or best_m is None or not math.isfinite(max(way_m, best_m)):
+        """Return the cost beyond the cheapest path found; None if they cannot be compared."""
+        path_m, best_m = self.path_cost_m, self.best_cost_m
+        if path_m is None or best_m is None or not math.isfinite(max(path_m, best_m)):
             return None
-        return way_m - best_m
+        return path_m - best_m
 
 
 def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> str:
@@ -286,22 +288,20 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
 
 @dataclass(frozen=True)
 class Excused:
-    """A step that misses the bound, and what excuses it as far as the verifier found something."""
+    """A step that misses the bound, and its excuse."""
 
     step: int  # Its number; 1 is the first
     relaxation_db: float  # By how many dB it misses the bound
-    # price: the way is hardly dearer than the cheapest that the verifier found. out_of_reach: no
-    # place found within reach keeps the bound by then. slack: within constraints.slack_max_db.
-    # none: nothing excuses it, or the verifier found no way to compare with.
+    # price: the plan is hardly dearer than the cheapest path found. out_of_reach: no place within
+    # reach keeps the bound by then. slack: within constraints.slack_max_db. none: no excuse.
     excuse: str
-    path_cost_m: float | None = None  # With price: of the way and of the cheapest found; else None
+    path_cost_m: float | None = None  # With price: of the plan and of the cheapest path found
     best_cost_m: float | None = None
-    # With out_of_reach: the best margin found within reach, negative; else None
-    best_margin_db: float | None = None
+    best_margin_db: float | None = None  # With out_of_reach: best margin within reach, negative
 
     @property
     def words(self) -> str:
-        """The step, its miss and the excuse for people."""
+        """Return the step, the shortfall and the excuse."""
         why = "nothing excuses it"
         if self.excuse == "price":
             why = (
@@ -316,7 +316,7 @@ class Excused:
 
 
 def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
-    """Return the steps that miss p_min."""
+    """Return the steps that miss p_min: of one plan all, of a run the first step of each plan."""
     if len(proofs) == 1:
         return [_excused(proofs[0], k, step) for k, step in enumerate(proofs[0].relaxed_steps)]
     return [
@@ -327,18 +327,18 @@ def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
 
 
 MOST_EXCUSED = 10
-"""Steps told of one by one."""
+"""Number of steps that are listed."""
 
 
 def excused_in_words(steps: Sequence[Excused]) -> list[str]:
-    """Lines for people about steps that miss p_min; of many the first, and how many more."""
+    """Return lines about the first steps that miss p_min, and the number of the others."""
     lines = [one.words for one in steps[:MOST_EXCUSED]]
     more = len(steps) - MOST_EXCUSED
     return [*lines, f"and {more} more steps"] if more > 0 else lines
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """The miss of this number in a plan, as step `step`."""
+    """Return the shortfall `number` of a plan, named as step `step`."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
@@ -354,7 +354,7 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
 def worst_of(certificates: Sequence[Certificate]) -> Certificate:
     """Return the worst of certificates in each respect, without the steps that miss the bound.
 
-    The costs are those of the plan, and of the step, that cost most beyond the cheapest.
+    The costs are those of the plan, and of the step, with the largest excess over the cheapest.
     """
     paths = [
         (one.excess_m, one.path_cost_m, one.best_cost_m)
@@ -372,15 +372,17 @@ def worst_of(certificates: Sequence[Certificate]) -> Certificate:
         min_clearance_m=min(one.min_clearance_m for one in certificates),
         min_connectivity=min(one.min_connectivity for one in certificates),
         dynamics_defect=max(one.dynamics_defect for one in certificates),
-        kkt_residual=_extreme(max, (one.kkt_residual for one in certificates)),
+        kkt_residual=max(_known(one.kkt_residual for one in certificates), default=None),
         posterior=max((one.posterior for one in certificates), key=lambda kind: kind != "exact"),
         path_cost_m=path_m,
         best_cost_m=best_m,
         step_cost_m=step_m,
         step_excess_m=excess_m,
         reasons=tuple(reason for one in certificates for reason in one.reasons),
-        min_separation_m=_extreme(min, (one.min_separation_m for one in certificates)),
-        min_moving_clearance_m=_extreme(min, (one.min_moving_clearance_m for one in certificates)),
+        min_separation_m=min(_known(one.min_separation_m for one in certificates), default=None),
+        min_moving_clearance_m=min(
+            _known(one.min_moving_clearance_m for one in certificates), default=None
+        ),
         rule=max(
             (one.rule for one in certificates if one.rule is not None),
             key=lambda rule: (rule.slack_db, rule.missing),
@@ -389,9 +391,29 @@ def worst_of(certificates: Sequence[Certificate]) -> Certificate:
     )
 
 
-def _extreme(
-    least_or_most: Callable[[list[float]], float], values: Iterable[float | None]
-) -> float | None:
-    """Return the extreme of the numbers that there are; None if there is none."""
-    numbers = [value for value in values if value is not None]
-    return least_or_most(numbers) if numbers else None
+def _known(values: Iterable[float | None]) -> list[float]:
+    """Return the numbers among values."""
+    return [value for value in values if value is not None]
+
+
+def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
+    """Return the worst of robots' certificates, step by step; reasons name the robot."""
+    each = tuple(certificates.values())
+    if len(each) == 1:
+        return each[0]
+    relaxation: dict[int, float] = {}
+    best: dict[int, float] = {}
+    for one in each:
+        for step, missing_db in zip(one.relaxed_steps, one.relaxation_db, strict=True):
+            relaxation[step] = max(missing_db, relaxation.get(step, 0.0))
+        for step, margin_db in zip(one.relaxed_steps, one.best_margin_db, strict=False):
+            best[step] = min(margin_db, best.get(step, margin_db))
+    return replace(
+        worst_of(each),
+        relaxed_steps=tuple(sorted(relaxation)),
+        relaxation_db=tuple(relaxation[step] for step in sorted(relaxation)),
+        best_margin_db=tuple(best[step] for step in sorted(best)),
+        reasons=tuple(
+            f"{robot}: {reason}" for robot, one in certificates.items() for reason in one.reasons
+        ),
+    )

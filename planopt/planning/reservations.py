@@ -1,4 +1,11 @@
-"""Reservations that robots keep clear of while others plan, and how far their plans keep apart."""
+"""Reservations that robots keep clear of while others plan, and distances between robots.
+
+The *reservation* of a robot is the remainder of its last released plan, then braking and standing;
+before the first plan it is braking from the start. Each plan, its braking included, keeps the
+separation from the plans made in this step and from the reservations of the robots that plan later.
+So every robot can follow its reservation in place of a plan, and the reservations of the next step
+keep apart if those of this step do. Loading a problem checks that the starts keep apart.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +16,6 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.certificate import Certificate, worst_of
 from planopt.planning.plan import Plan
 from planopt.planning.proof.context import obstacles_ahead, steps_ahead
 from planopt.planning.proof.motion import verify_apart
@@ -25,10 +31,11 @@ def has_separation(problem: Problem) -> bool:
 
 
 def reserved_path(
-    position_m: NDArray[np.float64], last_path_m: NDArray[np.float64] | None, horizon: int
+    position_m: NDArray[np.float64],  # (2,)
+    last_path_m: NDArray[np.float64] | None,  # (N + 1, 2)
+    horizon: int,
 ) -> NDArray[np.float64]:
-    """Reserved by a robot that stops at will for its next N = `horizon` steps; ``(N + 1, 2)``."""
-    # Shapes: position_m (2,); last_path_m (N + 1, 2).
+    """Return the reservation of a single integrator over the horizon; ``(N + 1, 2)``."""
     if last_path_m is None:
         return np.tile(position_m, (horizon + 1, 1))
     return np.vstack([last_path_m[1:], last_path_m[-1:]])
@@ -37,8 +44,7 @@ def reserved_path(
 def reserved_motion(
     problem: Problem, number: int, state: NDArray[np.float64], last: Plan | None
 ) -> TimedMotion:
-    """Return what robot number `number` has reserved for the steps ahead."""
-    # Shapes: state (s,).
+    """Return the reservation of robot `number` for the steps ahead."""
     step_s, steps = problem.planner.step_s, steps_ahead(problem)
     if last is None:
         dynamics = problem.robots[number].dynamics
@@ -47,12 +53,12 @@ def reserved_motion(
 
 
 def planned_motion(problem: Problem, plan: Plan) -> TimedMotion:
-    """A robot's plan, and stopping after it."""
+    """Return the motion of a plan, and of braking after it."""
     return braked_motion(plan.positions_m, plan.drive, problem.planner.step_s)
 
 
 def beside(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> MovingDiscs:
-    """Return the discs to keep from: moving obstacles, and robots where that is asked."""
+    """Return the discs to keep clear of: moving obstacles, and other robots if these keep apart."""
     obstacles = obstacles_ahead(problem, driven)
     if not others or problem.constraints.separation_m == 0.0:
         return obstacles
@@ -70,15 +76,12 @@ def beside(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> 
 
 
 def others_of(motions: Sequence[TimedMotion], number: int) -> dict[int, TimedMotion]:
-    """The motions of all robots but number `number`, by number."""
+    """Return the motions of all robots but one, by number."""
     return {other: motion for other, motion in enumerate(motions) if other != number}
 
 
 def beside_each_other(problem: Problem, driven: int, plans: Sequence[Plan]) -> list[Plan]:
-    """The plans of one step with the separation that they keep from each other.
-
-    While they were made, some of the others had only their reservations, or nothing at all.
-    """
+    """Return the plans of one step with the separation that they keep from each other."""
     motions = [planned_motion(problem, plan) for plan in plans]
     found: list[Plan] = []
     for number, plan in enumerate(plans):
@@ -90,7 +93,7 @@ def beside_each_other(problem: Problem, driven: int, plans: Sequence[Plan]) -> l
 
 
 def least_separations_m(motions: Sequence[TimedMotion]) -> NDArray[np.float64]:
-    """Least distance of any two robots during each step; ``(n,)`` of at least two motions."""
+    """Return the least distance of any two robots during each step; ``(n,)``."""
     steps = motions[0].steps
     return np.min([step_distances_m(a, b, steps) for a, b in combinations(motions, 2)], axis=0)
 
@@ -98,10 +101,7 @@ def least_separations_m(motions: Sequence[TimedMotion]) -> NDArray[np.float64]:
 def least_moving_clearances_m(
     problem: Problem, motions: Sequence[TimedMotion]
 ) -> NDArray[np.float64]:
-    """Least distance of any robot from any moving obstacle during each step of a run; ``(n,)``.
-
-    From the discs as they are, not grown by what was unknown of their way when plans were made.
-    """
+    """Return the least true distance of any robot from a moving obstacle in each step; ``(n,)``."""
     steps, clearance = motions[0].steps, problem.constraints.clearance_m
     obstacles = problem.workspace.moving
     discs = predicted_discs(obstacles, 0.0, problem.planner.step_s, steps, clearance)
@@ -116,32 +116,9 @@ def least_moving_clearances_m(
 
 
 def driven_motion(track_m: NDArray[np.float64], drive: Drive | None, step_s: float) -> TimedMotion:
-    """Return what was driven, or is planned, over the steps of a track (n + 1, 2) alone."""
+    """Return the motion over the steps of a track (n + 1, 2), without braking after it."""
     if drive is None:
         return TimedMotion(track_m)
-    curves = drive.dynamics.curves(drive.states[:-1], drive.inputs, step_s)
-    return TimedMotion(track_m, tuple(curves))
-
-
-def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
-    """The worst of robots' certificates, step by step; reasons say whose they are."""
-    all_of_them = tuple(certificates.values())
-    if len(all_of_them) == 1:
-        return all_of_them[0]
-    missed = [c for c in all_of_them if c.relaxed_steps]
-    relaxation: dict[int, float] = {}
-    best: dict[int, float] = {}
-    for c in missed:
-        for step, missing_db in zip(c.relaxed_steps, c.relaxation_db, strict=True):
-            relaxation[step] = max(missing_db, relaxation.get(step, 0.0))
-        for step, margin_db in zip(c.relaxed_steps, c.best_margin_db, strict=False):
-            best[step] = min(margin_db, best.get(step, margin_db))
-    return replace(
-        worst_of(all_of_them),
-        relaxed_steps=tuple(sorted(relaxation)),
-        relaxation_db=tuple(relaxation[step] for step in sorted(relaxation)),
-        best_margin_db=tuple(best[step] for step in sorted(best)),
-        reasons=tuple(
-            f"{robot}: {reason}" for robot, c in certificates.items() for reason in c.reasons
-        ),
+    return TimedMotion(
+        track_m, tuple(drive.dynamics.curves(drive.states[:-1], drive.inputs, step_s))
     )

@@ -13,8 +13,8 @@ from planopt.planning.certificate import (
     excused_in_words,
     excused_steps,
     worst_of,
+    worst_of_robots,
 )
-from planopt.planning.reservations import worst_of_robots
 
 PROOF = Certificate(1.0, 0.5, 0.0, None, "exact")
 PRICED = replace(PROOF, relaxed_steps=(1, 3), relaxation_db=(0.5, 2.0), path_cost_m=8.0)

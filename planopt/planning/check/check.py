@@ -19,7 +19,7 @@ from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import DIGEST, differences, digest, in_words
 from planopt.files.tables import REMEDY, comparable
-from planopt.planning.certificate import Certificate, worst_of
+from planopt.planning.certificate import Certificate, worst_of, worst_of_robots
 from planopt.planning.check.replay import belief_reasons, plan_reasons, replayed, start_of
 from planopt.planning.files.result_json import (
     NoPlanRecord,
@@ -37,7 +37,6 @@ from planopt.planning.files.saved import (
 )
 from planopt.planning.initial_data import with_drawn_starts
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.reservations import worst_of_robots
 from planopt.planning.results import Run, Solution
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load_motion, problem_to_dict

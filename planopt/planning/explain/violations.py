@@ -25,7 +25,6 @@ from planopt.planning.explain.changes import (
 from planopt.planning.explain.explanation import Relaxation
 from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan
-from planopt.planning.proof.connectivity_rules import counted_steps
 from planopt.planning.proof.context import (
     VerifierContext,
     certified_prediction,
@@ -87,7 +86,7 @@ def _met_nowhere(case: Case) -> bool:
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
-    counted = int(counted_steps(case.own, BEGINNING, steps).sum())
+    counted = int(rule_of(case.own).counted(BEGINNING, steps).sum())
     return rule.by_step and rule.slack_max_db is None and 0 < len(missed) == counted
 
 
@@ -196,7 +195,7 @@ def _best_score(
         problem.constraints.clearance_m,
         may_reach_from(problem, state),
     )
-    return float(np.array(best)[counted_steps(problem, BEGINNING, horizon)].max())
+    return float(np.array(best)[rule_of(problem).counted(BEGINNING, horizon)].max())
 
 
 def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:

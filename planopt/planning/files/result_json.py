@@ -17,7 +17,13 @@ from pydantic import BeforeValidator, Field, TypeAdapter
 
 from planopt.channel.calibration import ReliabilityBin
 from planopt.files.typed_json import encoded
-from planopt.planning.certificate import BlockedWay, Certificate, Hole, excused_steps
+from planopt.planning.certificate import (
+    BlockedWay,
+    Certificate,
+    Hole,
+    excused_steps,
+    worst_of_robots,
+)
 from planopt.planning.explain.explanation import Crossing, Relaxation
 from planopt.planning.files.record import (
     OMITTED,
@@ -34,7 +40,6 @@ from planopt.planning.files.run_tables import drive_table
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import COSTS, run_holes, run_reliability
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
-from planopt.planning.reservations import worst_of_robots
 from planopt.planning.results import Run, RunSummary, Solution, summary_of
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem

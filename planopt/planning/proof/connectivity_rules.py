@@ -1,8 +1,12 @@
-"""planopt's rules of connectivity: each step, average, joint, outage and data."""
+"""planopt's rules of connectivity: each step, average, joint, outage and data.
+
+The powers of one station along a path are jointly normal. The serving power of several is not:
+their channels are drawn, each by itself, from the same seeds for every path.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -16,70 +20,12 @@ from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.errors import InputError
 from planopt.planning.certificate import RuleResult
 from planopt.planning.history import History, data_of_steps_mbit
-from planopt.planning.proof.rule import ROUNDING, BySlack, PathCase, Rule, connected_share
+from planopt.planning.proof.rule import ROUNDING, BySlack, PathCase, Rule
 from planopt.planning.tolerances import RULE_TOLERANCE
 from planopt.problems.problem import Problem
 
-DRAWS, DRAWN_SEED = 10_000, 0
-"""Number of drawn channels, and their seed."""
-
-DOUBT = 0.01
-"""The lower end of the interval of this one-sided doubt counts (Clopper and Pearson, 1934)."""
-
-DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
-"""Name of the method."""
-
-MOST_PROBABLE = 0.9995
-"""Greatest p_min that the drawn channels can show."""
-
-
-def require_shown(problem: Problem, words: str, remedy: str) -> None:
-    """Raise an InputError where p_min is more than drawn channels can show."""
-    p_min = problem.constraints.p_min
-    if p_min > MOST_PROBABLE:
-        raise InputError(
-            f"is {p_min:g}, and more than {MOST_PROBABLE:g} cannot be shown {words}",
-            file=problem.file,
-            key="constraints.p_min",
-            remedy=f"ask for less, or {remedy}",
-        )
-
-
-def share_at_least(count: int, of: int) -> float:
-    """Lower end of the one-sided interval of a probability seen `count` times `of` so many."""
-    if count == 0:
-        return 0.0
-    return float(np.asarray(betaincinv(count, of - count + 1, DOUBT), dtype=np.float64))
-
-
-def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> JointPrediction:
-    """Predict the powers at the places (N, 2) of a path jointly (equation 1.12).
-
-    Where there are too many measurements for a factor, by the nearest to the path: a true posterior
-    of less data.
-    """
-    return joint_prediction(factored_near(posterior, path_m), path_m)
-
-
-def drawn_by_slack(
-    rule: Rule,
-    case: PathCase,
-    is_kept: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],  # (n, N) connected to (n,)
-) -> BySlack:
-    """Return a lower bound of the probability that the rule is kept, by drawn channels."""
-    drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, DRAWN_SEED)
-    threshold, p_min = case.problem.stations[0].threshold_dbm, case.problem.constraints.p_min
-
-    def result(slack_db: float) -> RuleResult:
-        kept = int(is_kept(drawn_dbm >= threshold - slack_db).sum())
-        achieved = share_at_least(kept, len(drawn_dbm))
-        return RuleResult(rule.kind, achieved, p_min, "probability", DRAWN)
-
-    return result
-
-
 WHOLE_STEPS = 1e-6
-"""A time is a multiple of the step if it is off by no more than this share of a step."""
+"""Tolerance of a multiple of the step, as a share of a step."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +75,7 @@ class EachStep(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the least probability of a step that counts; 1 where none does."""
+        """Return the least probability of a step that counts; 1 if none does."""
         counted = self.counted(history, probability.shape[-1])
         return np.where(counted, probability, 1.0).min(axis=-1)
 
@@ -138,29 +84,28 @@ class EachStep(Rule):
         return self.counted(history, len(keeps))
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Steps are judged by :mod:`planopt.planning.proof.verify`."""
+        """Raise an error: :func:`planopt.planning.proof.verify.verify_single_steps` verifies it."""
         raise AssertionError("a rule on single steps")
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return the share of the stated times driven through that were connected."""
+        """Return the connected share of the stated times so far."""
         if not self.stated:
             return {}
         stated = np.unique(np.array(self.stated))
         kept = [now[stated[stated <= len(now)] - 1] for now in connected]
-        return {"stated_times_connected": min(connected_share(now) for now in kept)}
+        return {"stated_times_connected": min(_connected_share(now) for now in kept)}
 
 
-def counted_steps(problem: Problem, history: History, count: int) -> NDArray[np.bool_]:
-    """Return whether p_min is required of each of a plan's steps by itself; ``(count,)``."""
-    found = problem.constraints.rule.kind.of(problem, np.zeros(count))
-    return found.counted(history, count) if isinstance(found, EachStep) else np.zeros(count, bool)
+def _connected_share(connected: NDArray[np.bool_]) -> float:
+    """Return the share of steps (n,) that are connected; NaN without steps."""
+    return float(connected.mean()) if connected.size else float("nan")
 
 
 @dataclass(frozen=True)
 class Average(Rule):
-    """The expected share of connected steps (equation 5.1) is at least p_min."""
+    """The expected share of connected steps of run and plan (equation 5.1) is at least p_min."""
 
     kind: ClassVar[str] = "average"
     method: ClassVar[str] = "mean"
@@ -177,17 +122,71 @@ class Average(Rule):
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
         """Return the share of connected steps."""
-        return {"least_connected_share": min(connected_share(now) for now in connected)}
+        return {"least_connected_share": min(_connected_share(now) for now in connected)}
 
 
-SEED = 0
-"""Of the integral's shifts: repeated judgements of a path agree."""
+DRAWS, SEED = 10_000, 0
+"""Number of drawn channels; seed of the draws and of the integral's shifts."""
+
+DOUBT = 0.01
+"""One-sided error probability of the interval whose lower end counts (Clopper, Pearson 1934)."""
+
+DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
+"""Name of the method."""
+
+MOST_PROBABLE = 0.9995
+"""Greatest p_min that the drawn channels can show."""
+
+
+def _require_shown(problem: Problem, words: str, remedy: str) -> None:
+    """Raise an InputError if p_min is more than drawn channels can show."""
+    p_min = problem.constraints.p_min
+    if p_min > MOST_PROBABLE:
+        raise InputError(
+            f"is {p_min:g}, and more than {MOST_PROBABLE:g} cannot be shown {words}",
+            file=problem.file,
+            key="constraints.p_min",
+            remedy=f"ask for less, or {remedy}",
+        )
+
+
+def share_at_least(count: int, of: int) -> float:
+    """Return the lower end of the one-sided interval of a probability, seen `count` times."""
+    if count == 0:
+        return 0.0
+    return float(np.asarray(betaincinv(count, of - count + 1, DOUBT), dtype=np.float64))
+
+
+def drawn_by_slack(
+    rule: Rule,
+    case: PathCase,
+    is_kept: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],  # (n, N) connected to (n,)
+) -> BySlack:
+    """Return a lower bound of the probability that a rule is kept, by drawn channels."""
+    drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, SEED)
+    threshold, p_min = case.problem.stations[0].threshold_dbm, case.problem.constraints.p_min
+
+    def result(slack_db: float) -> RuleResult:
+        kept = int(is_kept(drawn_dbm >= threshold - slack_db).sum())
+        achieved = share_at_least(kept, len(drawn_dbm))
+        return RuleResult(rule.kind, achieved, p_min, "probability", DRAWN)
+
+    return result
+
 
 ACCURACY = 4e-3
-"""Three standard errors that the integral is refined to. Its value counts less its error."""
+"""Three standard errors that the integral is refined to."""
 
 INTEGRATED_STEPS = 60
-"""Up to so many steps the probability is integrated; beyond, the greatest lower bound serves."""
+"""Beyond so many steps the greatest lower bound replaces the integral."""
+
+
+def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> JointPrediction:
+    """Return the joint prediction (equation 1.12) along a path (N, 2).
+
+    With too many measurements for a factor it uses those nearest to the path.
+    """
+    return joint_prediction(factored_near(posterior, path_m), path_m)
 
 
 @dataclass(frozen=True)
@@ -202,7 +201,7 @@ class Joint(Rule):
         """Raise an InputError for a probability that several stations cannot show."""
         if len(problem.stations) > 1:
             words = f"of all steps together with {len(problem.stations)} stations"
-            require_shown(problem, words, "leave one entry of stations")
+            _require_shown(problem, words, "leave one entry of stations")
 
     def achieved(
         self, probability: NDArray[np.float64], history: History
@@ -211,14 +210,11 @@ class Joint(Rule):
         return 1.0 - (1.0 - probability).sum(axis=-1)
 
     def correlates(self, p_min: float) -> bool:
-        """Return whether the verified value is a probability of correlated steps."""
+        """Return True."""
         return True
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return a lower bound of the probability by the joint law of the steps.
-
-        Of one station an integral; of several the lower end of the interval over drawn channels.
-        """
+        """Return a lower bound: an integral for one station, drawn channels for several."""
         problem, path_m = case.problem, case.positions_m[1:]
         threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
         if len(case.context.posteriors) == 1:
@@ -228,12 +224,9 @@ class Joint(Rule):
 
 
 def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:
-    """Return the greatest lower bound of the probability that all steps are connected.
-
-    The integral less its error, or the greatest of Boole's, Hunter's and Slepian's bounds.
-    """
+    """Return the greatest lower bound of the probability that all steps are connected."""
     found = joint_connectivity(prediction, threshold_dbm)
-    # Where the least certain step alone misses the bound, no integral is needed.
+    # If the least certain step alone misses the bound, no integral is needed.
     if len(prediction) <= INTEGRATED_STEPS and found.at_each.min() >= p_min:
         generator = np.random.default_rng(SEED)
         found = joint_connectivity(prediction, threshold_dbm, generator, ACCURACY)
@@ -263,30 +256,22 @@ class Outage(Rule):
     method: ClassVar[str] = "steps below p_min in a row"
     subject: ClassVar[str] = "the longest outage"
     keys: ClassVar[tuple[str, ...]] = ("outage_max_m", "outage_max_s")
+    keys_required: ClassVar[int] = 1
     holds_steps: ClassVar[bool] = True
     greatest: ClassVar[bool] = True
     p_min: float
     sizes: NDArray[np.float64]  # (..., N) length or duration of each step
     limit: float
-    step_s: float | None = None  # None where lengths count
+    step_s: float | None = None  # None for lengths
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Outage:
         """Return the rule for these steps."""
-        constraints, step_s = problem.constraints, problem.planner.step_s
-        rule = constraints.rule
+        p_min, rule = problem.constraints.p_min, problem.constraints.rule
         if rule.outage_max_m is not None:
-            return cls(constraints.p_min, legs_m, rule.outage_max_m)
-        sizes = np.full(legs_m.shape, step_s)
-        return cls(constraints.p_min, sizes, rule.outage_max_s or 0.0, step_s)
-
-    @classmethod
-    def keys_fault(cls, given: Collection[str]) -> str | None:
-        """Require one of the two keys."""
-        if len(set(cls.keys).intersection(given)) == 1:
-            return None
-        both = " and ".join(cls.keys)
-        return f'one of {both} for connectivity = "outage": write outage_max_s = 10.0'
+            return cls(p_min, legs_m, rule.outage_max_m)
+        step_s = problem.planner.step_s
+        return cls(p_min, np.full(legs_m.shape, step_s), rule.outage_max_s or 0.0, step_s)
 
     def _begun(self, history: History) -> float:
         return history.outage_m if self.step_s is None else history.outage_steps * self.step_s
@@ -303,7 +288,7 @@ class Outage(Rule):
         return -self.limit
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
-        """Return the fewest steps that end each outage in time, each as late as may be."""
+        """Return the fewest steps that end each outage in time, each as late as possible."""
         held = np.zeros(len(keeps), dtype=np.bool_)
         run, last = self._begun(history), -1
         for step, size in enumerate(self.sizes.tolist()):
@@ -316,7 +301,7 @@ class Outage(Rule):
         return held
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Name the limit in its unit."""
+        """Return the key of the limit in its unit."""
         return self.subject, f"constraints.outage_max_{result.unit}"
 
     def by_slack(self, case: PathCase) -> BySlack:
@@ -338,7 +323,7 @@ def longest_run(
 ) -> NDArray[np.float64]:
     """Return the greatest sum of `sizes` over successive `missed` steps, both (..., N).
 
-    `begun` is added to the run that begins with the first step, if it does.
+    `begun` is added to a run that begins with the first step.
     """
     longest, run = np.zeros(missed.shape[:-1]), np.full(missed.shape[:-1], begun)
     for step in range(missed.shape[-1]):
@@ -355,29 +340,28 @@ class Data(Rule):
     unit: ClassVar[str] = "Mbit"
     method: ClassVar[str] = "expectation"
     keys: ClassVar[tuple[str, ...]] = ("data_mbit", "deadline_s", "rate_mbit_s")
+    keys_required: ClassVar[int] = 3
     asks_p_min: ClassVar[bool] = False
     problem: Problem
+    # Validated: present and positive
+    data_mbit: float
+    deadline_s: float
+    rate_mbit_s: float
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Data:
         """Return the rule of a problem."""
-        return cls(problem)
-
-    @classmethod
-    def keys_fault(cls, given: Collection[str]) -> str | None:
-        """Require all keys."""
-        for key in cls.keys:
-            if key not in given:
-                return f'{key} for connectivity = "data": write {key} = 100.0'
-        return None
+        rule = problem.constraints.rule
+        amounts = (rule.data_mbit, rule.deadline_s, rule.rate_mbit_s)
+        return cls(problem, *(amount or 0.0 for amount in amounts))
 
     @classmethod
     def check(cls, problem: Problem) -> None:
         """Raise an InputError for data that no plan could be shown to deliver."""
-        rule = problem.constraints.rule
-        require_shown(problem, "for data", "leave it out to ask for the expectation")
-        most_mbit = (rule.rate_mbit_s or 0.0) * (rule.deadline_s or 0.0)
-        if (rule.data_mbit or 0.0) > most_mbit * (1.0 + ROUNDING):
+        _require_shown(problem, "for data", "leave it out to ask for the expectation")
+        rule = cls.of(problem, np.zeros(0))
+        most_mbit = rule.rate_mbit_s * rule.deadline_s
+        if rule.data_mbit > most_mbit * (1.0 + ROUNDING):
             raise InputError(
                 f"is {rule.data_mbit:g}, more than the {most_mbit:g} Mbit that rate_mbit_s "
                 "delivers by deadline_s when always connected",
@@ -399,21 +383,20 @@ class Data(Rule):
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
 
     def pace_mbit(self, history: History, count: int) -> float:
-        """Return the data that keep pace: what is missing, spread over the time that is left."""
-        rule = self.problem.constraints.rule
-        left_s = (rule.deadline_s or 0.0) - history.steps * self.problem.planner.step_s
-        missing = max((rule.data_mbit or 0.0) - history.delivered_mbit, 0.0)
+        """Return the data that keep pace: the missing data, spread over the remaining time."""
+        left_s = self.deadline_s - history.steps * self.problem.planner.step_s
+        missing = max(self.data_mbit - history.delivered_mbit, 0.0)
         if left_s <= 0.0 or missing == 0.0:
             return 0.0
         most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
-        return missing * most / ((rule.rate_mbit_s or 0.0) * left_s)
+        return missing * most / (self.rate_mbit_s * left_s)
 
     def correlates(self, p_min: float) -> bool:
-        """Return whether the verified value is a probability of correlated steps."""
+        """Return whether a probability is required."""
         return p_min > 0.0
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return the expectation; or a lower bound of the probability, by correlated samples."""
+        """Return the expectation; or a lower bound of the probability, by drawn channels."""
         p_min = case.problem.constraints.p_min
         if p_min == 0.0:
             return super().by_slack(case)
@@ -422,18 +405,16 @@ class Data(Rule):
         if needed == 0.0:
             return lambda slack_db: RuleResult(self.kind, 1.0, p_min, "probability", DRAWN)
         return drawn_by_slack(
-            self,
-            case,
-            lambda connected: self.valued(connected.astype(np.float64), case.history) >= needed,
+            self, case, lambda links: self.valued(links.astype(np.float64), case.history) >= needed
         )
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Name the expectation or the probability."""
+        """Return the expectation or the probability in words, and its bound."""
         if result.unit == self.unit:
             words = "the expected data delivered by the plan"
             return words, "keeping pace with constraints.data_mbit"
         words = "the probability that the plan keeps pace with constraints.data_mbit"
-        return words, "constraints.p_min"
+        return words, self.bound_key
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]

@@ -1,4 +1,8 @@
-"""A rule of connectivity: the value that a plan's probabilities of connection must reach."""
+"""A rule of connectivity: the value that a plan's probabilities of connection must reach.
+
+Verifier and planner share :meth:`Rule.achieved`. The verifier evaluates it with the exact
+posterior, or uses a probability of correlated steps instead; the planner follows its slopes.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +41,7 @@ class PathCase:
     """A path that is verified by a rule over all its steps."""
 
     context: VerifierContext
-    positions_m: NDArray[np.float64]  # (N + 1, 2) the path, the robot's own position first
+    positions_m: NDArray[np.float64]  # (N + 1, 2) from the robot's position on
     power: Prediction  # At the N positions after each step
 
     @property
@@ -51,7 +55,7 @@ class PathCase:
         return self.context.history
 
     def probability(self, slack_db: float) -> NDArray[np.float64]:
-        """Return the probability of connection after each step, (N,), with so much slack."""
+        """Return the probability of connection after each step with this slack; ``(N,)``."""
         if len(self.context.posteriors) > 1 and slack_db > 0.0:
             return self.context.law.probability(self.positions_m[1:], slack_db)
         threshold = self.problem.stations[0].threshold_dbm - slack_db
@@ -70,15 +74,15 @@ class Rule(ABC):
     unit: ClassVar[str] = "probability"
     method: ClassVar[str] = "of the probabilities"
     keys: ClassVar[tuple[str, ...]] = ()  # Keys of [constraints] that belong to this rule alone
-    by_step: ClassVar[bool] = False  # Whether single steps are judged, each by itself
+    keys_required: ClassVar[int] = 0  # How many of them must be there
+    by_step: ClassVar[bool] = False  # Whether single steps are verified, each by itself
     # Whether the planner bounds single steps by p_min; else a weighted sum of probabilities
     holds_steps: ClassVar[bool] = False
-    greatest: ClassVar[bool] = (
-        False  # Whether results have the negative value, which is bounded above
-    )
-    asks_p_min: ClassVar[bool] = True  # Whether nothing is required where p_min is 0
-    subject: ClassVar[str] = ""  # The value in words, for messages
-    bound_key: ClassVar[str] = "constraints.p_min"  # The key that requires more, for messages
+    # Whether results report the negative value, which is bounded above
+    greatest: ClassVar[bool] = False
+    asks_p_min: ClassVar[bool] = True  # Whether p_min 0 requires nothing
+    subject: ClassVar[str] = ""  # The value in words
+    bound_key: ClassVar[str] = "constraints.p_min"  # The key of its bound
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Rule:
@@ -87,12 +91,18 @@ class Rule(ABC):
 
     @classmethod
     def keys_fault(cls, given: Collection[str]) -> str | None:
-        """Return why keys given in the table [constraints] do not suffice; None if they do."""
-        return None
+        """Return which keys of the table [constraints] are missing or too many; None if none."""
+        missing = [key for key in cls.keys if key not in given]
+        if not cls.keys_required or len(cls.keys) - len(missing) == cls.keys_required:
+            return None
+        one = cls.keys_required == 1
+        key = cls.keys[-1] if one else missing[0]
+        words = f"one of {' and '.join(cls.keys)}" if one else key
+        return f'{words} for connectivity = "{cls.kind}": write {key} = 10.0'
 
     @classmethod
     def check(cls, problem: Problem) -> None:
-        """Raise an InputError where the rule cannot be planned with."""
+        """Raise an InputError if the rule does not suit a problem."""
         del problem  # most rules suit every problem
 
     @abstractmethod
@@ -104,6 +114,10 @@ class Rule(ABC):
     def required(self, p_min: float, history: History, count: int) -> float:
         """Return the least value that a plan of `count` steps must achieve."""
         return p_min
+
+    def counted(self, history: History, count: int) -> NDArray[np.bool_]:
+        """Return whether each of `count` steps must keep p_min by itself; ``(count,)``."""
+        return np.zeros(count, dtype=np.bool_)
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
         """Return steps (N,) that suffice if they keep p_min, chosen of those that do keep it."""
@@ -152,16 +166,13 @@ class Rule(ABC):
         return result
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return the value that is too small in words, and the key that requires more."""
+        """Return the value in words, and the key of its bound."""
         return self.subject, self.bound_key
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return the metric of a run by name, of the worst robot.
-
-        `connected` has whether each step of each robot ended connected, ``(n,)``.
-        """
+        """Return the metric of a run by name, of the worst robot; `connected` (n,) of each."""
         return {}
 
 
@@ -175,8 +186,8 @@ def rule_of(problem: Problem, legs_m: NDArray[np.float64] | None = None) -> Rule
 def whole_plan_result(case: PathCase) -> RuleResult:
     """Return the result of a path by a rule over all steps, with the slack that it takes.
 
-    The slack is the least lowering of the threshold with which the rule holds; where it does not
-    within `slack_max_db`, or none is allowed, it is zero and the rule is missed.
+    The slack is the least lowering of the threshold with which the rule holds, or zero if none
+    within `slack_max_db` suffices.
     """
     result_at = case.rule.by_slack(case)
     hard = result_at(0.0)
@@ -191,7 +202,7 @@ def whole_plan_result(case: PathCase) -> RuleResult:
 
 
 def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
-    """Return why a path does not keep its rule; nothing where it does, within its slack."""
+    """Return the reason if a path misses its rule by more than the slack."""
     if not result.is_missed or result.slack_db > 0.0:
         return []
     words, key = rule_of(problem).missed_words(result)
@@ -204,30 +215,24 @@ def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
     ]
 
 
-def connected_share(connected: NDArray[np.bool_]) -> float:
-    """Return the share of steps (n,) that are connected; NaN where there are none."""
-    return float(connected.mean()) if connected.size else float("nan")
-
-
 KEY = "constraints.connectivity"
 
 
 class OwnRule(Rule):
-    """Base class of a rule of one's own: a frozen dataclass with a ``kind`` and what it counts.
+    """Base class of a user-defined rule: a frozen dataclass with a ``kind`` and a value.
 
     The fields of a subclass are the keys of ``constraints.settings``, all numbers. The verifier
-    judges by :meth:`achieved`; planners seek plans by it and its slopes. It must not fall where a
-    probability rises.
+    decides by :meth:`achieved`; planners follow its slopes. It must not fall where a probability
+    rises.
 
     Attributes
     ----------
     kind
         Value of the key ``constraints.connectivity``.
     unit
-        Of what is achieved; a ``"probability"``, the default, is from 0 to 1.
+        Unit of the value; a ``"probability"``, the default, is from 0 to 1.
     asks_p_min
-        Whether p_min is what is asked; a rule that asks for something else returns that by
-        :meth:`asked`.
+        Whether p_min is the bound; a rule with another bound returns it by :meth:`asked`.
 
     Examples
     --------
@@ -251,7 +256,7 @@ class OwnRule(Rule):
     kind: ClassVar[str]
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """Let problems name the rule, in this process and in workers of its studies."""
+        """Register the rule for problems, in this process and in workers of its studies."""
         super().__init_subclass__(**keywords)
         if not cls.asks_p_min and cls.asked is OwnRule.asked:
             raise InputError(
@@ -266,28 +271,22 @@ class OwnRule(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return what plans achieve, which is to be large.
+        """Return the value of plans, which is to be large.
 
         Parameters
         ----------
         probability
             ``(..., N)`` of connection after each step of a plan, of one or of many plans.
         history
-            What has happened before.
+            Steps executed before the plan.
         """
 
     def asked(self, p_min: float) -> float:
-        """Return what must be achieved at least."""
+        """Return the least value that suffices."""
         return p_min
 
     def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
-        """Return :meth:`achieved` as numbers ``(...)``.
-
-        Raises
-        ------
-        InputError
-            It has another shape, is not finite, or is a probability below 0 or above 1.
-        """
+        """Return :meth:`achieved` as valid numbers ``(...)``."""
         words = f"{self._number} for each plan of probabilities (..., N)"
         with calling(self, "achieved", key=KEY, remedy=f"return {words}"):
             found = self.achieved(probability, history)
@@ -297,13 +296,7 @@ class OwnRule(Rule):
         )
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return :meth:`asked` as a number.
-
-        Raises
-        ------
-        InputError
-            It is none, or a probability below 0 or above 1.
-        """
+        """Return :meth:`asked` as a valid number."""
         words = self._number
         with calling(self, "asked", key=KEY, remedy=f"return {words}"):
             found = self.asked(p_min)
@@ -311,17 +304,14 @@ class OwnRule(Rule):
         return float(self._within("asked", number, words))
 
     @property
-    def _is_probability(self) -> bool:
-        return self.unit == OwnRule.unit
-
-    @property
     def _number(self) -> str:
-        """Return what a value must be, for messages."""
-        return "one number from 0 to 1" if self._is_probability else "one finite number"
+        """Return the valid values in words."""
+        is_probability = self.unit == OwnRule.unit
+        return "one number from 0 to 1" if is_probability else "one finite number"
 
     def _within(self, method: str, values: NDArray[np.float64], words: str) -> NDArray[np.float64]:
-        """Return the values of a method, which are from 0 to 1 where they are probabilities."""
-        if not self._is_probability:
+        """Return the values of a method, which must be from 0 to 1 if they are probabilities."""
+        if self.unit != OwnRule.unit:
             return values
         inside = np.clip(values, 0.0, 1.0)
         if (np.abs(values - inside) > ROUNDING).any():
@@ -334,11 +324,11 @@ class OwnRule(Rule):
         return inside
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return the value of a path, having checked that it does not fall."""
+        """Return the result of a path, having checked that the value does not fall."""
         self.slopes(case.probability(0.0), case.history)
         return super().by_slack(case)
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Name the rule."""
+        """Return the name of the rule, and the key of its bound."""
         key = self.bound_key if self.asks_p_min else "the rule"
         return f"what constraints.connectivity {self.kind!r} counts", key

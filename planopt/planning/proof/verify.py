@@ -15,7 +15,6 @@ from planopt.objectives.reach import outage_share
 from planopt.planning.certificate import Certificate, RuleResult
 from planopt.planning.history import History
 from planopt.planning.plan import Verdict
-from planopt.planning.proof.connectivity_rules import counted_steps
 from planopt.planning.proof.context import (
     VerifierContext,
     certified_prediction,
@@ -23,7 +22,7 @@ from planopt.planning.proof.context import (
     search_prediction,
 )
 from planopt.planning.proof.motion import is_at_goal, swept_motion, verify_apart, verify_motion
-from planopt.planning.proof.rule import PathCase, rule_reasons, whole_plan_result
+from planopt.planning.proof.rule import PathCase, rule_of, rule_reasons, whole_plan_result
 from planopt.planning.proof.searches import (
     PricedPath,
     best_margins_by_step,
@@ -81,7 +80,7 @@ def verify_single_steps(
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     # Without a bound every margin is infinite.
     margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
-    asked = counted_steps(problem, context.history, len(margins))
+    asked = rule_of(problem).counted(context.history, len(margins))
     missed = np.nonzero((margins < -MARGIN_TOLERANCE_DB) & asked)[0] + 1
     steps = tuple(missed.tolist())
     relaxation = tuple(float(-margins[step - 1]) for step in missed)

@@ -1,21 +1,20 @@
-"""Robots that are to reach goals of their own and keep apart: paths for all, then each one's plan.
+"""One step of all robots that have goals of their own and keep apart.
 
-At each step timed paths to all goals are searched in turn (*courses*). A robot drives as if it were
-alone where that keeps from the courses found before its own; else it gives way: its course is the
-cheapest one in space and time that does (:mod:`planopt.planning.search.timed_search`). A robot that
-finds no course goes first, and all others are searched again; the order is kept for the next step.
-So a robot that stands at its goal steps aside for one that must pass, and comes back.
+Timed paths to all goals are searched in turn (*courses*). A robot drives as if it were alone if
+that keeps clear of the courses found before; else it takes the cheapest course in space and time
+that does (:mod:`planopt.planning.search.timed_search`). A robot without a course goes first and all
+others are searched again; the order is kept for the next step. So a robot at its goal steps aside
+for one that must pass, and returns.
 
-The first steps of the courses keep apart, so that each can be released whatever the others do with
-theirs: each robot plans beside the plans already made and the courses of the robots that have not
-planned yet. Where no courses are found, or a robot with dynamics cannot drive its own, robots plan
-beside what the others have reserved (:mod:`planopt.planning.reservations`).
+The first steps of the courses keep apart, so that each can be released whatever the others do:
+robots plan in turn, clear of the plans made and of the courses of later robots. Without courses, or
+if a robot with dynamics cannot drive its own, they keep clear of reservations
+(:mod:`planopt.planning.reservations`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +23,12 @@ from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal
-from planopt.planning.reach_planner import Outlook, ReachPlanner
-from planopt.planning.reservations import (
-    beside,
-    beside_each_other,
-    has_separation,
-    planned_motion,
-    reserved_motion,
-)
+from planopt.planning.reach_planner import Course, Outlook, ReachPlanner
+from planopt.planning.reservations import has_separation, reserved_motion
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_places
 from planopt.planning.stepping import Planning, PlanStep, TeamMoment
-from planopt.planning.team.team_step import build_team, keep_apart, plan_together
+from planopt.planning.team.team_step import build_team, keep_apart, plan_in_turn, plan_together
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem, problem_of_robot
@@ -43,19 +36,10 @@ from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import MovingDiscs, joined_discs
 
 STAYING = (Rung.SHIFTED, Rung.STOP, Rung.RESERVED, Rung.LEAVE)
-"""Plans that fall back on what was planned before, or on standing."""
+"""Fallbacks that make no progress: the previous plan, standing still, leaving an obstacle."""
 
 NO_LIMIT_M = -1e9
-"""Radius of a moving obstacle beyond the steps for which it is predicted: it keeps nobody away."""
-
-
-@dataclass(frozen=True, eq=False)
-class Course:
-    """The timed path of one robot to its goal."""
-
-    outlook: Outlook  # With the path's first steps
-    places_m: NDArray[np.float64]  # (T + 1, 2) where it would be after each step
-    arrives: bool = True  # Whether it leads to the goal; else to where the robot is in nobody's way
+"""Radius of a moving obstacle beyond the steps for which it is predicted."""
 
 
 class Couriers:
@@ -73,12 +57,10 @@ class Couriers:
         self._arrived: list[int] = []
 
     def plan(self, at: TeamMoment) -> list[Plan]:
-        """Plan a step of every robot."""
+        """Return a plan for every robot."""
+        robots = zip(self._planners, at.beliefs, at.states, at.histories, strict=True)
         outlooks = [
-            planner.outlook(belief, state, history)
-            for planner, belief, state, history in zip(
-                self._planners, at.beliefs, at.states, at.histories, strict=True
-            )
+            planner.outlook(belief, state, history) for planner, belief, state, history in robots
         ]
         if not has_separation(self._problem):
             return [
@@ -94,7 +76,8 @@ class Couriers:
             return self._in_turn(at, outlooks, reserved)
         planned = [course.outlook for course in courses]
         plans = self._in_turn(at, planned, reserved | self._first_steps(courses))
-        if keep_apart(self._problem, plans) and _are_verified(plans):
+        verified = all(plan.verdict is Verdict.VERIFIED for plan in plans)
+        if verified and keep_apart(self._problem, plans):
             return plans
         instead = self._in_turn(at, outlooks, reserved)
         must_move = self._must_move(at, outlooks)
@@ -110,17 +93,17 @@ class Couriers:
         )
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
-        """Return whether plans keep apart, how many lead on if some must, and are verified.
+        """Return whether plans keep apart, how many progress if some must, and are verified.
 
-        Standing is verified where giving way would leave contact at a price: both robots would
-        stand in each other's way for ever.
+        Otherwise two robots could stand in each other's way for ever, where standing is verified
+        and giving way would leave contact at a price.
         """
         leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
         verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
         return keep_apart(self._problem, plans), leading, verified
 
     def _first_steps(self, courses: Sequence[Course]) -> dict[int, TimedMotion]:
-        """Return the part of each course that is driven in the horizon, where it can be driven."""
+        """Return the part of each course within the horizon, if it can be driven."""
         horizon = self._problem.planner.horizon
         return {
             number: TimedMotion(course.places_m[: horizon + 1])
@@ -131,36 +114,26 @@ class Couriers:
     def _in_turn(
         self, at: TeamMoment, outlooks: Sequence[Outlook], kept: Mapping[int, TimedMotion]
     ) -> list[Plan]:
-        """Let robots plan, each beside the plans made and what is kept for the others."""
-        problem = self._problem
-        made: dict[int, Plan] = {}
-        for number in self._order:
-            others = {
-                other: planned_motion(problem, made[other]) if other in made else motion
-                for other, motion in kept.items()
-                if other != number
-            }
-            warm = at.warm[number]
-            reserved = reserved_motion(problem, number, at.states[number], warm)
-            made[number] = self._planners[number].release(
-                outlooks[number],
-                warm,
-                beside(problem, at.driven, others),
-                reserved.places_m[1 : problem.planner.horizon + 1],
-            )
-        return beside_each_other(problem, at.driven, [made[number] for number in sorted(made)])
+        """Let robots plan in turn, clear of the plans made and of the motions kept."""
+
+        def plan_one(
+            number: int, moving: MovingDiscs, reserved_m: NDArray[np.float64], _: Mapping[int, Plan]
+        ) -> Plan:
+            planner, warm = self._planners[number], at.warm[number]
+            return planner.release(outlooks[number], warm, moving, reserved_m[1:])
+
+        return plan_in_turn(self._problem, at, self._order, kept, plan_one)
 
     def _courses(self, at: TeamMoment, outlooks: Sequence[Outlook]) -> list[Course] | None:
-        """Return courses that keep apart, and keep their order; None where none are found.
+        """Return courses that keep apart, and keep their order; None if none are found.
 
-        If no order lets all arrive, some wait where they are in nobody's way: a robot that has
-        been at its goal goes after those that have not, and will let them pass. Where they cannot
-        drive past it in time, it makes room for the first of them.
+        If no order lets all arrive, some wait where they are in no other's way; robots that have
+        been at their goals come last. If these cannot be passed in time, all make room for the
+        first robot that has not arrived.
         """
         for number, state in enumerate(at.states):
-            if number not in self._arrived and is_at_goal(
-                self._planners[number].problem, state[:2]
-            ):
+            at_goal = is_at_goal(self._planners[number].problem, state[:2])
+            if at_goal and number not in self._arrived:
                 self._arrived.append(number)
         alone = self._alone(outlooks)
         order: list[int] = sorted(self._order, key=lambda number: number in self._arrived)
@@ -184,20 +157,18 @@ class Couriers:
     def _with_room(
         self, at: TeamMoment, first: int, alone: Sequence[Course]
     ) -> list[Course] | None:
-        """Return courses on which all others leave the way of robot `first`; None without."""
+        """Return courses on which all others make room for robot `first`; None without."""
         passing = alone[first].places_m
         steps = len(passing) - 1
         found: dict[int, Course] = {}
         for number in self._order:
             if number == first:
                 continue
-            aside = self._planners[number].aside(alone[number].outlook, passing, steps)
-            if aside is None:
+            course = self._planners[number].aside(alone[number].outlook, passing, steps)
+            if course is None:
                 return None
-            course = Course(*aside)
-            if not is_apart(_discs(self._problem, found, steps), course.places_m):
-                continue
-            found[number] = course
+            if is_apart(_discs(self._problem, found, steps), course.places_m):
+                found[number] = course
         for number in (first, *self._order):
             if number not in found:
                 course = self._course(at, number, alone[number], found)
@@ -209,7 +180,7 @@ class Couriers:
     def _in_order(
         self, at: TeamMoment, order: Sequence[int], alone: Sequence[Course]
     ) -> tuple[dict[int, Course], int | None]:
-        """Return the courses found in an order, and which robot does not arrive on its own."""
+        """Return the courses found in an order, and the first robot that does not arrive."""
         found: dict[int, Course] = {}
         late: int | None = None
         for number in order:
@@ -221,12 +192,11 @@ class Couriers:
         return found, late
 
     def _alone(self, outlooks: Sequence[Outlook]) -> list[Course]:
-        """Return the course of each robot if it were alone, all over equally many steps."""
-        problem = self._problem
+        """Return the course of each robot without the others, all over equally many steps."""
+        horizon = self._problem.planner.horizon
         paths: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         for outlook in outlooks:
             start, here = outlook.start, outlook.state[None, :2]
-            horizon = problem.planner.horizon
             path = np.tile(here, (horizon, 1)) if start is None else start.path_m
             paths.append((np.vstack([here, path]), here if start is None else start.route_m))
         longest = [planner.problem.step_length_m - STEP_PAD_M for planner in self._planners]
@@ -235,7 +205,7 @@ class Couriers:
             for path, route in paths
         ]
         steps = max(int(m / step_m) for m, step_m in zip(lengths, longest, strict=True))
-        steps += problem.planner.horizon + 2 + DELAYS_STEPS[-1]
+        steps += horizon + 2 + DELAYS_STEPS[-1]
         return [
             Course(outlook, timed_places(*path, step_m, steps))
             for outlook, path, step_m in zip(outlooks, paths, longest, strict=True)
@@ -244,18 +214,17 @@ class Couriers:
     def _course(
         self, at: TeamMoment, number: int, alone: Course, found: Mapping[int, Course]
     ) -> Course | None:
-        """Return the course of a robot beside those found; None if there is none."""
+        """Return the course of a robot that keeps clear of those found; None if there is none."""
         robots = _discs(self._problem, found, len(alone.places_m) - 1)
         if alone.outlook.start is None or is_apart(robots, alone.places_m):
             return alone
         obstacles = obstacles_ahead(self._problem, at.driven)
         discs = joined_discs(robots, _lasting(obstacles, robots.steps))
-        beside_others = self._planners[number].beside(alone.outlook, discs)
-        return None if beside_others is None else Course(*beside_others)
+        return self._planners[number].beside(alone.outlook, discs)
 
 
 def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> MovingDiscs:
-    """Return robots on their courses as what others keep from."""
+    """Return robots on their courses as moving discs."""
     count = len(courses)
     return MovingDiscs(
         tuple(problem.robots[number].name for number in courses),
@@ -267,7 +236,7 @@ def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> Movin
 
 
 def _lasting(discs: MovingDiscs, steps: int) -> MovingDiscs:
-    """Return discs over more steps, in which they keep nobody away."""
+    """Return discs over more steps, without effect in these."""
     more = steps - discs.steps
     if not len(discs) or more <= 0:
         return discs
@@ -281,19 +250,15 @@ def _lasting(discs: MovingDiscs, steps: int) -> MovingDiscs:
     )
 
 
-def _are_verified(plans: Sequence[Plan]) -> bool:
-    return all(plan.verdict is Verdict.VERIFIED for plan in plans)
-
-
 def planning(
     problem: Problem,
     scenes: Sequence[Scene] | None,
     seeds: TeamSeeds,
     foreseen_m: Sequence[NDArray[np.float64]] | None = None,
 ) -> Planning:
-    """Return what makes of a problem with obstacles what plans a step; as :func:`plan_step`.
+    """Return the function that makes the planner of a workspace; arguments as :func:`plan_step`.
 
-    The scenes are those of the obstacles at the start; where others stand they are built.
+    The scenes are those of the initial obstacles; for others they are built.
     """
 
     def made(now: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
@@ -311,7 +276,7 @@ def plan_step(
     seeds: TeamSeeds,
     foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2)
 ) -> PlanStep:
-    """Return what plans a step: to goals in a scene of each robot, or a team for its terms."""
+    """Return the planner of a step: to goals in a scene of each robot, or for a sum of terms."""
     if scenes is not None:
         couriers = Couriers(problem, scenes)
         return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])

@@ -19,10 +19,10 @@ from planopt.errors import InputError
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
 from planopt.planning.certificate import RuleResult
-from planopt.planning.proof.connectivity_rules import counted_steps
-from planopt.planning.proof.rule import PathCase, whole_plan_result
+from planopt.planning.proof.rule import PathCase, rule_of, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.planning.values.context import StepContext
+from planopt.robots.drive import Drive
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,9 @@ class ObjectiveValue:
 
     situation: StepContext
 
-    def __call__(self, path_m: NDArray[np.float64]) -> float:
-        """Weighted sum of the terms for a path (N, 2), less the price of its slack."""
+    def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
+        """Return the weighted sum of the terms for a path (N, 2), less the price of its slack."""
+        del drive  # terms depend on positions alone
         return float(sum(self.by_term(path_m))) - slack_cost(self.situation, path_m)
 
     def by_term(self, path_m: NDArray[np.float64]) -> tuple[float, ...]:
@@ -143,7 +144,7 @@ def _missed_db(at: StepContext, path_m: NDArray[np.float64]) -> NDArray[np.float
     power, problem = at.power(path_m), at.problem
     margins = margins_asked_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB
-    asked = counted_steps(problem, at.history, len(path_m))
+    asked = rule_of(problem).counted(at.history, len(path_m))
     return np.where(missed & asked, -margins, 0.0)
 
 

@@ -19,7 +19,6 @@ from planopt.planning.plan import Verdict
 from planopt.planning.proof.connectivity_rules import (
     ACCURACY,
     SEED,
-    counted_steps,
     joint_result,
     longest_run,
     path_prediction,
@@ -67,8 +66,8 @@ def test_stated_times_ask_of_their_steps_alone():
 def test_stated_times_are_of_the_run():
     """Six steps on, the time after eight is that of step 2."""
     problem = hand_made("each_step", connected_times_s=(8.0, 8.0, 99.0))
-    assert counted_steps(problem, History(steps=6), 4).tolist() == [False, True, False, False]
-    assert counted_steps(problem, History(steps=8), 4).sum() == 0
+    assert rule_of(problem).counted(History(steps=6), 4).tolist() == [False, True, False, False]
+    assert rule_of(problem).counted(History(steps=8), 4).sum() == 0
     assert judged(problem, GAP, steps=6)[0].verdict is Verdict.VIOLATED
     assert judged(problem, GAP, steps=4)[0].verdict is Verdict.VERIFIED
 

@@ -91,7 +91,7 @@ def standing(problem, start, steps):
     """The judge of a step, and a candidate that stands still."""
     index = index_obstacles(problem.workspace)
     posteriors = belief_of(problem, LEFT_BAD).posteriors
-    judge = Judge(VerifierContext(problem, index, posteriors, start), lambda _: 0.0)
+    judge = Judge(VerifierContext(problem, index, posteriors, start), lambda *_: 0.0)
     path = np.tile(start, (steps, 1))
     return judge, judge.judged(judge.candidate(path, Rung.STOP, Termination.NO_PATH))
 

@@ -1,7 +1,6 @@
 """The worst of robots' certificates."""
 
-from planopt.planning.certificate import Certificate
-from planopt.planning.reservations import worst_of_robots
+from planopt.planning.certificate import Certificate, worst_of_robots
 
 GOOD = Certificate(3.0, 0.95, 0.0, None, "exact")
 BAD = Certificate(

@@ -190,18 +190,18 @@ def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -
     left: shapely.Geometry = whole
     for number, obstacle in enumerate(obstacles):
         if not (shapely.is_valid(obstacle) and obstacle.area > 0.0):
-            raise InputError("the outline is not simple", key=f"obstacles[{number}]")
+            raise InputError("the outline is not simple", key=f"world.obstacles[{number}]")
         left = left.difference(obstacle)
     parts = _parts(left)
     if not parts:
         raise InputError(
-            "obstacles leave nothing of the region", key="obstacles", remedy="leave some out"
+            "obstacles leave nothing of the region", key="world.obstacles", remedy="leave some out"
         )
     if len(parts) > 1:
         areas = ", ".join(f"{part.area:.4g}" for part in parts)
         raise InputError(
             f"obstacles cut the region into {len(parts)} parts of {areas} m^2",
-            key="obstacles",
+            key="world.obstacles",
             remedy="cover each part as a region of its own",
         )
     return shapely.orient_polygons(parts[0])
@@ -215,8 +215,8 @@ def _shrunk(free: shapely.Polygon, clearance_m: float) -> shapely.Polygon:
     if len(parts) != 1:
         raise InputError(
             f"a clearance of {clearance_m:g} m leaves {len(parts)} parts of the region",
-            key="clearance_m",
-            remedy="give a smaller one",
+            key="world.clearance_m",
+            remedy="give a smaller one, or a smaller agents.body_radius_m",
         )
     return shapely.orient_polygons(parts[0])
 
@@ -237,7 +237,7 @@ def _nodes(
     if columns * rows > MAX_NODES:
         raise InputError(
             f"a spacing of {spacing_m:g} m gives {columns * rows} nodes",
-            key="spacing_m",
+            key="world.spacing_m",
             remedy=f"at most {MAX_NODES} are allowed",
         )
     row, column = np.divmod(np.arange(rows * columns), columns)

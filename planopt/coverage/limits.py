@@ -91,17 +91,17 @@ class MoveLimits:
 
     def __post_init__(self) -> None:
         for value, key in (
-            (self.acceleration_m_s2, "limits.acceleration_m_s2"),
-            (self.turn_rate_rad_s, "limits.turn_rate_rad_s"),
+            (self.acceleration_m_s2, "agents.acceleration_max_m_s2"),
+            (self.turn_rate_rad_s, "agents.turn_rate_max_rad_s"),
         ):
             if value is not None and self.speed_m_s == math.inf:
                 raise InputError(
-                    "it needs a largest speed", key=key, remedy="give limits.speed_m_s"
+                    "it needs a largest speed", key=key, remedy="give agents.speed_max_m_s"
                 )
         if self.acceleration_m_s2 is not None and self.turn_rate_rad_s is not None:
             raise InputError(
                 "unicycles with a largest acceleration cannot be planned",
-                key="limits.turn_rate_rad_s",
+                key="agents.turn_rate_max_rad_s",
                 remedy="give one of both limits",
             )
 

@@ -1,7 +1,7 @@
-"""A network at work: it covers, notices events, sends agents there, counts itself, and goes back.
+"""The simulation of a network: agents cover, detect events, respond to them, and go back.
 
-In every step agents talk to their Voronoi neighbours, measure, assign themselves and move. All that
-is random comes from one generator, so that a seed gives one run.
+In every step agents talk to their Voronoi neighbours, measure, assign themselves and move. All
+randomness comes from one generator, so that a seed gives one run.
 """
 
 from __future__ import annotations
@@ -26,77 +26,59 @@ from planopt.coverage.events import Event, Sensing, Watch, event_places, signals
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.ground import neighbour_network
 from planopt.coverage.network import Counting, LinkModel, Loss, Network, Tally, tally_step
-from planopt.coverage.voronoi import positive
 from planopt.errors import InputError
 
-
-@dataclass(frozen=True)
-class Circumstance:
-    """The events, counts and agents that an assignment was made for."""
-
-    agents: frozenset[int]  # Names of the agents that take part
-    # Estimated place (x, y) in metres of each event, by its name
-    events: dict[str, tuple[float, float]]
-
-
-def is_due(last: Circumstance | None, now: Circumstance, moved_m: float) -> bool:
-    """Return whether an assignment has to be made again."""
-    positive(moved_m, "moved_m", zero=True)
-    if last is None or last.agents != now.agents or last.events.keys() != now.events.keys():
-        return True
-    return any(
-        np.hypot(x - last.events[name][0], y - last.events[name][1]) > moved_m
-        for name, (x, y) in now.events.items()
-    )
-
-
 ABSENT = -2
-"""The state of an agent that has not joined yet or has left; `NONE` is that of one that covers."""
+"""State of an agent that has not joined yet or has left; `NONE` is that of one that covers."""
+
+FOLLOWED_M = 1e-6
+"""Largest difference to a saved motion (m, m/s, rad) with which a simulation follows it."""
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+
+Signals = Callable[[int, Numbers], Floats]
+"""Returns the signals (m,) of an event, by its number, that some agents (m,) read now."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The task and the settings of a network."""
+    """The problem and the settings of a network."""
 
-    ground: Ground  # What is covered
-    starts_m: NDArray[np.float64]  # (n, 2) where agents are at first
-    # (n,): an agent takes part from the first time up to before the second
-    joins_s: NDArray[np.float64]
-    leaves_s: NDArray[np.float64]
-    events: tuple[Event, ...]  # What appears, and how many agents each event asks for
-    demands: tuple[Demand, ...]
-    sensing: Sensing | None  # How agents measure; None without events
-    # Radius of the ring about an event that responding agents stand on; None for the event
+    ground: Ground
+    starts_m: Floats  # (n, 2)
+    joins_s: Floats  # (n,): an agent takes part from the first time up to before the second
+    leaves_s: Floats
+    events: tuple[Event, ...]
+    demands: tuple[Demand, ...]  # Number of agents that each event requires
+    sensing: Sensing | None  # None without events
+    # Radius of the ring about an event that responding agents stand on; None for the event itself
     stand_off_m: float | None
     partition: Partition  # Whose cells divide the region
     gains: Gains  # Of the laws; they also set how agents pass the corners of obstacles
-    # An agent is exchanged for one that is nearer by more than the first; agents assign themselves
-    # again when an estimate has moved by more than the second
-    hysteresis_m: float
-    moved_m: float
-    counting: Counting  # How agents know their number
+    hysteresis_m: float  # An agent is exchanged for one that is nearer by more than this
+    moved_m: float  # Agents assign themselves again when an estimate has moved by more than this
+    counting: Counting
     links: LinkModel | None  # Loss of messages by distance; None without losses
     flag_rounds: int  # Rounds of flag propagation in a step, with losses
-    time_step_s: float  # Length of a step and of the run
+    time_step_s: float
     duration_s: float
     settled_m: float  # Agents this near to their targets have settled
-    # Whether the run ends when they have and nothing more is to come
-    stop_when_settled: bool = True
-    # An agent that is to join waits until all others are farther away than that; None for points,
-    # which may share a place
+    stop_when_settled: bool = True  # Whether the run ends when all have, and nothing is to come
+    # Distance of all others at which an agent joins; None for points, which may coincide
     joins_apart_m: float | None = None
-    # Radius of the agents' bodies, which crowd around an event; 0 for points
-    body_radius_m: float = 0.0
+    body_radius_m: float = 0.0  # Bodies crowd around an event; 0 for points
 
-    def due(self, time_s: float) -> NDArray[np.bool_]:
-        """Return who is to take part at a time; (n,)."""
+    def due(self, time_s: float) -> Mask:
+        """Return which agents are to take part at a time; (n,)."""
         return (self.joins_s <= time_s) & (time_s < self.leaves_s)
 
-    def members(
-        self, time_s: float, places_m: NDArray[np.float64], before: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
-        """Return who takes part at a time ``(n,)``: bodies join only where there is room."""
-        # Shapes: places_m (n, 2); before (n,).
+    def members(self, time_s: float, places_m: Floats, before: Mask) -> Mask:
+        """Return which agents take part at a time ``(n,)``: bodies join only where there is room.
+
+        Positions are ``(n, 2)``; `before` is the result of the previous step.
+        """
         due = self.due(time_s)
         if self.joins_apart_m is None or not before.any():
             return due
@@ -106,17 +88,11 @@ class Scene:
             members[number] = bool((apart_m > self.joins_apart_m).all())
         return members
 
-    def has_settled(
-        self,
-        time_s: float,
-        residual_m: float,
-        known: NDArray[np.bool_],  # (k,) which events are known
-        members: NDArray[np.bool_],  # (n,) who takes part
-    ) -> bool:
+    def has_settled(self, time_s: float, residual_m: float, known: Mask, members: Mask) -> bool:
         """Return whether agents are settled for good.
 
-        They are near their targets, know of all events that are there and of no others, nobody
-        waits for room to join, and nothing is to begin, to end or to move on.
+        They are near their targets, know of all events that are there and of no others (`known`,
+        (k,)), nobody waits for room to join, and nothing is to begin, to end or to move on.
         """
         there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
         if residual_m > self.settled_m or (known != there).any():
@@ -133,36 +109,25 @@ class Scene:
 class NetworkRun:
     """The run of a network; ``T`` steps, ``n`` agents, ``k`` events."""
 
-    times_s: NDArray[np.float64]  # (T + 1,)
-    positions_m: NDArray[np.float64]  # (T + 1, n, 2) places; those of absent agents do not change
-    velocities_m_s: NDArray[np.float64]  # (T + 1, n, 2) and (T + 1, n)
-    headings_rad: NDArray[np.float64]
+    times_s: Floats  # (T + 1,)
+    positions_m: Floats  # (T + 1, n, 2); those of absent agents do not change
+    velocities_m_s: Floats  # (T + 1, n, 2) and (T + 1, n)
+    headings_rad: Floats
     # (T, n) number of the event that an agent responds to in the step, `NONE` if it covers,
     # `ABSENT` if it does not take part
-    states: NDArray[np.intp]
-    targets_m: NDArray[np.float64]  # (T, n, 2) where it drives to
-    costs: NDArray[np.float64]  # (T,) coverage cost of all agents that take part, before each step
-    residuals_m: NDArray[np.float64]  # (T,) :func:`residual_m` of each step
-    # (T, n) how many agents each believes there are; NaN for absent ones
-    counts: NDArray[np.float64]
-    # (T, k) how many agents each event asks for, as the agent nearest to it reckons; 0 for an event
-    # that is not known
-    wanted: NDArray[np.intp]
-    # (T, k, 2) and (T, k) estimated places and their uncertainty; NaN if not known
-    estimates_m: NDArray[np.float64]
-    stds_m: NDArray[np.float64]
-    # (T, 3) transmissions over single links in the step: for counting, for assignment, and of
-    # readings
-    messages: NDArray[np.intp]
+    states: Numbers
+    targets_m: Floats  # (T, n, 2)
+    costs: Floats  # (T,) coverage cost of all agents that take part, before each step
+    # (T,) largest distance to a target, or less where limits let an agent move less: then the
+    # distance for which the laws would give this move
+    residuals_m: Floats
+    counts: Floats  # (T, n) each agent's estimate of their number; NaN for absent ones
+    # (T, k) required number of agents by the count of the nearest agent; 0 for unknown events
+    wanted: Numbers
+    estimates_m: Floats  # (T, k, 2) estimated positions and (T, k) uncertainty; NaN if not known
+    stds_m: Floats
+    messages: Numbers  # (T, 3) transmissions over links: for counting, assignment, readings
     settled: bool  # Whether the last step found all agents settled
-
-
-Readings = Callable[[int, NDArray[np.intp]], NDArray[np.float64]]
-"""Gives the signals of an event, by its number, that some agents (m,) read now; (m,)."""
-
-
-FOLLOWED_M = 1e-6
-"""Largest difference to a saved motion (m, m/s, rad) with which a simulation follows it."""
 
 
 def _is_near(own: Motion, saved: Motion) -> bool:
@@ -180,27 +145,27 @@ class NetworkStep:
     """The decisions of a network in one step; ``n`` agents, ``k`` events."""
 
     motion: Motion  # Positions, velocities and headings of all agents at the end of the step
-    states: NDArray[np.intp]  # These and the following are as in :class:`NetworkRun`
-    targets_m: NDArray[np.float64]
+    states: Numbers  # These and the following are as in :class:`NetworkRun`
+    targets_m: Floats
     cost: float
     residual_m: float
-    counts: NDArray[np.float64]
-    wanted: NDArray[np.intp]
-    watches: tuple[Watch, ...]  # (k,) what is known of each event
+    counts: Floats
+    wanted: Numbers
+    watches: tuple[Watch, ...]  # (k,) the network's knowledge of each event
     messages: tuple[int, ...]
     settled: bool  # Whether all agents are settled for good
 
 
 class NetworkController:
-    """The decisions of a network's agents, step by step: a simulation's, or those of a user's loop.
+    """The decisions of a network's agents, step by step: in a simulation, or in a user's loop.
 
-    What agents know of events, of each other and of their number is kept between calls of
-    :meth:`step`; each call is one step of ``scene.time_step_s`` seconds.
+    The knowledge of events and the counts of the agents are kept between calls of :meth:`step`;
+    each call is one step of ``scene.time_step_s`` seconds.
 
     Parameters
     ----------
     scene, mover
-        What is covered, and the law by which agents move.
+        The problem, and the law by which agents move.
     generator
         Source of the randomness in counting and in lost messages.
     """
@@ -212,7 +177,8 @@ class NetworkController:
         self._steps = 0
         self._states = np.full(agents, ABSENT, dtype=np.intp)
         self._watches, self._wanted = (Watch(),) * events, np.zeros(events, dtype=np.intp)
-        self._assigned_for: Circumstance | None = None
+        # Members (n,) and estimates (k, 2) at the last assignment
+        self._assigned_for: tuple[Mask, Floats] | None = None
         self._tally: Tally | None = None
         start = scene.starts_m.astype(np.float64)
         self.motion = Motion(start, np.zeros((agents, 2)), np.zeros(agents))
@@ -220,12 +186,12 @@ class NetworkController:
     def step(
         self,
         positions_m: ArrayLike | None = None,
-        readings: Readings | ArrayLike | None = None,
+        readings: Signals | ArrayLike | None = None,
         *,
         velocities_m_s: ArrayLike | None = None,
         headings_rad: ArrayLike | None = None,
     ) -> NetworkStep:
-        """Return what the agents do in the next step.
+        """Return the decisions of the next step.
 
         Parameters
         ----------
@@ -233,8 +199,8 @@ class NetworkController:
             ``(n, 2)``, ``(n, 2)`` and ``(n,)`` of the agents now; by default as the last step
             planned.
         readings
-            ``(k, n)`` signal of each event at each agent now, or a function that gives the signals
-            of an event at some agents. Needed where there are events.
+            ``(k, n)`` signal of each event at each agent now, or a function that returns the
+            signals of an event at some agents. Needed where there are events.
 
         Raises
         ------
@@ -243,17 +209,13 @@ class NetworkController:
             are missing.
         """
         agents, events = len(self._states), len(self.scene.events)
-        last = self.motion
+        values = (
+            ("positions_m", positions_m, self.motion.places_m),
+            ("velocities_m_s", velocities_m_s, self.motion.velocities_m_s),
+            ("headings_rad", headings_rad, self.motion.headings_rad),
+        )
         motion = Motion(
-            last.places_m
-            if positions_m is None
-            else _numbers("positions_m", positions_m, (agents, 2)),
-            last.velocities_m_s
-            if velocities_m_s is None
-            else _numbers("velocities_m_s", velocities_m_s, (agents, 2)),
-            last.headings_rad
-            if headings_rad is None
-            else _numbers("headings_rad", headings_rad, (agents,)),
+            *(last if now is None else _numbers(key, now, last.shape) for key, now, last in values)
         )
         outside = np.flatnonzero(~self.scene.ground.allows(motion.places_m))
         if len(outside):
@@ -262,73 +224,186 @@ class NetworkController:
                 key=f"positions_m[{outside[0]}]",
                 remedy="correct the position, or the region",
             )
-        if readings is None:
-            if events:
-                raise InputError(
-                    "are left out, and there are events",
-                    key="readings",
-                    remedy="give (k, n) signals",
-                )
-            return self.decide(motion, lambda event, who: np.zeros(len(who)))
+        if readings is None and events:
+            raise InputError(
+                "are left out, and there are events", key="readings", remedy="give (k, n) signals"
+            )
         if callable(readings):
             return self.decide(motion, readings)
-        signals_now = _numbers("readings", readings, (events, agents))
+        now = np.zeros((0, agents)) if readings is None else readings
+        signals_now = _numbers("readings", now, (events, agents))
         return self.decide(motion, lambda event, who: signals_now[event, who])
 
-    def decide(self, motion: Motion, readings: Readings) -> NetworkStep:
-        """Return what the agents do in the next step, from checked arrays."""
-        scene, generator, here = self.scene, self._generator, motion.places_m
+    def decide(self, motion: Motion, readings: Signals) -> NetworkStep:
+        """Return the decisions of the next step, from checked arrays."""
+        scene, here = self.scene, motion.places_m
         agents, time_s = len(self._states), self._steps * scene.time_step_s
         members = scene.members(time_s, here, self._states != ABSENT)
         states = np.where(members, np.maximum(self._states, NONE), ABSENT)
-        who, sent = np.flatnonzero(members), [0, 0, 0]
-        talks = len(scene.events) > 0 or scene.counting.method != "known"
-        network = neighbour_network(scene.ground.hull, here[who]) if talks else None
+        who, sent = np.flatnonzero(members), (0, 0, 0)
         counts = np.where(members, float(len(who)), np.nan)
-        if network is not None:
-            loss = _loss(scene, network, here[who])
-            self._tally = tally_step(self._tally, scene.counting, network, members, generator, loss)
-            counts, sent[0] = self._tally.estimates, self._tally.messages
-            self._watches, sent[2] = _noticed(
-                scene, self._watches, network, loss, here[who], states[who], time_s, generator,
-                lambda event: readings(event, who),
-            )  # fmt: skip
-            wanted = _wanted(scene, self._watches, here[who], counts[who])
-            now = _circumstance(scene, self._watches, who)
-            changed = bool(np.any(loss)) or bool((wanted != self._wanted).any())
-            if changed or is_due(self._assigned_for, now, scene.moved_m):
-                states[who], sent[1] = _assigned(
-                    scene, self._watches, network, loss, here[who], states[who], wanted,
-                    counts[who], generator,
-                )  # fmt: skip
-                self._assigned_for, self._wanted = now, wanted
-        targets, drifts, cost = _aims(scene, self._watches, here, states)
+        if scene.events or scene.counting.method != "known":
+            network = neighbour_network(scene.ground.hull, here[who])
+            loss = 0.0
+            if scene.links is not None:
+                ends = here[who][network.links]
+                loss = scene.links.loss(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
+            self._tally = tally_step(
+                self._tally, scene.counting, network, members, self._generator, loss
+            )
+            counts = self._tally.estimates
+            shared = self._measure(network, loss, here[who], states[who], time_s, readings, who)
+            states[who], assigning = self._assign(
+                network, loss, here[who], states[who], counts[who], members
+            )
+            sent = (self._tally.messages, assigning, shared)
+        targets, drifts, cost = self._targets(here, states)
         responds = states[who] >= 0
-        velocities, headings = np.zeros((agents, 2)), motion.headings_rad.copy()
-        now = Motion(here[who], motion.velocities_m_s[who], headings[who])
+        now = Motion(here[who], motion.velocities_m_s[who], motion.headings_rad[who])
         after = self._mover(scene.ground, now, targets[who], responds, drifts[who])
-        residual = residual_m(scene.gains, scene.time_step_s, now, after, targets[who], responds)
+        left = np.linalg.norm(targets[who] - now.places_m, axis=1)
+        moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
+        moved /= scene.gains.shares(responds, scene.time_step_s)
+        residual = float(np.minimum(left, moved).max())
         known = np.array([watch.is_known for watch in self._watches], dtype=np.bool_)
-        settled = scene.has_settled(time_s, residual, known, members)
-        there = here.copy()
-        there[who], velocities[who], headings[who] = (
-            after.places_m,
-            after.velocities_m_s,
-            after.headings_rad,
-        )
-        self.motion = Motion(there, velocities, headings)
+        places, headings = here.copy(), motion.headings_rad.copy()
+        velocities = np.zeros((agents, 2))
+        places[who], velocities[who] = after.places_m, after.velocities_m_s
+        headings[who] = after.headings_rad
+        self.motion = Motion(places, velocities, headings)
         self._states = states
         self._steps += 1
         return NetworkStep(
             self.motion, states, targets, cost, residual, counts, self._wanted, self._watches,
-            tuple(sent), settled,
+            sent, scene.has_settled(time_s, residual, known, members),
         )  # fmt: skip
 
+    def _measure(
+        self,
+        network: Network,
+        loss: Loss,
+        agents_m: Floats,
+        states: Numbers,
+        time_s: float,
+        readings: Signals,
+        who: Numbers,
+    ) -> int:
+        """Update the knowledge of all events; return the number of readings that were sent.
 
-def _numbers(key: str, given: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        Agents that respond to an event, or detect it, collect their neighbours' readings.
+        """
+        sensing, sent = self.scene.sensing, 0
+        if sensing is None:
+            return 0
+        found: list[Watch] = []
+        sender, receiver = network.directed
+        for number, watch in enumerate(self._watches):
+            signal = readings(number, who)
+            collects = states == number
+            if not collects.any():
+                collects = signal > sensing.detection_std * sensing.sensor.noise_std
+            requested = collects[receiver] & ~collects[sender]
+            sent += int(requested.sum())
+            if np.any(loss):
+                drawn = self._generator.random(len(requested))
+                requested &= drawn >= np.tile(np.asarray(loss), 2)
+            shared = collects.copy()
+            shared[sender[requested]] = True
+            hull = self.scene.ground.hull
+            found.append(watched(watch, sensing, hull, agents_m, signal, shared, time_s))
+        self._watches = tuple(found)
+        return sent
+
+    def _assign(
+        self,
+        network: Network,
+        loss: Loss,
+        agents_m: Floats,
+        states: Numbers,
+        counts: Floats,
+        members: Mask,
+    ) -> tuple[Numbers, int]:
+        """Return the states (m,) of the members after an assignment, and its messages.
+
+        An assignment is made again when members, demands or known events change, when an estimate
+        has moved, and in every step with losses. An agent that does not respond yet announces a
+        distance that is larger by the hysteresis.
+        """
+        scene = self.scene
+        places = np.array([watch.place_m for watch in self._watches]).reshape(-1, 2)
+        known = np.flatnonzero(np.isfinite(places[:, 0]))
+        wanted = np.zeros(len(places), dtype=np.intp)
+        for number in known.tolist():
+            nearest = int(np.linalg.norm(agents_m - places[number], axis=1).argmin())
+            wanted[number] = _demand_of(scene.demands[number], counts[nearest])
+        before, lossy = self._assigned_for, bool(np.any(loss))
+        if not lossy and before is not None and (wanted == self._wanted).all():
+            same = (before[0] == members).all()
+            same &= (np.isnan(places) == np.isnan(before[1])).all()
+            moved_m = np.linalg.norm(places - before[1], axis=1)
+            if same and not (moved_m > scene.moved_m).any():
+                return states, 0
+        self._assigned_for, self._wanted = (members, places), wanted
+        after = np.full(len(states), NONE, dtype=np.intp)
+        if not len(known):
+            return after, 0
+        distances = scene.ground.distances_m(agents_m, places[known])
+        distances += scene.hysteresis_m * (states[:, None] != known)
+        shares, messages = fair_shares(wanted[known], len(states)), 0
+        # Of several events the lists are long enough to replace every agent that takes another.
+        length: int | Numbers = int(shares.sum())
+        if len(known) == 1:
+            demand = scene.demands[int(known[0])]
+            length = np.array([_demand_of(demand, count) for count in counts])
+        flagged = np.zeros(len(states), dtype=np.bool_)
+        for column in distances.T:
+            found = propagate_flags(
+                network, column, length, rounds=scene.flag_rounds if lossy else None, loss=loss,
+                generator=self._generator,
+            )  # fmt: skip
+            flagged, messages = found.flagged, messages + found.messages
+        if len(known) == 1:
+            after[flagged] = known[0]
+            return after, messages
+        match = deferred_acceptance(distances, shares)
+        chosen = match.event_of != NONE
+        after[chosen] = known[match.event_of[chosen]]
+        return after, messages + match.asked + match.released
+
+    def _targets(self, here_m: Floats, states: Numbers) -> tuple[Floats, Floats, float]:
+        """Return targets (n, 2) of all agents, their velocities, and the members' coverage cost."""
+        scene, who = self.scene, np.flatnonzero(states != ABSENT)
+        agents, responds = here_m[who], states[who] >= 0
+        aims = coverage_aims(scene.ground, agents, responds, scene.partition)
+        cost = aims.cost
+        if scene.partition == "coverage_only" and responds.any():
+            cost = coverage_aims(scene.ground, agents, np.zeros_like(responds)).cost
+        targets, own, drifts = here_m.copy(), aims.targets_m.copy(), np.zeros_like(here_m)
+        share = min(scene.gains.event_per_s * scene.time_step_s, 1.0)
+        for number, watch in enumerate(self._watches):
+            team = states[who] == number
+            if not team.any():
+                continue
+            ends = scene.ground.nearest(
+                event_places(agents[team], watch.place_m, scene.stand_off_m, scene.body_radius_m)
+            )
+            own[team] = scene.ground.steered(agents[team], ends, share)
+            # On a path round an obstacle the next corner is the target; it stands.
+            straight = np.linalg.norm(own[team] - ends, axis=1) <= 1e-9 * scene.ground.hull.radius_m
+            drifts[who[team]] = straight[:, None] * watch.velocity_m_s
+        targets[who] = own
+        return targets, drifts, cost
+
+
+def _demand_of(demand: Demand, count: float) -> int:
+    """Return a demand by an agent's count of the agents; 0 before it has counted."""
+    return demanded(demand, round(count)) if np.isfinite(count) else 0
+
+
+def _numbers(key: str, values: Any, shape: tuple[int, ...]) -> Floats:
     """Return finite numbers of a shape."""
     try:
-        found = np.asarray(given, dtype=np.float64)
+        found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         found = np.zeros(0)
     if found.shape != shape or not np.isfinite(found).all():
@@ -361,9 +436,9 @@ def simulate_network(
         here_m, time_s = now.places_m, step * scene.time_step_s
 
         def readings(
-            event: int, who: NDArray[np.intp], here_m: Any = here_m, time_s: float = time_s
-        ) -> NDArray[np.float64]:
-            """Draw what agents read of an event; only networks with a sensor ask."""
+            event: int, who: Numbers, here_m: Any = here_m, time_s: float = time_s
+        ) -> Floats:
+            """Draw the signals of an event at agents; called only where there is a sensor."""
             sensing = cast("Sensing", scene.sensing)
             return signals(scene.events[event], sensing, here_m[who], time_s, generator)
 
@@ -375,173 +450,8 @@ def simulate_network(
     return _run(scene, motions, rows)
 
 
-def _loss(scene: Scene, network: Network, agents_m: NDArray[np.float64]) -> Loss:
-    """Loss of each link by its length."""
-    if scene.links is None:
-        return 0.0
-    ends = agents_m[network.links]
-    return scene.links.loss(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
-
-
-def _noticed(
-    scene: Scene,
-    watches: tuple[Watch, ...],
-    network: Network,
-    loss: Loss,
-    agents_m: NDArray[np.float64],
-    states: NDArray[np.intp],
-    time_s: float,
-    generator: np.random.Generator,
-    readings: Callable[[int], NDArray[np.float64]],
-) -> tuple[tuple[Watch, ...], int]:
-    """Return the knowledge after all have measured, and how many readings were sent.
-
-    Who responds to an event, or detects it, collects its neighbours' readings.
-    """
-    sensing, sent = scene.sensing, 0
-    if sensing is None:
-        return watches, 0
-    found: list[Watch] = []
-    sender, receiver = network.directed
-    lost = np.any(loss)
-    for number, watch in enumerate(watches):
-        signal = readings(number)
-        collects = states == number
-        if not collects.any():
-            collects = signal > sensing.detection_std * sensing.sensor.noise_std
-        asked = collects[receiver] & ~collects[sender]
-        sent += int(asked.sum())
-        if lost:
-            asked &= generator.random(len(asked)) >= np.tile(np.asarray(loss), 2)
-        shared = collects.copy()
-        shared[sender[asked]] = True
-        hull = scene.ground.hull
-        found.append(watched(watch, sensing, hull, agents_m, signal, shared, time_s))
-    return tuple(found), sent
-
-
-def _wanted(
-    scene: Scene,
-    watches: tuple[Watch, ...],
-    agents_m: NDArray[np.float64],
-    counts: NDArray[np.float64],
-) -> NDArray[np.intp]:
-    """Return the demand of each known event (k,), by the count of its nearest agent."""
-    wanted = np.zeros(len(watches), dtype=np.intp)
-    for number, (watch, demand) in enumerate(zip(watches, scene.demands, strict=True)):
-        if watch.is_known:
-            nearest = int(np.linalg.norm(agents_m - watch.place_m, axis=1).argmin())
-            believed = counts[nearest]
-            wanted[number] = demanded(demand, round(believed)) if np.isfinite(believed) else 0
-    return wanted
-
-
-def _circumstance(scene: Scene, watches: tuple[Watch, ...], who: NDArray[np.intp]) -> Circumstance:
-    """Return the circumstance that an assignment now would be made for."""
-    places = {
-        event.name: (float(watch.place_m[0]), float(watch.place_m[1]))
-        for event, watch in zip(scene.events, watches, strict=True)
-        if watch.is_known
-    }
-    return Circumstance(frozenset(who.tolist()), places)
-
-
-def _assigned(
-    scene: Scene,
-    watches: tuple[Watch, ...],
-    network: Network,
-    loss: Loss,
-    agents_m: NDArray[np.float64],
-    states: NDArray[np.intp],
-    wanted: NDArray[np.intp],
-    counts: NDArray[np.float64],
-    generator: np.random.Generator,
-) -> tuple[NDArray[np.intp], int]:
-    """New states (n,) of the members, and how many messages it took.
-
-    An agent that does not respond yet announces a distance that is larger by the hysteresis, so
-    that it replaces another only if it is nearer by more than that.
-    """
-    known = [number for number, watch in enumerate(watches) if watch.is_known]
-    after = np.full(len(states), NONE, dtype=np.intp)
-    if not known:
-        return after, 0
-    places = np.array([watches[number].place_m for number in known])
-    distances = scene.ground.distances_m(agents_m, places)
-    distances += scene.hysteresis_m * (states[:, None] != np.array(known))
-    rounds = scene.flag_rounds if np.any(loss) else None
-    if len(known) == 1:
-        demand = scene.demands[known[0]]
-        own = np.array([demanded(demand, round(c)) if np.isfinite(c) else 0 for c in counts])
-        found = propagate_flags(
-            network, distances[:, 0], own, rounds=rounds, loss=loss, generator=generator
-        )
-        after[found.flagged] = known[0]
-        return after, found.messages
-    # The lists are long enough to replace every agent that takes another event.
-    shares = fair_shares(wanted[known], len(states))
-    length, messages = int(shares.sum()), 0
-    for column in distances.T:
-        messages += propagate_flags(
-            network, column, length, rounds=rounds, loss=loss, generator=generator
-        ).messages
-    match = deferred_acceptance(distances, shares)
-    chosen = match.event_of != NONE
-    after[chosen] = np.array(known)[match.event_of[chosen]]
-    return after, messages + match.asked + match.released
-
-
-def _aims(
-    scene: Scene,
-    watches: tuple[Watch, ...],
-    here_m: NDArray[np.float64],
-    states: NDArray[np.intp],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Targets (n, 2) of all agents, their velocities, and the coverage cost of who takes part."""
-    who = np.flatnonzero(states != ABSENT)
-    agents, responds = here_m[who], states[who] >= 0
-    aims = coverage_aims(scene.ground, agents, responds, scene.partition)
-    cost = aims.cost
-    if scene.partition == "coverage_only" and responds.any():
-        cost = coverage_aims(scene.ground, agents, np.zeros_like(responds)).cost
-    targets, own, drifts = here_m.copy(), aims.targets_m.copy(), np.zeros_like(here_m)
-    for number in range(len(watches)):
-        team = states[who] == number
-        if not team.any():
-            continue
-        ends = event_places(
-            agents[team], watches[number].place_m, scene.stand_off_m, scene.body_radius_m
-        )
-        share = min(scene.gains.event_per_s * scene.time_step_s, 1.0)
-        ends = scene.ground.nearest(ends)
-        own[team] = scene.ground.steered(agents[team], ends, share)
-        # On the way round an obstacle the next corner is the target; it stands.
-        straight = np.linalg.norm(own[team] - ends, axis=1) <= 1e-9 * scene.ground.hull.radius_m
-        drifts[who[team]] = straight[:, None] * watches[number].velocity_m_s
-    targets[who] = own
-    return targets, drifts, cost
-
-
-def residual_m(
-    gains: Gains,
-    time_step_s: float,
-    now: Motion,
-    after: Motion,
-    targets_m: NDArray[np.float64],
-    responds: NDArray[np.bool_],
-) -> float:
-    """Return how far the farthest agent still has to go in one step.
-
-    That is the distance to its target, or less if limits such as radio links let it move less: then
-    the distance for which the laws would ask for this move.
-    """
-    left = np.linalg.norm(targets_m - now.places_m, axis=1)
-    moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
-    return float(np.minimum(left, moved / gains.shares(responds, time_step_s)).max())
-
-
 def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> NetworkRun:
-    """The records of all steps as arrays."""
+    """Return the records of all steps as arrays."""
     steps, events = len(rows), len(scene.events)
     places = np.array([[watch.place_m for watch in row.watches] for row in rows])
     stds = np.array([[watch.std_m for watch in row.watches] for row in rows])

@@ -60,7 +60,7 @@ def convex_region(polygon: shapely.Polygon | NDArray[np.float64]) -> ConvexRegio
     if checked.interiors or missing_m2 > ON_BORDER * hull.area:
         raise InputError(
             "the region is not convex" if not checked.interiors else "the region has holes",
-            key="region",
+            key="world.outline_m",
             remedy="cover it with geodesic cells",
         )
     corners = _corners(np.asarray(shapely.get_coordinates(hull), dtype=np.float64)[:-1])
@@ -82,21 +82,21 @@ def checked_polygon(polygon: shapely.Polygon | NDArray[np.float64]) -> shapely.P
     if coordinates.ndim != 2 or coordinates.shape[1] != 2 or len(coordinates) < 3:
         raise InputError(
             f"an outline of shape {coordinates.shape} is not a polygon",
-            key="region",
+            key="world.outline_m",
             remedy="give at least three corners of two coordinates",
         )
     if not np.isfinite(coordinates).all():
-        raise InputError("a corner of the region is not finite", key="region")
+        raise InputError("a corner of the region is not finite", key="world.outline_m")
     candidate = polygon if isinstance(polygon, shapely.Polygon) else shapely.Polygon(coordinates)
     if not shapely.is_valid(candidate):
         raise InputError(
             f"the region's outline is not simple: {shapely.is_valid_reason(candidate)}",
-            key="region",
+            key="world.outline_m",
             remedy="give corners in order, without crossings",
         )
     extent = float(np.ptp(coordinates, axis=0).max())
     if not candidate.area > ON_BORDER * extent**2:
-        raise InputError("the region has no area", key="region")
+        raise InputError("the region has no area", key="world.outline_m")
     return candidate
 
 

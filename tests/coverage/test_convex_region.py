@@ -48,7 +48,7 @@ def test_what_is_no_region(outline: shapely.Polygon | NDArray[np.float64], words
     """Every fault of an outline gets its message and the key."""
     with pytest.raises(InputError, match=words) as caught:
         convex_region(outline)
-    assert caught.value.key == "region"
+    assert caught.value.key == "world.outline_m"
 
 
 def test_places_outside_are_named() -> None:

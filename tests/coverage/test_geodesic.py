@@ -161,12 +161,12 @@ def test_agent_at_a_corner() -> None:
 def test_bad_regions() -> None:
     """Regions that are cut in two, covered, or divided too finely are refused."""
     cases = [
-        (lambda: geodesic_ground(OUTLINE, [shapely.box(50, -1, 51, 101)], 4.0), "obstacles"),
-        (lambda: geodesic_ground(OUTLINE, [shapely.box(-1, -1, 101, 101)], 4.0), "obstacles"),
-        (lambda: geodesic_ground(OUTLINE, [shapely.Polygon()], 4.0), "obstacles[0]"),
-        (lambda: geodesic_ground(OUTLINE[[0, 2, 1, 3]], [], 4.0), "region"),
-        (lambda: geodesic_ground(OUTLINE, [], 0.01), "spacing_m"),
-        (lambda: geodesic_ground(OUTLINE, OBSTACLES, 4.0, clearance_m=25.0), "clearance_m"),
+        (lambda: geodesic_ground(OUTLINE, [shapely.box(50, -1, 51, 101)], 4.0), "world.obstacles"),
+        (lambda: geodesic_ground(OUTLINE, [shapely.box(-1, -1, 101, 101)], 4.0), "world.obstacles"),
+        (lambda: geodesic_ground(OUTLINE, [shapely.Polygon()], 4.0), "world.obstacles[0]"),
+        (lambda: geodesic_ground(OUTLINE[[0, 2, 1, 3]], [], 4.0), "world.outline_m"),
+        (lambda: geodesic_ground(OUTLINE, [], 0.01), "world.spacing_m"),
+        (lambda: geodesic_ground(OUTLINE, OBSTACLES, 4.0, clearance_m=25.0), "world.clearance_m"),
     ]
     for attempt, key in cases:
         with pytest.raises(InputError) as caught:

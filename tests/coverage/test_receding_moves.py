@@ -342,19 +342,20 @@ def test_double_integrators_can_always_stop(square: ConvexRegion) -> None:
 
 
 @pytest.mark.parametrize(
-    ("agents", "speed", "more", "key"),
+    ("apart_m", "speed", "more", "key"),
     [
-        ([[1.0, 1.0], [1.5, 1.0]], 0.0, {}, "agents"),
-        ([[10.0, 10.0], [20.0, 10.0]], 9.0, {}, "velocities"),
-        ([[10.0, 10.0], [20.0, 10.0]], 0.0, {"turn_rate_rad_s": 1.0}, "limits.turn_rate_rad_s"),
-        ([[10.0, 10.0], [20.0, 10.0]], 0.0, {"speed_m_s": math.inf}, "limits.acceleration_m_s2"),
+        (0.5, 0.0, {}, "agents"),
+        (10.0, 9.0, {}, "velocities"),
+        (10.0, 0.0, {"turn_rate_rad_s": 1.0}, "agents.turn_rate_max_rad_s"),
+        (10.0, 0.0, {"speed_m_s": math.inf}, "agents.acceleration_max_m_s2"),
     ],
 )
 def test_wrong_input_is_named(
-    square: ConvexRegion, agents: list[list[float]], speed: float, more: dict[str, float], key: str
+    square: ConvexRegion, apart_m: float, speed: float, more: dict[str, float], key: str
 ) -> None:
     """Touching bodies, agents that are too fast, and limits that do not fit are refused."""
     limits = {"speed_m_s": 1.0, "body_radius_m": 1.0, "acceleration_m_s2": 1.0} | more
+    agents = [[10.0, 10.0], [10.0 + apart_m, 10.0]]
     here, now = np.array(agents), np.full((2, 2), speed)
     with pytest.raises(InputError) as caught:
         plan_moves(

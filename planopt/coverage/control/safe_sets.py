@@ -167,7 +167,7 @@ def separate_cells(
             f"agents {one[worst]} and {other[worst]} are {gap[worst]:g} m apart, their bodies "
             f"touch at {2.0 * body_radius_m:g} m",
             key="agents",
-            remedy="place them farther apart, or give a smaller limits.body_radius_m",
+            remedy="place them farther apart, or give a smaller agents.body_radius_m",
         )
     normal = link / gap[:, None]
     middle = (normal * (0.5 * (here + there))).sum(axis=1)
@@ -227,7 +227,7 @@ def ground_sets(
     if kept_m < keep_m - ON_BORDER * ground.hull.radius_m:
         raise InputError(
             f"the ground keeps {kept_m:g} m from obstacles, agents have to keep {keep_m:g} m",
-            key="limits.clearance_m",
+            key="world.clearance_m",
             remedy="make the ground with that clearance",
         )
     # As much of the way as is in reach and free.

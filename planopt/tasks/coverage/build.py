@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from planopt.coverage.assignment import LEAST_ON_RING, Demand, demanded
-from planopt.coverage.control.movers import Gains, LawMover, Mover, RecedingMover
+from planopt.coverage.assignment import LEAST_ON_RING, Demand
+from planopt.coverage.control.movers import LawMover, Mover, RecedingMover
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.density import Density, RasterDensity, checked_mass
 from planopt.coverage.events import Event, Sensing
-from planopt.coverage.geodesic import MAX_NODES, Ground, geodesic_ground
+from planopt.coverage.geodesic import Ground, geodesic_ground
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import MoveLimits, RadioLimits, StationMap
 from planopt.coverage.localisation import EventSensor
@@ -28,13 +28,15 @@ from planopt.coverage.voronoi import checked_polygon, convex_region
 from planopt.errors import InputError
 from planopt.problems.tasks import TaskProblem
 from planopt.problems.world_tables import obstacle_table, obstacles_of
-from planopt.tasks.coverage.demands import DemandContext
-from planopt.tasks.coverage.tables import (
-    CoverageFile,
-    PlacesTable,
-    WorldTable,
+from planopt.tasks.coverage.parts import (
+    demand_of,
+    density_of,
     has_room,
+    radio_of,
+    starts_of,
+    station_map_of,
 )
+from planopt.tasks.coverage.tables import CoverageFile, PlacesTable, WorldTable
 from planopt.world.raster import Raster
 from planopt.world.workspace import Obstacle
 
@@ -47,35 +49,32 @@ SETTLED_SHARE = 0.01
 MEMORY_STEPS = 10
 """Where events move, readings of so many steps are kept if no memory is given."""
 
-Made = TypeVar("Made")
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CoverageProblem(TaskProblem):
     """A network to simulate."""
 
     given: CoverageFile
-    ground: Ground  # What is covered, its weights, and what stands in it
+    ground: Ground
     density: Density
     obstacles: tuple[Obstacle, ...]
-    events: tuple[Event, ...]  # What appears, how many agents it asks for, and how they measure it
-    demands: tuple[Demand, ...]
+    events: tuple[Event, ...]
+    demands: tuple[Demand, ...]  # Number of agents that each event requires
     sensing: Sensing | None
-    joins_s: NDArray[np.float64]  # (n,) when agents take part
+    joins_s: NDArray[np.float64]  # (n,) times when agents join and leave
     leaves_s: NDArray[np.float64]
-    # Learnt links to stations; None where they follow the law
-    station_map: StationMap | None = None
+    station_map: StationMap | None = None  # Learnt links to stations; None if they follow the law
 
     @property
     def settled_m(self) -> float:
-        """Agents this near to their targets have settled."""
+        """Return the distance to its target at which an agent has settled."""
         given = self.given.control.settled_m
         spacing_m = math.sqrt(self.ground.area_m2 / len(self.joins_s))
         return SETTLED_SHARE * spacing_m if given is None else given
 
     @property
     def stand_off_m(self) -> float | None:
-        """Radius of the ring that responding agents stand on; None for the event itself."""
+        """Return the radius of the ring that responding agents stand on; None for the event."""
         if self.sensing is None or not self.given.assignment.stand_off:
             return None
         return self.sensing.sensor.best_distance_m
@@ -83,12 +82,39 @@ class CoverageProblem(TaskProblem):
     def scene(self, generator: np.random.Generator) -> Scene:
         """Return the scene of one run: starts may be drawn."""
         given, control, limits = self.given, self.given.control, self.limits
-        start, body_m = given.agents.start, limits.body_radius_m
-        starts = start.places(self.ground, generator, body_m)
+        body_m, rules = limits.body_radius_m, given.assignment
+        return Scene(
+            self.ground,
+            self._starts(generator),
+            self.joins_s,
+            self.leaves_s,
+            self.events,
+            self.demands,
+            self.sensing,
+            self.stand_off_m,
+            control.partition,
+            control.gains,
+            rules.hysteresis_m,
+            rules.moved_m,
+            Counting(**given.counting.model_dump()),
+            None if given.links is None else LinkModel(**given.links.model_dump()),
+            rules.flag_rounds,
+            control.time_step_s,
+            control.duration_s,
+            self.settled_m,
+            control.stop_when_settled,
+            2.0 * body_m + limits.longest_stop_m if body_m > 0.0 else None,
+            body_m,
+        )
+
+    def _starts(self, generator: np.random.Generator) -> NDArray[np.float64]:
+        """Return where agents start, (n, 2): free, apart, and linked to a station."""
+        table, body_m = self.given.agents, self.given.agents.body_radius_m
+        starts = starts_of(table, self.ground, generator)
+        listed = isinstance(table.start, PlacesTable)
 
         def key(agent: int) -> str:
-            """The key that says where an agent starts."""
-            listed = isinstance(start, PlacesTable)
+            """Return the key that determines where an agent starts."""
             return f"agents.start.places_m[{agent}]" if listed else "agents.start"
 
         outside = np.flatnonzero(~has_room(self.ground, starts, body_m))
@@ -99,7 +125,7 @@ class CoverageProblem(TaskProblem):
                 "or too near to one",
                 key=key(int(outside[0])),
             )
-        for joins_s in np.unique(self.joins_s) if body_m > 0.0 else ():
+        for joins_s in np.unique(self.joins_s):
             who = np.flatnonzero(self.joins_s == joins_s)
             touching = overlapping(starts[who], body_m)
             if touching is not None:
@@ -119,30 +145,7 @@ class CoverageProblem(TaskProblem):
                     key="agents.start",
                     remedy="start nearer to a station, or ask for a smaller radio.p_min",
                 )
-        rules, links = given.assignment, given.links
-        return Scene(
-            self.ground,
-            starts,
-            self.joins_s,
-            self.leaves_s,
-            self.events,
-            self.demands,
-            self.sensing,
-            self.stand_off_m,
-            control.partition,
-            Gains(control.event_gain_per_s, control.coverage_gain_per_s),
-            rules.hysteresis_m,
-            rules.moved_m,
-            Counting(**given.counting.model_dump()),
-            None if links is None else LinkModel(**links.model_dump()),
-            rules.flag_rounds,
-            control.time_step_s,
-            control.duration_s,
-            self.settled_m,
-            control.stop_when_settled,
-            2.0 * body_m + limits.longest_stop_m if body_m > 0.0 else None,
-            body_m,
-        )
+        return starts
 
     @property
     def limits(self) -> MoveLimits:
@@ -162,16 +165,17 @@ class CoverageProblem(TaskProblem):
     def radio(self) -> RadioLimits | None:
         """The links that agents keep; None for none."""
         table = self.given.radio
-        return None if table is None else table.limits(self.station_map)
+        return None if table is None else radio_of(table, self.station_map)
 
     @property
     def mover(self) -> Mover:
-        """Return how agents move."""
+        """Return the law by which agents move."""
         planner = self.given.planner
         control, limits = self.given.control, self.limits
-        gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
         if planner.name == "receding":
-            return RecedingMover(gains, limits, planner.horizon, self.radio, planner.lead_events)
+            return RecedingMover(
+                control.gains, limits, planner.horizon, self.radio, planner.lead_events
+            )
         bodies = limits.body_radius_m > 0.0
         inert = limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None
         if inert or bodies:
@@ -181,7 +185,7 @@ class CoverageProblem(TaskProblem):
                 key="planner.name",
                 remedy="use receding",
             )
-        return LawMover(gains, control.time_step_s, self.given.agents.speed_max_m_s)
+        return LawMover(control.gains, control.time_step_s, self.given.agents.speed_max_m_s)
 
     def tables(self) -> dict[str, Any]:
         """Return the tables with every default, obstacles as polygons, rasters in place."""
@@ -235,60 +239,39 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
         for index, table in enumerate(given.world.obstacles)
         for obstacle in obstacles_of(table, index, folder)
     )
-    density = _keyed(lambda: given.density.density(folder), {})
-    outline = "bounds_m" if given.world.outline_m is None else "outline_m"
-    ground = _keyed(
-        lambda: _ground(given.world, obstacles, density, given.agents.body_radius_m),
-        {
-            "region": f"world.{outline}",
-            "obstacles": "world.obstacles",
-            "spacing_m": "world.spacing_m",
-            "clearance_m": "world.clearance_m"
-            if given.world.clearance_m >= given.agents.body_radius_m
-            else "agents.body_radius_m",
-        },
-    )
+    density, control, sensing = density_of(given.density, folder), given.control, _sensing(given)
+    ground = _ground(given.world, obstacles, density, given.agents.body_radius_m)
     agents = given.agents.start.number
     joins, leaves = _times(given, agents)
-    control, sensing = given.control, _sensing(given)
-    Gains(control.event_gain_per_s, control.coverage_gain_per_s).shares(
-        np.array([True]), control.time_step_s
-    )
+    given.control.gains.shares(np.array([True]), control.time_step_s)
     if control.duration_s < control.time_step_s:
         raise InputError("is shorter than a step", key="control.duration_s")
-    events = tuple(_event(given, number, ground) for number in range(len(given.events)))
-    names = [each.name for each in events]
-    for number, name in enumerate(names):
-        if name in names[:number]:
-            raise InputError(f"{name!r} is there twice", key=f"events[{number}].name")
+    events: list[Event] = []
     demands: list[Demand] = []
     for number, table in enumerate(given.events):
+        key, event = f"events[{number}]", _event(given, number, ground)
+        if event.name in [each.name for each in events]:
+            raise InputError(f"{event.name!r} is there twice", key=f"{key}.name")
         if sensing is None:
             raise InputError("is left out", key="sensor", remedy="events need [sensor]")
-        context = DemandContext(sensing.sensor, ground.area_m2, agents)
-        demand = _keyed(
-            lambda table=table, context=context: table.demand.demand(context),
-            {
-                "demand": f"events[{number}].demand",
-                "accuracy_m": f"events[{number}].demand.accuracy_m",
-                "agents": f"events[{number}].demand.agents",
-                "remaining": f"events[{number}].demand.remaining",
-                "steps": f"events[{number}].demand.steps",
-            },
+        events.append(event)
+        demands.append(
+            demand_of(table.demand, f"{key}.demand", sensing.sensor, ground.area_m2, agents)
         )
-        _keyed(
-            lambda demand=demand: demanded(demand, agents), {"demand": f"events[{number}].demand"}
-        )
-        demands.append(demand)
     _require_agents(events, joins, leaves)
-    _require_pair(given, agents)
-    mapped = None if given.radio is None else given.radio.station_map(ground, folder)
+    if given.assignment.stand_off and agents < LEAST_ON_RING:
+        raise InputError(
+            f"one agent of {agents} measures no position from a ring",
+            key="assignment.stand_off",
+            remedy=f"give {LEAST_ON_RING} agents or more",
+        )
+    mapped = None if given.radio is None else station_map_of(given.radio, ground, folder)
     problem = CoverageProblem(
-        given, file, ground, density, obstacles, events, tuple(demands), sensing, joins, leaves,
-        mapped,
+        given, file, ground, density, obstacles, tuple(events), tuple(demands), sensing, joins,
+        leaves, mapped,
     )  # fmt: skip
     problem.scene(np.random.default_rng(0))
-    _keyed(lambda: problem.mover, {"limits": "agents"})
+    assert problem.mover
     return problem
 
 
@@ -303,24 +286,10 @@ def overlapping(places_m: NDArray[np.float64], body_radius_m: float) -> tuple[in
     return min(touching, default=None)
 
 
-def _keyed(make: Callable[[], Made], keys: dict[str, str]) -> Made:
-    """Return what `make` does; keys of the library in its errors become those of the file."""
-    try:
-        return make()
-    except InputError as error:
-        key = error.key
-        for short, full in keys.items():
-            if key is not None and (key == short or key.startswith((f"{short}[", f"{short}."))):
-                key = full + key[len(short) :]
-                break
-        raise InputError(
-            error.message, file=error.file, key=key, row=error.row, remedy=error.remedy
-        ) from error
-
-
 def _ground(
     world: WorldTable, obstacles: tuple[Obstacle, ...], density: Density, body_radius_m: float
 ) -> Ground:
+    """Return the ground of a world: exact cells if it is convex and free, else geodesic ones."""
     if world.bounds_m is not None:
         x0, y0, x1, y1 = world.bounds_m
         if not (x0 < x1 and y0 < y1):
@@ -342,11 +311,6 @@ def _ground(
             remedy="leave it out: geodesic cells have no limited range",
         )
     spacing_m = world.spacing_m or math.sqrt(outline.area / NODES)
-    x0, y0, x1, y1 = outline.bounds
-    if (x1 - x0) * (y1 - y0) > MAX_NODES * spacing_m**2:
-        raise InputError(
-            f"gives more than {MAX_NODES} nodes", key="world.spacing_m", remedy="give a larger one"
-        )
     shapes = [each.polygon for each in obstacles]
     keep_m = max(world.clearance_m, body_radius_m)
     return geodesic_ground(outline, shapes, spacing_m, density, keep_m)
@@ -374,6 +338,7 @@ def _times(given: CoverageFile, agents: int) -> tuple[NDArray[np.float64], NDArr
 
 
 def _sensing(given: CoverageFile) -> Sensing | None:
+    """Return the sensor of events; None without."""
     table = given.sensor
     if table is None:
         return None
@@ -392,6 +357,7 @@ def _sensing(given: CoverageFile) -> Sensing | None:
 
 
 def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
+    """Return an event, which stays where agents may be."""
     table, key = given.events[number], f"events[{number}]"
     ends_s = math.inf if table.ends_s is None else table.ends_s
     if ends_s <= table.appears_s:
@@ -412,9 +378,9 @@ def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
 
 
 def _require_agents(
-    events: tuple[Event, ...], joins: NDArray[np.float64], leaves: NDArray[np.float64]
+    events: Sequence[Event], joins: NDArray[np.float64], leaves: NDArray[np.float64]
 ) -> None:
-    """There is an agent for each event at least, whenever one appears."""
+    """Refuse fewer agents than events at the time when one appears."""
     for number, event in enumerate(events):
         there = sum(each.is_there(event.appears_s) for each in events)
         agents = int(((joins <= event.appears_s) & (event.appears_s < leaves)).sum())
@@ -424,12 +390,3 @@ def _require_agents(
                 key=f"events[{number}].appears_s",
                 remedy="give more agents, or fewer events at a time",
             )
-
-
-def _require_pair(given: CoverageFile, agents: int) -> None:
-    if given.assignment.stand_off and agents < LEAST_ON_RING:
-        raise InputError(
-            f"one agent of {agents} tells no place from a ring",
-            key="assignment.stand_off",
-            remedy=f"give {LEAST_ON_RING} agents or more",
-        )

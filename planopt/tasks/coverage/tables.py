@@ -1,35 +1,19 @@
-"""Problem files of the task coverage, and the scene that they describe."""
+"""Tables of problem files of the task coverage."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from planopt.coverage.control.movers import Partition
-from planopt.coverage.density import Density, GaussianMixture, RasterDensity, UniformDensity
+from planopt.coverage.control.movers import Gains, Partition
 from planopt.coverage.events import Sensing
-from planopt.coverage.geodesic import Ground
 from planopt.coverage.network import Counting, Method
-from planopt.errors import InputError
 from planopt.keys import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.world_tables import ObstacleTable
-from planopt.tasks.coverage.demands import DemandTable
-from planopt.tasks.coverage.radio import RadioTable
 from planopt.tasks.task import TaskFile
-from planopt.world.raster import checked_raster
-from planopt.world.raster_files import read_raster
-
-START_TRIES = 400
-"""Places that are drawn for agents that start at random, and four more for each agent."""
-
-START_SPARE = 0.1
-"""Bodies that start at random places are apart by this share of their radius at least."""
 
 PlannerName = Literal["law", "receding"]
 
@@ -39,10 +23,6 @@ class UniformTable(Table):
 
     kind: Literal["uniform"]
     weight_per_m2: float = Field(default=1.0, ge=SMALLEST, le=1e9, description="The weight.")
-
-    def density(self, folder: Path) -> Density:
-        """Return the density."""
-        return UniformDensity(self.weight_per_m2)
 
 
 class BumpTable(Table):
@@ -60,13 +40,6 @@ class GaussiansTable(Table):
     bumps: list[BumpTable] = Field(min_length=1, max_length=100, description="The bumps.")
     floor_per_m2: float = Field(default=0.0, ge=0, le=1e9, description="Added everywhere.")
 
-    def density(self, folder: Path) -> Density:
-        """Return the density."""
-        spread = np.array([each.std_m**2 * np.eye(2) for each in self.bumps])
-        weights = np.array([each.weight for each in self.bumps])
-        means = np.array([each.mean_m for each in self.bumps])
-        return GaussianMixture(weights, means, spread, self.floor_per_m2)
-
 
 class RasterDensityTable(Table):
     """Values on a grid, from a file or in place."""
@@ -81,17 +54,6 @@ class RasterDensityTable(Table):
     values: list[list[float]] | None = Field(
         default=None, description="In place: a row for each y, from the smallest."
     )
-
-    def density(self, folder: Path) -> RasterDensity:
-        """Return the density."""
-        if self.file is not None:
-            return RasterDensity(read_raster(folder / self.file, self.variable))
-        if self.values is None or len({len(row) for row in self.values}) != 1:
-            raise InputError(
-                "has neither file nor values of rows of one length", key="density.values"
-            )
-        x, y = (np.array(each or [], dtype=np.float64) for each in (self.x_m, self.y_m))
-        return RasterDensity(checked_raster(x, y, np.array(self.values), "density"))
 
 
 DensityTable = Annotated[
@@ -127,21 +89,15 @@ class WorldTable(Table):
 
 
 class PlacesTable(Table):
-    """Agents start at given places."""
+    """Agents start at listed positions."""
 
     kind: Literal["list"]
     places_m: list[Pair] = Field(min_length=1, max_length=20_000, description="Their [x, y].")
 
     @property
     def number(self) -> int:
-        """Return how many agents there are."""
+        """Return the number of agents."""
         return len(self.places_m)
-
-    def places(
-        self, ground: Ground, generator: np.random.Generator, body_radius_m: float = 0.0
-    ) -> NDArray[np.float64]:
-        """Return where agents start."""
-        return np.array(self.places_m)
 
 
 class GridTable(Table):
@@ -154,21 +110,12 @@ class GridTable(Table):
 
     @property
     def number(self) -> int:
-        """Return how many agents there are."""
+        """Return the number of agents."""
         return self.columns * self.rows
-
-    def places(
-        self, ground: Ground, generator: np.random.Generator, body_radius_m: float = 0.0
-    ) -> NDArray[np.float64]:
-        """Return where agents start."""
-        x0, y0, x1, y1 = self.within_m
-        x = x0 + (x1 - x0) * (np.arange(self.columns) + 0.5) / self.columns
-        y = y0 + (y1 - y0) * (np.arange(self.rows) + 0.5) / self.rows
-        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
 class RandomTable(Table):
-    """Agents start at places drawn from the random seed."""
+    """Agents start at positions drawn from the random seed."""
 
     kind: Literal["random"]
     count: int = Field(ge=1, le=20_000, description="How many agents.")
@@ -178,54 +125,61 @@ class RandomTable(Table):
 
     @property
     def number(self) -> int:
-        """Return how many agents there are."""
+        """Return the number of agents."""
         return self.count
 
-    def places(
-        self, ground: Ground, generator: np.random.Generator, body_radius_m: float = 0.0
-    ) -> NDArray[np.float64]:
-        """Return where agents start."""
-        corners = ground.hull.corners_m
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        if self.within_m is not None:
-            low, high = np.array(self.within_m[:2]), np.array(self.within_m[2:])
-        drawn = low + (high - low) * generator.random((START_TRIES + 4 * self.count, 2))
-        found = drawn[has_room(ground, drawn, body_radius_m)]
-        if body_radius_m > 0.0:
-            found = found[_spread(found, (2.0 + START_SPARE) * body_radius_m, self.count)]
-        found = found[: self.count]
-        if len(found) < self.count:
-            raise InputError(
-                f"only {len(found)} of {self.count} agents found a free place",
-                key="agents.start.within_m",
-                remedy="give a larger free area"
-                + (", or smaller bodies" if body_radius_m > 0.0 else ""),
-            )
-        return found
+
+class NumberTable(Table):
+    """A fixed number of agents."""
+
+    kind: Literal["number"]
+    agents: int = Field(ge=0, le=20_000, description="How many.")
 
 
-def has_room(
-    ground: Ground, places_m: NDArray[np.float64], body_radius_m: float
-) -> NDArray[np.bool_]:
-    """Return whether bodies at places ``(k, 2)`` are within the ground; (k,).
+class StepTable(Table):
+    """Steps of a demand: from so many agents on, so many respond."""
 
-    A geodesic ground keeps the clearance of bodies itself, a convex one has its border alone.
-    """
-    inside = ground.allows(places_m)
-    if body_radius_m == 0.0:
-        return inside
-    return inside & (ground.hull.excess_m(places_m) <= 1e-9 - body_radius_m)
+    at_least: int = Field(ge=0, le=20_000, description="From so many agents on.")
+    respond: int = Field(ge=0, le=20_000, description="So many respond.")
 
 
-def _spread(places_m: NDArray[np.float64], apart_m: float, most: int) -> list[int]:
-    """The first places, at most so many, of which no two are nearer than `apart_m`."""
-    chosen: list[int] = []
-    for number, place in enumerate(places_m):
-        if len(chosen) == most:
-            break
-        if (((places_m[chosen] - place) ** 2).sum(axis=1) >= apart_m**2).all():
-            chosen.append(number)
-    return chosen
+class TableDemandTable(Table):
+    """The demand by the number of agents, from a table."""
+
+    kind: Literal["table"]
+    steps: list[StepTable] = Field(min_length=1, description="Entries of the table.")
+
+
+class CapTable(Table):
+    """A share of the agents, at most a number, so that enough remain."""
+
+    kind: Literal["cap"]
+    share: float = Field(ge=0, le=1, description="Share of all agents, rounded up.")
+    most: int = Field(ge=0, le=20_000, description="At most so many.")
+    remaining: int = Field(default=1, ge=0, le=20_000, description="So many stay with coverage.")
+
+
+class AccuracyTable(Table):
+    """As many agents as locate the event well enough."""
+
+    kind: Literal["accuracy"]
+    accuracy_m: Metres = Field(ge=SMALLEST, description="Root mean squared error in metres.")
+    measurements: int = Field(default=1, ge=1, le=10**6, description="Of each agent.")
+
+
+class TradeOffTable(Table):
+    """As many agents as balance coverage against localisation."""
+
+    kind: Literal["trade_off"]
+    localisation_m2: float = Field(ge=SMALLEST, le=1e12, description="Error with one agent.")
+    coverage_weight: float = Field(default=1.0, ge=SMALLEST, le=1e12, description="Of H.")
+    localisation_weight: float = Field(ge=SMALLEST, le=1e15, description="Of the error.")
+
+
+DemandTable = Annotated[
+    NumberTable | TableDemandTable | CapTable | AccuracyTable | TradeOffTable,
+    Field(discriminator="kind"),
+]
 
 
 class AgentsTable(Table):
@@ -342,6 +296,65 @@ class LinksTable(Table):
     threshold_dbm: float = Field(ge=-500, le=300, description="Weaker messages are lost.")
 
 
+class SurveyTable(Table):
+    """``[[radio.survey]]``: measured power from a station, from a log, in place, or simulated."""
+
+    file: FileName | None = Field(
+        default=None, description="CSV with x_m, y_m and power_dbm, relative to the problem file."
+    )
+    places_m: list[Pair] | None = Field(
+        default=None, min_length=1, description="In place: where, [x, y]."
+    )
+    power_dbm: list[float] | None = Field(default=None, description="In place: the powers in dBm.")
+    floor_dbm: float | None = Field(
+        default=None, ge=-500, le=300, description="Powers at or below it are upper limits."
+    )
+    count: int | None = Field(
+        default=None,
+        ge=10,
+        le=2000,
+        description="Simulated: measured at so many random places, of a channel drawn with "
+        "radio.k_pl_db, radio.n_pl and the shadowing below.",
+    )
+    shadow_std_db: float = Field(default=6.0, ge=0, le=50, description="Simulated: shadowing.")
+    decorrelation_m: Metres = Field(default=25.0, ge=0.1, description="Simulated: it forgets so.")
+    multipath_std_db: float = Field(default=1.0, ge=0, le=50, description="Simulated: multipath.")
+    seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Simulated: the random seed.")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> SurveyTable:
+        in_place = self.places_m is not None or self.power_dbm is not None
+        if sum((self.file is not None, in_place, self.count is not None)) != 1:
+            raise PydanticCustomError(
+                "one_of", "needs exactly one of file, places_m with power_dbm, and count"
+            )
+        if in_place and len(self.places_m or ()) != len(self.power_dbm or ()):
+            raise PydanticCustomError("lengths", "has not one power for each place")
+        return self
+
+
+class RadioTable(Table):
+    """``[radio]``: links to base stations that agents keep, directly or over other agents."""
+
+    stations_m: list[Pair] = Field(min_length=1, max_length=100, description="Base stations.")
+    p_min: float = Field(
+        gt=0, lt=1, description="Each agent keeps its way to a station with this probability."
+    )
+    k_pl_db: float = Field(ge=-300, le=300, description="Received power at 1 m in dBm.")
+    n_pl: float = Field(ge=0.1, le=10, description="Path loss exponent.")
+    deviation_db: float = Field(
+        ge=0, le=100, description="Standard deviation of shadowing and multipath together."
+    )
+    k_pl_std_db: float = Field(default=0.0, ge=0, le=100, description="How uncertain k_pl_db is.")
+    n_pl_std: float = Field(default=0.0, ge=0, le=10, description="How uncertain n_pl is.")
+    threshold_dbm: float = Field(ge=-500, le=300, description="Power that a link needs.")
+    survey: list[SurveyTable] = Field(
+        default=[],
+        description="For each station what was measured of it: links to stations are those of the "
+        "channel that is learnt from it, links between agents keep to the law above.",
+    )
+
+
 class ControlTable(Table):
     """``[control]``: how agents move, and for how long."""
 
@@ -358,6 +371,11 @@ class ControlTable(Table):
     stop_when_settled: bool = Field(
         default=True, description="Whether the run ends when all have settled for good."
     )
+
+    @property
+    def gains(self) -> Gains:
+        """Return the gains of the laws."""
+        return Gains(self.event_gain_per_s, self.coverage_gain_per_s)
 
 
 class PlannerTable(Table):

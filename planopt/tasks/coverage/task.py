@@ -16,7 +16,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.coverage.assignment import NONE
-from planopt.coverage.control.movers import Gains, Motion
+from planopt.coverage.control.movers import Motion
 from planopt.coverage.limits import packing_reach_m
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
@@ -24,7 +24,8 @@ from planopt.coverage.verify import verify_moves
 from planopt.files.tables import Column, Data
 from planopt.files.typed_json import finite
 from planopt.tasks.coverage.build import CoverageProblem, build, overlapping
-from planopt.tasks.coverage.tables import CoverageFile, has_room
+from planopt.tasks.coverage.parts import has_room
+from planopt.tasks.coverage.tables import CoverageFile
 from planopt.tasks.task import Task, TaskResult
 
 if TYPE_CHECKING:
@@ -307,8 +308,7 @@ def _in_place(
     body_m = problem.limits.body_radius_m
     if body_m == 0.0:
         return in_place
-    gains = Gains(control.event_gain_per_s, control.coverage_gain_per_s)
-    share = float(gains.shares(np.array([True]), control.time_step_s)[0])
+    share = float(control.gains.shares(np.array([True]), control.time_step_s)[0])
     still = np.linalg.norm(np.diff(run.positions_m, axis=0), axis=2) <= share * near_m
     off_m = np.linalg.norm(here - run.estimates_m[:, number, None], axis=2)
     team = (run.states == number).sum(axis=1).tolist()

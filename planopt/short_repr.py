@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 WIDTH, LINES = 100, 5
-"""Of the whole text."""
+"""Largest width and number of lines of a text."""
 
 MOST_SHOWN = 4
 """Numbers of an array, and members of a tuple, that are shown one by one."""

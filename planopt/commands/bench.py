@@ -136,14 +136,14 @@ def check(
     from time import perf_counter
 
     from planopt.studies.bench.folder import answers
-    from planopt.studies.bench.references import fast_cases, judged, read_references
+    from planopt.studies.bench.references import assessed, fast_cases, read_references
 
     begun = perf_counter()
     known = read_references(references)
     cases, worse = fast_cases(known, listed(problems, "--problems", str))
     with progress("solving, cases:", len(cases)) as advance:
         rows = answers(cases, workers=workers, on_row=lambda _: advance())
-    regressed, better = judged(rows, known, lambda row: f"{row.case}: no reference")
+    regressed, better = assessed(rows, known, lambda row: f"{row.case}: no reference")
     worse += regressed
     wall_s = perf_counter() - begun
     data = {
@@ -165,11 +165,11 @@ def check(
 
 def report_json(manifest: Manifest, rows: list[Row], known: References) -> dict[str, Any]:
     """Return the JSON keys of ``bench report``."""
-    from planopt.studies.bench.references import best_known, judged
+    from planopt.studies.bench.references import assessed, best_known
     from planopt.studies.bench.scores import LIMIT_S, SHIFT_S, scores, time_profile
 
     best = best_known(known, rows)
-    worse, better = judged(rows, known, lambda row: "")
+    worse, better = assessed(rows, known, lambda row: "")
     profile = time_profile(rows, best)
     return {
         **asdict(manifest),

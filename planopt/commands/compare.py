@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from planopt.studies.comparison import Comparison
 
 FINISHED_FOLDER = "finished_runs"
-"""Where finished runs are kept, so that a comparison that was stopped goes on."""
+"""Folder of finished runs, with which an interrupted comparison resumes."""
 
 Value = TypeVar("Value")
 
@@ -157,7 +157,7 @@ def _draw(comparison: Comparison, folder: Path) -> None:
 
 
 def _where_all_is(folder: Path | None) -> str:
-    """Say where every number is, with its interval."""
+    """Return where all numbers and intervals are saved."""
     from planopt.studies.comparison import COMPARISON_FILE
 
     words = "all numbers with their intervals:"
@@ -167,7 +167,7 @@ def _where_all_is(folder: Path | None) -> str:
 
 
 def asked_seeds(text: str, first: int | None) -> range:
-    """The seeds of the options ``--seeds`` and ``--first-seed``."""
+    """Return the seeds of the options ``--seeds`` and ``--first-seed``."""
     from planopt.problems.settings import seeds_of
 
     chosen = seeds_of(text, "--seeds")
@@ -179,10 +179,7 @@ def asked_seeds(text: str, first: int | None) -> range:
 
 
 def swept(text: str) -> tuple[str, list[Any]]:
-    """The key and the values of a sweep such as ``constraints.p_min=0.5,0.8``.
-
-    Values are read as in a problem file; words need no quotes.
-    """
+    """Return key and values of a sweep such as ``constraints.p_min=0.5,0.8``."""
     key, _, values = text.partition("=")
     try:
         found = tomllib.loads(f"values = [{values}]")["values"]

@@ -1,4 +1,4 @@
-"""Write files and folders of results whole or not at all, and JSON strictly.
+"""Write files and folders of results atomically, and JSON strictly.
 
 New files are written under hidden names and moved into place when they are complete. JSON files of
 a folder, without which no result is read, are removed first and moved last: a process that is

@@ -14,43 +14,42 @@ from planopt.problems.problem import Problem
 
 @dataclass(frozen=True)
 class History:
-    """One robot's run so far; a step counts as connected when the place it ends at is, in truth."""
+    """One robot's run so far; a step is connected if its end truly is."""
 
-    steps: int = 0  # Steps driven, and those of them connected
+    steps: int = 0
     connected_steps: int = 0
-    # Steps, and metres, driven since the last one connected, or since the start
+    # Since the last connected step, or the start
     outage_steps: int = 0
     outage_m: float = 0.0
-    delivered_mbit: float = 0.0  # Data delivered before the deadline, where data are asked for
-    # Whether the robot was once `CIRCLING_STEPS` steps about one place, where nothing moves that it
-    # could have waited for
+    delivered_mbit: float = 0.0  # Data delivered before the deadline, if data are required
+    # Whether the robot once stayed `CIRCLING_STEPS` steps about one place, without moving obstacles
     has_circled: bool = False
-    # On the way to a goal: what the first steps of plans that miss the bound have cost, and by how
-    # much more than the cheapest paths from where they were planned
+    # On the way to a goal: cost of driven steps that miss p_min, and its excess over the cheapest
+    # paths
     crossing_cost_m: float = 0.0
     crossing_excess_m: float = 0.0
-    # (n, 2) where earlier steps ended without connection
+    # (n, 2) ends of earlier steps without connection
     missed_m: NDArray[np.float64] = field(
         default_factory=lambda: np.zeros((0, 2)), repr=False, compare=False
     )
 
 
 CIRCLING_STEPS = 15
-"""So many steps within one longest step of a place are standing still or going in circles."""
+"""Number of steps within one longest step of a place that count as standing or circling."""
 
 BEGINNING = History()
-"""Of a plan from the start of a run."""
+"""History at the start of a run."""
 
 
 def history_of(
     problem: Problem,
-    track_m: NDArray[np.float64],  # (n + 1, 2) where the robot was, the start first
+    track_m: NDArray[np.float64],  # (n + 1, 2) the start first
     connected: NDArray[np.bool_],  # (n,) whether it was connected after each step
     certificates: Iterable[Certificate] = (),
     *,
     gave_way: Sequence[bool] = (),
 ) -> History:
-    """The run along a track."""
+    """Return the history of a run along a track."""
     priced = [each for each in certificates if each.step_excess_m is not None]
     count = len(connected)
     ends = np.flatnonzero(connected)
@@ -71,7 +70,7 @@ def history_of(
 
 
 def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Sequence[bool]) -> bool:
-    """Return whether a track (n + 1, 2) once stayed about one place, giving way to nobody."""
+    """Return whether a track (n + 1, 2) once stayed about one place without giving way."""
     if len(track_m) <= CIRCLING_STEPS:
         return False
     windows = np.lib.stride_tricks.sliding_window_view(track_m, CIRCLING_STEPS + 1, axis=0)
@@ -84,10 +83,7 @@ def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Seque
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.float64]:
-    """Return the data of `count` steps after step `first`, by the deadline if connected; (n,).
-
-    Zero where no data are asked for.
-    """
+    """Return the data (n,) that connected steps after step `first` deliver by the deadline."""
     rule, step_s = problem.constraints.rule, problem.planner.step_s
     if rule.deadline_s is None or rule.rate_mbit_s is None:
         return np.zeros(count)

@@ -1,7 +1,7 @@
-"""A plan: a trajectory, why the solver stopped, what the point is worth, and its next step.
+"""A plan: trajectory, termination of the solver, objective value, verdict and certificate.
 
-Whatever becomes of connectivity, no plan may give up clearance, workspace and speed
-(:func:`is_sound`), so that the rest of a verified plan can be driven in place of a new one.
+Every plan keeps clearance, workspace and speed (:func:`is_sound`), whatever its connectivity, so
+that the rest of a verified plan can replace a new one.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from planopt.short_repr import short_repr
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 
 LEAST_BASE = 0.01
-"""An objective below this share of another is no base for its gain."""
+"""Least share of the refined objective that the lattice objective has as the base of a gain."""
 
 
 class Termination(StrEnum):
-    """The reason why the search for a plan stopped; it says nothing of the plan's value."""
+    """The reason why the solver stopped; it does not measure the plan's quality."""
 
     CONVERGED = "converged"
     ACCEPTABLE = "acceptable"
@@ -56,12 +56,11 @@ class Verdict(StrEnum):
 class Rung(StrEnum):
     """The fallback that a released plan came from.
 
-    ``reserved`` is the rest of the last plan, verified or not, where standing still would be in the
-    way of what moves: the other robots keep clear of it. ``direct`` is the shortest path to a goal,
-    whatever the connection, of a robot that has wandered long enough. ``give_way`` is the robot's
-    part of the paths that were found for all robots together, where it waits or steps aside for
-    another. ``leave`` is a step away from where a robot must not be: too near to something, or out
-    of bounds.
+    ``reserved`` is the rest of the last plan, verified or not, which other robots avoid;
+    it is used where standing still would block moving obstacles or robots. ``direct`` is the
+    shortest path to a goal, whatever the connection, after long wandering. ``give_way`` is a robot's
+    part of paths planned for all robots together. ``leave`` is a step away from a forbidden place:
+    too near to an obstacle, or out of bounds.
     """
 
     PLAN = "plan"
@@ -78,16 +77,16 @@ class Rung(StrEnum):
 
 @dataclass(frozen=True)
 class Pivot:
-    """A point of the way beyond the horizon, and the weighted length of the way on from it.
+    """A waypoint beyond the horizon, and the cost of the remaining route.
 
     Attributes
     ----------
     position_m
         ``(2,)``.
     cost_m
-        Metres from there to the goal, outage counted at its price.
+        Cost from there to the goal in metres, with outage at its price.
     metre_cost
-        What a metre on the way to it counts, at least 1.
+        Cost of a metre on the route to it, at least 1.
     """
 
     position_m: NDArray[np.float64]
@@ -106,15 +105,15 @@ class Plan:
     t_s
         ``(N + 1,)`` times from now on.
     positions_m
-        ``(N + 1, 2)`` now and after each step; the way between is straight.
+        ``(N + 1, 2)`` now and after each step; motion is straight between them.
     mean_dbm, deviation_db, connectivity
-        ``(N + 1,)`` predicted power, its deviation and P(connected) at those places, from the
-        exact posterior (today's standard deviation, equation 3.2).
+        ``(N + 1,)`` predicted power, its standard deviation and P(connected) at those places, from
+        the exact posterior; future measurements are not anticipated (equation 3.2).
     objective
-        What the plan is worth: a cost in seconds, cost to go included, where a goal is to be
-        reached (sense: min), else the weighted sum of the terms (sense: max).
+        With a goal a cost in seconds (sense: min): time, effort and outage at their prices,
+        cost-to-go included; it is no travel time. Else the weighted sum of terms (sense: max).
     lattice_objective
-        The same of the lattice path that the refinement started from.
+        Objective of the lattice path that the refinement started from.
     termination, verdict, rung, certificate
         See their types.
     wall_s, solve_s, iterations
@@ -122,17 +121,17 @@ class Plan:
     multipliers
         Named constraint multipliers of the solver, for reports.
     message
-        In words, for people: why there is no better plan; empty if all is well.
+        Why there is no better plan; empty if the plan is as good as required.
     pivot
-        The way beyond the horizon that the objective charges; None if it charges none.
+        Terminal waypoint of the cost-to-go; None without one.
     sense
         Whether less or more of the objective is better.
     drive
         States and inputs along the places; None for the single integrator.
     route_m
-        ``(r, 2)`` the rest of the way to a goal from the last place on, as the search found it.
+        ``(r, 2)`` remaining route to a goal from the last place on, from the search.
     holes
-        Stretches of path and route to a goal that miss the bound on connectivity.
+        Stretches of path and route to a goal that miss p_min.
     """
 
     robot: str
@@ -192,11 +191,7 @@ class Plan:
 
 
 def share_gained(gain: float, lattice: float, refined: float) -> float:
-    """Return a gain as a share of the objective that it is a gain on.
-
-    NaN where the lattice path is worth next to nothing, less than `LEAST_BASE` of what the
-    refined path is: a share of that tells of the base and not of the gain.
-    """
+    """Return a gain as a share of the lattice objective; NaN if that is close to zero."""
     if gain == 0.0:
         return 0.0
     return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(refined) > 0.0 else math.nan
@@ -208,7 +203,7 @@ def is_sound(
     position_m: NDArray[np.float64],
     path_m: NDArray[np.float64],
 ) -> bool:
-    """Return whether the first robot, at `position_m` (2,), can drive a path (N, 2) safely."""
+    """Return whether a path (N, 2) from `position_m` (2,) keeps clearance, speed and workspace."""
     way = np.vstack([position_m, path_m])
     clearance = swept_clearance_m(index, way)
     return bool(
@@ -221,11 +216,9 @@ def is_sound(
 def shifted_path(
     problem: Problem, index: ObstacleIndex, position_m: NDArray[np.float64], warm: Plan | None
 ) -> NDArray[np.float64] | None:
-    """Rest of a verified plan after its first step, standing still at its end; (N, 2).
+    """Return the rest (N, 2) of a verified plan after its first step, standing still at its end.
 
-    None without a plan, for one that was not verified, and for one that today's robot cannot drive
-    on today's map, be it for an obstacle, its place or its speed: nothing starts from such a plan.
-    None, too, for a robot that cannot stop at will: see :func:`shifted_drive`.
+    None if the plan is not verified, no longer drivable, or of a robot with dynamics.
     """
     # Shapes: position_m (2,).
     if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
@@ -237,10 +230,9 @@ def shifted_path(
 
 
 def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Rest of a plan after its first step, then a step of stopping.
+    """Return the rest of a plan of a robot with dynamics after its first step, then a braking step.
 
-    None without a plan, or where the robot can stop at will. The plan need not be verified: what it
-    sweeps does not depend on what is believed of the channel.
+    The plan need not be verified: the swept area does not depend on the channel.
     """
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     if warm is None or warm.drive is None:

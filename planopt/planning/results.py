@@ -38,7 +38,7 @@ ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(ABC):
-    """The problem as solved (overrides applied), the seed, and what both results can do."""
+    """A result of motion planning: the problem as solved, overrides applied, and the seed."""
 
     problem: Problem
     seed: int
@@ -104,14 +104,14 @@ class Solution(Result):
     problem
         As solved (overrides applied).
     seed
-        Of the ground truth's fading, the measured places and the first estimate of a target.
+        Random seed of fading, measured places and the first estimate of a target.
     belief
         The channel estimate that all plans were made from.
     plans, aims
         By robot: its plan, and the external inputs of its objective.
     explanation
-        Changes that would give each robot a verified plan, and why verified plans cross coverage
-        holes, if :func:`planopt.explain` was called.
+        From :func:`planopt.explain`, if it was called: changes that would give each robot a
+        verified plan, and reasons why verified plans cross coverage holes.
 
     Examples
     --------
@@ -174,7 +174,7 @@ class Run(Result):
     problem
         As run (overrides applied).
     seed
-        Of everything that happens.
+        Random seed of everything that is drawn.
     truths
         By station: the simulated ground truth; empty if that of a saved run is not available.
     runs, plans, aims, beliefs

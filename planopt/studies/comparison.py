@@ -58,15 +58,15 @@ class Comparison:
     Attributes
     ----------
     problem
-        The (first) problem as given; what was changed is with each run.
+        The first problem; each run has its changes.
     runs
-        In the order setting by setting, seed by seed; of a sum of terms, all robots together.
+        Setting by setting, seed by seed.
     rows
         The table.
     wall_s
         Time it took.
     resumed
-        How many of the runs were finished by an earlier comparison.
+        Number of runs that an earlier comparison had finished.
     others
         Further problems.
     """
@@ -161,9 +161,9 @@ def load_comparison(path: Path) -> Comparison | None:
 
 
 def comparison_reasons(path: Path) -> list[str] | None:
-    """Return the differences of a saved comparison from the tables made of its runs again.
+    """Return differences of a saved comparison from tables computed from its runs.
 
-    A digest covers the runs. Return None if the folder or file has another result.
+    A digest covers the runs. None if the folder or file has another result.
     """
     comparison = load_comparison(path)
     if comparison is None:
@@ -248,7 +248,7 @@ def _setting_json(run: RunSummary) -> dict[str, Any]:
 
 
 def manifest(comparison: Comparison, tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return all that a reader needs to make the same runs: program, machine, seeds, settings."""
+    """Return the program, machine, seeds and settings with which the runs can be repeated."""
     settings = runs_by_setting(comparison.runs)
     return {
         "program": dict(program()),

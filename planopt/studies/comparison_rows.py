@@ -23,10 +23,10 @@ SettingKey = tuple[str, str, str | None, str, int]
 
 @dataclass(frozen=True)
 class Row:
-    """One metric of one setting over all seeds; None where there is no value.
+    """One metric of one setting over all seeds; None without a value.
 
-    The reference is the first setting of the problem. Intervals are 95 % Student intervals, cut to
-    the possible values of the metric; there are none from fewer than five seeds.
+    The reference is the first setting of the problem. Intervals are 95 % Student intervals within
+    the possible values, from five seeds on.
     """
 
     horizon: int  # The setting
@@ -82,10 +82,9 @@ def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Se
 
 
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
-    """Tabulate runs, setting by setting with the same seeds in the same order.
+    """Return the rows of runs, setting by setting with the same seeds in the same order.
 
-    Each setting is paired with the first of its problem; where every problem has only one, with
-    that of the first problem.
+    Settings are paired with the first of their problem, or with the very first if each is alone.
     """
     settings = runs_by_setting(runs)
     first = {each[0].problem: each for each in reversed(settings)}
@@ -100,9 +99,9 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
     steps = np.concatenate([run.step_s for run in runs])
     rates = np.array([run.verified_rate for run in runs])
     released = np.array([sum(run.rungs.values()) for run in runs], dtype=float)
-    judged = np.isfinite(rates)
-    count = released[judged].sum()
-    rate = float(rates[judged] @ released[judged] / count) if count else 1.0
+    known = np.isfinite(rates)
+    count = released[known].sum()
+    rate = float(rates[known] @ released[known] / count) if count else 1.0
     rows: list[Row] = []
     for metric in dict.fromkeys(name for run in runs for name in run.metrics):
         values, others = (
@@ -130,7 +129,7 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
                 ci_high=high,
                 count=int(there.size),
                 paired_ratio=float(np.exp(ratios.mean())) if ratios.size else None,
-                verified_rate=rate if judged.any() else None,
+                verified_rate=rate if known.any() else None,
                 p50_step_s=float(np.median(steps)) if steps.size else None,
                 p95_step_s=float(np.quantile(steps, 0.95)) if steps.size else None,
                 paired_difference=float(differences.mean()) if differences.size else None,
@@ -148,10 +147,9 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
 def mean_interval(
     values: NDArray[np.float64], possible: tuple[float, float] = ANY
 ) -> tuple[float | None, float | None]:
-    """Return the Student interval of the mean at `CONFIDENCE`, cut to the possible values.
+    """Return the Student interval of the mean, within the possible values.
 
-    Cutting does not reduce the confidence, since the mean is possible. None for fewer than
-    `FEWEST_GROUPS` values, whose interval depends on their number rather than on them.
+    None for fewer than `FEWEST_GROUPS` values.
     """
     if values.size < FEWEST_GROUPS:
         return None, None
@@ -169,10 +167,7 @@ def log_ratios(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDAr
 
 
 def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
-    """Tabulate predicted against true connection over the steps of runs.
-
-    Runs of one seed share a channel and are one group, whatever their settings.
-    """
+    """Tabulate predicted against true connection over the steps of runs, grouped by seed."""
     seeds = [np.full(len(run.connectivity), run.seed, dtype=np.intp) for run in runs]
     return reliability(
         np.concatenate([run.connectivity for run in runs]),
@@ -195,7 +190,7 @@ def setting_of(one: RunSummary | Row) -> SettingKey:
 
 
 def has_horizon(one: RunSummary | Row) -> bool:
-    """Return whether a setting's horizon matters: bounds foresee the whole run, whatever it is."""
+    """Return False for bounds, which foresee the whole run whatever their horizon."""
     kind = OWN.get(one.planner)
     return kind is None or not kind.foresees
 

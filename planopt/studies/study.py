@@ -1,8 +1,7 @@
-"""Run studies: many results in parallel, each kept in a file when it is finished.
+"""Run studies: results in parallel, each kept in a file when it is finished, so that they resume.
 
-An interrupted study resumes when it is run again with the same record. The file of a closed-loop
-run is named by a digest of all that decides its result: the problem with the content of the files
-that it names, the seed, and the program. The process that drove the run writes its file atomically.
+The file name of a run is a digest of everything that determines its result: the problem with the
+content of its files, the seed, and the program. The process that simulates a run writes its file.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, task_of
 
 UNDECIDING = ("report", "compare")
-"""Tables that do not affect a run: its figures, and the runs of a comparison."""
+"""Tables that do not affect a run."""
 
 LIBRARIES = ("casadi", "clarabel", "numpy", "scipy", "shapely")
 """Packages whose version may change a result."""
@@ -106,7 +105,7 @@ def run_key(problem: Problem | TaskProblem, seed: int) -> dict[str, Any]:
 
 
 def digest_of_tables(tables: Mapping[str, Any]) -> str:
-    """Return a digest of all that decides what a problem is, the content of its files included."""
+    """Return a digest of a problem and the content of its files."""
     return _digest(strict_text(_deciding(tables)).encode())
 
 
@@ -168,10 +167,10 @@ class Study(Generic[Item, Shared, Result]):
     """The functions that compute each item of a study; they must be picklable."""
 
     kind: type[Result]  # Type of a result, as :mod:`planopt.files.typed_json` reads it back
-    # Makes what the items of one group share, from the first of them that is not finished
+    # Returns the data that a group shares, from its first item that is not finished
     prepare: Callable[[Item], Shared]
-    work: Callable[[Item, Shared], Result]  # Makes an item's result
-    key: Callable[[Item], Mapping[str, Any]]  # All that decides an item's result, as JSON
+    work: Callable[[Item, Shared], Result]  # Returns an item's result
+    key: Callable[[Item], Mapping[str, Any]]  # Determines an item's result, as JSON
 
 
 @dataclass(frozen=True)
@@ -341,10 +340,7 @@ def _group_results(
 
 
 def _end_with_parent(parent: int) -> None:
-    """End this process soon after the process `parent` has ended.
-
-    A killed process cannot stop its workers, which would go on for hours.
-    """
+    """End this process soon after the process `parent`, which may have been killed."""
 
     def watch() -> None:
         while os.getppid() == parent:

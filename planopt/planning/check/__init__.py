@@ -1,1 +1,1 @@
-"""Judging saved plans and runs again, from their files alone."""
+"""Checks of saved plans and runs from their files alone."""

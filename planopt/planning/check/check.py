@@ -1,11 +1,9 @@
-"""Judge a saved plan or run from its files alone, or read it back as an object.
+"""Check a saved plan or run from its files alone, or read it as an object.
 
 The initial data are drawn again from problem and seed, the channel is fitted again, the saved
-trajectories are driven and verified again (:mod:`planopt.planning.check.replay`), and the document
-that results is compared with the saved one (:mod:`planopt.files.compare`).
-
-Nothing in a file proves that its problem is the one that was meant. Its difference from the
-library's problem of that name is a remark, no reason to reject.
+trajectories are driven and verified again (:mod:`planopt.planning.check.replay`), and the resulting
+document is compared with the saved one. A difference from the library's problem of the same name is
+a remark, no reason to reject.
 """
 
 from __future__ import annotations
@@ -45,17 +43,15 @@ from planopt.short_repr import short_repr
 
 
 def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
-    """Say how the problem in `file` differs from the library's; empty if it does not.
+    """Return how a saved problem differs from the library's of its name, drawn with `seed`.
 
-    `seed` is that of what was planned or run: starts are drawn with it.
-
-    Horizon, planner and cost to go may be others: the file says beside the problem what they are.
+    Horizon, planner and cost-to-go may differ: the file has them next to the problem.
     """
     original = library_folder() / f"{problem.name}{SUFFIX}"
     if not original.is_file():
         return [
-            f"{file}, key problem_file.problem.name: {problem.name} is no problem of the library, "
-            "it is taken as it stands"
+            f"{file}, key problem_file.problem.name: {problem.name} is not in the library, so that "
+            "it is not compared"
         ]
     try:
         meant = _but_overrides(problem_to_dict(with_drawn_starts(load_motion(original), seed)))
@@ -77,7 +73,7 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
 
 
 def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
-    """`tables` without what the command line may change."""
+    """Return tables without the settings that the command line may change."""
     without = {"planner": ("horizon", "name"), "objective": ("cost_to_go",)}
     return {
         table: {key: value for key, value in keys.items() if key not in without[table]}
@@ -92,17 +88,17 @@ class CheckResult:
     """The outcome of a check."""
 
     verdict: Verdict  # verified if there is nothing to object, else violated; none for no plan
-    # What the verifier computed: one for a plan, one a step for a run
+    # From the verifier: one for a plan, one a step for a run
     certificates: tuple[Certificate, ...]
     reasons: tuple[str, ...]  # Every objection; empty if verified
-    # What could not be judged, and how the problem differs from the library's of its name
+    # Parts that could not be checked, and differences from the library's problem of that name
     remarks: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
     @property
     def certificate(self) -> Certificate | None:
-        """The only one, or the worst of a run: its steps are those driven that miss the bound."""
+        """The only certificate, or the worst of a run, with the driven steps that miss p_min."""
         if len(self.certificates) <= 1:
             return self.certificates[0] if self.certificates else None
         return _worst(self.certificates)
@@ -110,7 +106,7 @@ class CheckResult:
 
 @one_blas_thread()
 def check_motion(file: Path, data: Mapping[str, Any]) -> CheckResult:
-    """Judge a saved plan or run from its files; the JSON object has been read."""
+    """Check a saved plan or run, of which the JSON object has been read."""
     saved = saved_from(file, data)
     name = saved.file.name
     remarks = library_remarks(name, saved.problem, saved.record.seed)
@@ -185,7 +181,7 @@ def _no_plan_reasons(saved: Saved) -> list[str]:
 
 
 def _worst(certificates: Sequence[Certificate]) -> Certificate:
-    """The worst of a run's certificates in each respect."""
+    """Return the worst of a run's certificates in each respect."""
     missed = [
         (step, certificate)
         for step, certificate in enumerate(certificates, start=1)

@@ -55,10 +55,9 @@ VALUES, NOISE = "values_db", "noise_variance_db2"
 
 
 def initial_belief(problem: Problem, first: Sequence[Measurements], saved: SavedBelief) -> Belief:
-    """Return the belief before the first step: the fit made again, predictions as they were saved.
+    """Return the belief before the first step: fitted again, with the saved parameters.
 
-    Saved parameters are those of the predictions, because a fit on another machine differs a
-    little. They are compared with the fit made again.
+    A fit on another machine differs a little; the parameters are compared with those fitted again.
     """
     learnt = learn_stations(problem, first)
     each = [

@@ -158,10 +158,9 @@ def known_before_steps(
     first: int,
     tracks_m: Sequence[NDArray[np.float64]],  # (steps + 1, 2) each
 ) -> NDArray[np.int64]:
-    """Return how many measurements each step was planned on; ``(steps,)``.
+    """Return how many measurements (steps,) each step was planned on.
 
-    Measurements of the run are taken at the places driven to, in order, each place at most once
-    a visit; so going along both finds the step of each.
+    Measurements of a run are taken at driven places, in order, each place at most once a visit.
     """
     taken = belief.posterior.measurements.positions_m
     count = first

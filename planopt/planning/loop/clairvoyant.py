@@ -1,9 +1,8 @@
-"""The true cost of a run to a goal, and that of one who knows the mean power everywhere.
+"""The true cost of a run to a goal, and the cost of a clairvoyant that knows the mean power.
 
-A path costs its length, and the outage price for the length of it that is truly out of contact:
-along the whole of it, wherever its steps end. The clairvoyant drives the cheapest path on the true
-power without small-scale fading, and is charged by the same fading as the robot: nobody can know
-that beforehand.
+A path costs its length plus the outage price for each metre that is truly out of contact. The
+clairvoyant plans on the true power without small-scale fading, which nobody can know beforehand,
+but its cost includes that fading, like the robot's.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_cle
 from planopt.world.lattice import RoadMap, cheapest_paths, route_from
 
 SHORTCUT_NODES = 40
-"""A straight stretch of the clairvoyant's path skips at most so many nodes of the lattice."""
-JUDGED_CELLS = 0.1
-"""Paths are judged at places so many cells of the true map apart."""
+"""Largest number of lattice nodes that a straight stretch of the clairvoyant's path skips."""
+COST_CELLS = 0.1
+"""Spacing of places at which costs are evaluated, in cells of the true map."""
 SEARCHED_CELLS = 0.5
-"""The clairvoyant's search looks at places so many cells apart."""
+"""Spacing of places in the clairvoyant's search, in cells."""
 
 IsOut = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
 """From places (n, 2) to whether each is out of contact (n,)."""
@@ -40,10 +39,9 @@ def run_costs(
     tracks_m: Sequence[NDArray[np.float64]],  # (n + 1, 2) places of each robot
     outcome: Outcome,
 ) -> dict[str, float]:
-    """Return the costs of a run to goals: driven, a clairvoyant's, and their ratio, by metric.
+    """Return the costs of a run to goals, of the clairvoyants, and their ratio, summed over robots.
 
-    Costs are sums over all robots; each robot's clairvoyant is alone. The ratio is NaN for a run
-    that did not arrive.
+    Each robot's clairvoyant is alone; the ratio is NaN for runs that did not arrive.
     """
     if not road_maps:
         return {}
@@ -62,15 +60,12 @@ def run_costs(
 def realised_cost_m(
     problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
 ) -> float:
-    """Length of a driven path (n + 1, 2), and the outage price for what is truly out of contact.
-
-    The path is straight between its places.
-    """
+    """Return the length of a driven path (n + 1, 2) plus the outage price of its metres out of contact."""
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
         return true_serving_dbm(problem, truths, places) < problem.stations[0].true_threshold_dbm
 
-    spacing = JUDGED_CELLS * _cell_m(truths)
+    spacing = COST_CELLS * _cell_m(truths)
     return float(_costs_m(problem, is_out, places_m[:-1], places_m[1:], spacing).sum())
 
 
@@ -80,7 +75,7 @@ def clairvoyant_path(
     index: ObstacleIndex,
     truths: Sequence[Truth],
 ) -> NDArray[np.float64]:
-    """Corners (k, 2) of the cheapest path from the robot's start to its goal."""
+    """Return the corners (k, 2) of the cheapest path from the robot's start to its goal."""
     thresholds = [radio.true_threshold_dbm for radio in problem.stations]
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -102,7 +97,7 @@ def clairvoyant_path(
 
 
 def _cell_m(truths: Sequence[Truth]) -> float:
-    """The smallest cell side of the true maps."""
+    """Return the smallest cell side of the true maps."""
     return min(min(truth.raster.cell_m) for truth in truths)
 
 
@@ -113,7 +108,7 @@ def _costs_m(
     ends_m: NDArray[np.float64],
     spacing_m: float,
 ) -> NDArray[np.float64]:
-    """Cost of straight stretches (n, 2) to (n, 2), looked at in places `spacing_m` apart; (n,)."""
+    """Return the costs (n,) of straight stretches, evaluated at places `spacing_m` apart."""
     lengths = np.linalg.norm(ends_m - begins_m, axis=1)
     counts = np.maximum(np.ceil(lengths / spacing_m), 1.0).astype(np.intp)
     owner = np.repeat(np.arange(len(counts)), counts)
@@ -130,7 +125,7 @@ def _straightened(
     places_m: NDArray[np.float64],
     cost_m: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """The cheapest path over some of a path's places (n, 2), straight and clear between them."""
+    """Return the cheapest clear path over some of a path's places (n, 2)."""
     count = len(places_m)
     first, second = np.triu_indices(count, 1)
     near = second - first <= SHORTCUT_NODES

@@ -1,8 +1,6 @@
 """Simulate a problem's robots in the true channel.
 
-Robots plan one after the other, each on its own belief, and keep apart as
-:mod:`planopt.planning.team.team_step` says. The seed fixes everything that happens: the ground
-truth, the first measurements, the target's path and the sensors' noise.
+The seed determines ground truth, first measurements, target path and sensor noise.
 """
 
 from __future__ import annotations
@@ -47,36 +45,9 @@ def simulate(
     on_start: Callable[[Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
-    """Drive a problem's robots in the true channel.
+    """Simulate the closed loop; arguments as for :func:`planopt.simulate`.
 
-    The run ends as :func:`planopt.planning.loop.ending.run_ending` says.
-
-    Parameters
-    ----------
-    problem
-        The problem; it must have a ground truth.
-    horizon, planner, cost_to_go
-        Override the problem's planner settings; a cost-to-go only where there is a goal.
-    seed
-        Of everything that happens.
-    measurements
-        First measurements in place of those that the problem names: :class:`planopt.Measurements`
-        or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
-        stations a sequence with one for each.
-    scenes, prepared
-        Geometry of each robot that is to reach a goal, ground truth and first belief if they are
-        there already, for many runs of one seed.
-    on_start
-        Called with the first plan of each robot, before the first step.
-    on_step
-        Called after every step with its number, for progress display.
-
-    Raises
-    ------
-    InputError
-        An override or a file that the problem names cannot be used, or there is no ground truth.
-    NoPlanError
-        Obstacles cut the goal off.
+    Runs of one seed may share `scenes` and `prepared`: robot geometry, ground truth, first belief.
     """
     problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)

@@ -133,8 +133,7 @@ def first_steps(
 ) -> tuple[list[list[Plan]], list[list[NDArray[np.float64]]]]:
     """Return the plans and states of the first steps of a run, by step and robot.
 
-    Where states are recorded, the robots are moved there instead of to the end of their planned
-    step: rounding differences between processors then do not accumulate.
+    Robots are moved to recorded states, if any, so that rounding differences do not accumulate.
     """
     robots = Stepper(problem, belief, planning, target)
     made: list[list[Plan]] = []

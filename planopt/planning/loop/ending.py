@@ -53,9 +53,9 @@ def run_ending(
 
 
 def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
-    """Return how a run to goals ends, as :func:`run_ending`.
+    """Return how a run to goals ends; it continues while any robot does.
 
-    It goes on while any robot does: a robot at its goal, or one that waits, may give way to others.
+    Robots that have arrived or that wait may still give way to others.
     """
     ends = [
         goal_ending(each.problem, each.states, each.learnt, each.plans[-1] if each.plans else None)

@@ -46,14 +46,13 @@ class StepLog:
     predicted_dbm, deviation_db, connectivity
         Prediction for this place *before* it was measured, by the plan that led there.
     true_dbm, connected
-        Truth at this place.
+        True power and connection at this place.
     step_s
         Wall time that planning this step took; row 0 is 0.
     polish_gain_s
-        How much better than the lattice path the released one is, in the objective's unit (seconds
-        for a cost); row 0 is 0.
+        Gain of the released path over the lattice path, in the objective's unit; row 0 is 0.
     relaxation_db
-        By how much the bound was relaxed at this step (0: not).
+        Shortfall of this step from p_min in dB; 0 if it is met.
     """
 
     t_s: NDArray[np.float64]
@@ -89,11 +88,11 @@ class Metrics:
     predicted_min_connectivity
         Least predicted P(connected) over the released steps.
     polish_gain
-        Mean relative gain of the polish over the lattice start.
+        Mean relative gain of refined plans over their lattice paths.
     measured_steps
-        How many steps brought a measurement.
+        Number of steps that brought a measurement.
 
-    What tells of steps is NaN where none was driven.
+    Metrics over steps are NaN if none was driven.
     """
 
     goal_time_s: float
@@ -150,16 +149,16 @@ class RobotRun:
 class TargetLog:
     """A target over a run, row 0 at the start."""
 
-    # (steps + 1, 2) where it was, and where the station thought that it was
+    # (steps + 1, 2) true position, and the station's estimate
     true_m: NDArray[np.float64]
     station_mean_m: NDArray[np.float64]
     # (steps + 1,) trace of the station's covariance of its position
     station_variance_m2: NDArray[np.float64]
     station_determinant_m4: NDArray[np.float64]  # (steps + 1,) determinant of that covariance
-    # (steps + 1,) e' P^-1 e of the station's estimate of its position, with the error e
+    # (steps + 1,) e' P^-1 e with the error e of the station's position estimate
     nees: NDArray[np.float64]
-    # (steps, robots) nu' S^-1 nu of each robot's filter, with the innovation nu of its measurement
-    # and the covariance S that the filter expects of it; NaN without measurement
+    # (steps, robots) nu' S^-1 nu, the innovation nu of each robot's filter and its covariance S;
+    # NaN without measurement
     nis: NDArray[np.float64]
     delivered: NDArray[np.bool_]  # (steps, robots) whose packets arrived
 
@@ -179,21 +178,17 @@ class TargetLog:
 class ChannelLog:
     """Errors of the first robot's channel after each step; row 0 at the start."""
 
-    # (steps + 1,) root mean square error of the predicted power over the workspace, the error
-    # against path loss, shadowing and multipath
+    # (steps + 1,) root mean square error of the predicted power over the workspace
     rms_db: NDArray[np.float64]
-    # (steps + 1,) average normalised mean square error of [GM11], dB; fragile where the true power
-    # comes near 0 dBm, therefore beside `rms_db`
+    # (steps + 1,) average normalised mean square error of [GM11], dB; unreliable near 0 dBm
     anmse_db: NDArray[np.float64]
-    # (steps + 1,) trace of M over |theta|^2, in dB (Fig. 2 of [GM11]); NaN where path loss is
-    # known.
+    # (steps + 1,) trace of M over |theta|^2, in dB (Fig. 2 of [GM11]); NaN for known path loss
     theta_variance_db: NDArray[np.float64]
-    # (steps + 1,) log det M, nats: what the criterion D lowers, whatever the units of theta; NaN
-    # where a path loss parameter is known
+    # (steps + 1,) log det M in nats (criterion D); NaN if a path loss parameter is known
     log_det_m: NDArray[np.float64]
-    # (steps + 1,) as `rms_db`, the error against path loss and shadowing alone
+    # (steps + 1,) as `rms_db`, against path loss and shadowing alone
     rms_without_multipath_db: NDArray[np.float64]
-    # (steps + 1,) variance of the predicted path loss, gamma^T M gamma, its mean over the workspace
+    # (steps + 1,) mean over the workspace of the path loss variance gamma^T M gamma
     path_loss_variance_db2: NDArray[np.float64]
 
     __repr__ = short_repr

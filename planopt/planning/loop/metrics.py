@@ -1,4 +1,4 @@
-"""Metrics of a run: of each robot from its log, and of all robots together."""
+"""Each robot's part of a run, and metrics of robots and of the whole run."""
 
 from __future__ import annotations
 
@@ -63,11 +63,9 @@ def metrics_of(
     learnt: Sequence[bool],
     arrival: int | None,
 ) -> Metrics:
-    """Compute the metrics of a run; `learnt` says whether each step brought a measurement.
+    """Return the metrics of a robot; metrics over steps are NaN without any.
 
-    A robot that reached its goal arrived after step number `arrival`, which is None without a goal
-    or arrival. Shares are over the steps driven, the start not counted; the polish gain is the
-    mean over the steps that have one. After no step what tells of steps is NaN.
+    `learnt` flags steps that brought a measurement; `arrival` is the step of arrival at the goal.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
@@ -137,49 +135,40 @@ def run_metrics(
 
 
 def _mean_of_known(values: Sequence[float]) -> float:
-    """The mean of what is no NaN; NaN of nothing."""
+    """Return the mean of the values that are not NaN; NaN without any."""
     known = [value for value in values if not np.isnan(value)]
     return float(np.mean(known)) if known else float("nan")
 
 
 def nis_interval(count: int) -> tuple[float, float]:
-    """Return the least and largest mean of `count` values of NIS in 95 % of filters that are right.
+    """Return the 95 % interval of the mean NIS of `count` measurements for a consistent filter.
 
-    Innovations of a filter that is right are independent, and each value has the law chi-square
-    with the two degrees of freedom of a measured position (equation 4.19).
+    Each value is chi-square with two degrees of freedom (equation 4.19), independent of the others.
     """
     return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
 
 
 def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
-    """The metric of the problem's rule by name, of the worst robot; empty where it has none.
-
-    ``stated_times_connected``: share of the stated times driven through that were connected.
-    ``least_connected_share``: of the steps, for the average. ``longest_outage_s``. ``data_mbit``:
-    delivered by the deadline. NaN where no step, or no stated time, was driven through.
-    """
+    """Return the metric of the connectivity rule, for the worst robot; NaN without steps."""
     connected = [log.connected[1:] for log in logs]
     return rule_of(problem).run_metrics(problem, connected)
 
 
 def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:
-    """Tabulate predicted against true connection over the steps of all robots of a closed loop.
-
-    Its steps belong together, so that there is no interval.
-    """
+    """Tabulate predicted against true connection over the steps of all robots of a run."""
     predicted = np.concatenate([run.log.connectivity[1:] for run in runs])
     connected = np.concatenate([run.log.connected[1:] for run in runs])
     return reliability(predicted, connected, np.zeros(len(predicted), dtype=np.intp))
 
 
 def run_holes(run: RobotRun) -> tuple[Hole, ...]:
-    """Stretches of a driven path whose steps missed the bound when they were planned."""
+    """Return the stretches of a driven path whose steps missed p_min when they were planned."""
     log = run.log
     return holes_along(log.positions_m, log.connectivity, log.relaxation_db > 0.0)
 
 
 def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_]) -> float:
-    """Longest driven length between connected places, counting the steps that end in none."""
+    """Return the longest driven length between connected places."""
     # Shapes: lengths_m (n,); connected (n,).
     return float(longest_run(lengths_m, ~connected))
 
@@ -187,11 +176,9 @@ def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_
 def true_serving_dbm(
     problem: Problem, truths: Sequence[Truth], positions_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The serving station's true power at places (n, 2), for the first one's threshold; ``(n,)``.
+    """Return the serving station's true power (n,) at places (n, 2), for the first threshold.
 
-    The power itself of a single station
-    (:mod:`planopt.channel.connectivity_law`). A robot is connected where it is at least
-    ``problem.stations[0].true_threshold_dbm``.
+    A robot is connected from ``problem.stations[0].true_threshold_dbm`` on.
     """
     powers = np.stack([true_power_dbm(truth, positions_m) for truth in truths])
     return serving_power_dbm(powers, [radio.true_threshold_dbm for radio in problem.stations])
@@ -203,7 +190,7 @@ def step_log(
     true_dbm: NDArray[np.float64],  # (steps + 1,) the true power there
     plans: Sequence[Plan],
 ) -> StepLog:
-    """Tabulate a run; row 0 is the start, as the first plan saw it."""
+    """Return the log of a run; row 0 is the start, as the first plan predicts it."""
     first = plans[:1]
 
     def column(at_start: float, values: list[float]) -> NDArray[np.float64]:
@@ -236,10 +223,7 @@ def step_log(
 
 
 def driven(robot: Robot, plans: Sequence[Plan]) -> Drive | None:
-    """States and inputs of a run, the first step of each plan; None for the single integrator.
-
-    A run of no step has the state that it starts in.
-    """
+    """Return states and inputs of a run; None for the single integrator."""
     if robot.moves_freely:
         return None
     dynamics = robot.dynamics
@@ -277,6 +261,6 @@ def robot_run(
 
 
 def _arrival(problem: Problem, states: NDArray[np.float64]) -> int:
-    """Return the step after which a robot stands at its goal, from then on."""
+    """Return the number of the step after which a robot stays at its goal."""
     away = [not (is_at_goal(problem, state[:2]) and stands(problem, state)) for state in states]
     return int(np.flatnonzero(away).max(initial=-1)) + 1

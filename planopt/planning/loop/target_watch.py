@@ -1,9 +1,8 @@
-"""The filters of robots and their station for a moving target, one each.
+"""The target filters of robots and of their station.
 
-A robot's own filter has all its own measurements of the target; the station's has those whose
-packets arrived (equation 4.9), or, where packets have estimates, all that their senders had
-measured: of one robot its own estimate, of several what no fusion of their estimates can exceed.
-Everything random about the target comes from one generator.
+A robot's filter uses its own measurements. The station's uses those of packets that arrived
+(equation 4.9); packets with estimates carry all that their senders had measured, which bounds any
+fusion of the estimates of several robots. One generator draws everything random about the target.
 """
 
 from __future__ import annotations
@@ -32,49 +31,49 @@ from planopt.targets.information_filter import (
 from planopt.targets.sensor import Sensor, noise_covariance_m2, sensing_information
 
 MOST_HELD = 8
-"""Last steps whose measurements a plan counts as held by a robot: older ones tell little."""
+"""Number of recent steps whose unsent measurements a plan counts; older ones hardly matter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sent:
     """Measurements of the target after one step, and whose packets got through."""
 
-    measured_m: NDArray[np.float64]  # (n, 2) where each robot measured it, and where the robot was
-    positions_m: NDArray[np.float64]
-    seen: NDArray[np.bool_]  # (n,) who measured it at all, and whose packet of this step arrives
-    delivered: NDArray[np.bool_]
+    measured_m: NDArray[np.float64]  # (n, 2) measured target positions
+    positions_m: NDArray[np.float64]  # (n, 2) positions of the robots
+    seen: NDArray[np.bool_]  # (n,) whether a robot measured the target
+    delivered: NDArray[np.bool_]  # (n,) whether its packet of this step arrives
 
 
 @dataclass(frozen=True, eq=False)
 class TargetWatch:
-    """The target of a run, and what is known of it after some steps."""
+    """A target, and its estimates after some steps."""
 
-    model: TargetModel  # How it moves, and how it is sensed
+    model: TargetModel
     sensor: Sensor
-    true_m: NDArray[np.float64]  # (max_steps + 1, 2) where it truly is after each step
+    true_m: NDArray[np.float64]  # (max_steps + 1, 2) true positions
     robots: tuple[InformationState, ...]  # Each robot's own filter
     station: InformationState  # The station's filter
-    packets: Packets = "measurements"  # What packets have of the target, and how long they take
-    delay_steps: int = 0
-    sent: tuple[Sent, ...] = ()  # What robots measured and sent after each step
-    # (steps, robots) which of these measurements the station knows now
+    packets: Packets = "measurements"
+    delay_steps: int = 0  # Time that packets take
+    sent: tuple[Sent, ...] = ()  # Measurements and packets after each step
+    # (steps, robots) whether the station knows the measurement now
     known: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
-    # The station's filter at the start and after each step but the last, from these
+    # The station's filter at the start and after each step but the last
     past: tuple[InformationState, ...] = ()
 
     def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
-        """Return the target's track as robot number `robot` expects it from now; (steps, 2)."""
+        """Return the target track (steps, 2) that a robot expects from now on."""
         state = self.robots[robot]
         return predict_target(self.model, state.mean, state.covariance, steps).positions_m
 
     @property
     def station_mean_m(self) -> NDArray[np.float64]:
-        """``(2,)`` where the station thinks that the target is."""
+        """Return the station's estimate (2,) of the target's position."""
         return self.station.mean[:2]
 
     @property
     def station_variance_m2(self) -> float:
-        """Trace of the station's covariance of the target's position (tr P)."""
+        """Return the trace of the station's covariance of the target's position (tr P)."""
         return float(position_variance_m2(self.station.matrix))
 
 
@@ -105,7 +104,7 @@ def _sensor(problem: Problem) -> Sensor | None:
 def _first_watch(
     problem: Problem, true_m: NDArray[np.float64], error: NDArray[np.float64]
 ) -> TargetWatch | None:
-    """Return a target's first estimate, off by `error` (4,) in standard deviations."""
+    """Return the first estimate of a target with an error (4,) in standard deviations."""
     sensor = _sensor(problem)
     if sensor is None or not problem.targets:
         return None
@@ -126,7 +125,7 @@ def _first_watch(
 
 
 def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
-    """Return what robot number `robot` plans for, N = `steps` steps ahead, before it is steered."""
+    """Return the external inputs of a robot's objective over `steps` steps, without steering."""
     if watch is None:
         return Aim(None, None)
     expected_m = watch.expected_m(robot, steps)
@@ -134,7 +133,7 @@ def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
 
 
 def _held(watch: TargetWatch, robot: int) -> Held | None:
-    """Return measurements since the station last knew all of them; None without estimates."""
+    """Return the information that a robot holds and the station lacks; None without estimates."""
     if watch.packets != "estimates":
         return None
     count = len(watch.sent)
@@ -169,7 +168,7 @@ def counted(
     sent = (*watch.sent, Sent(measured, positions_m, seen, arrives))
     known = _known(sent, watch.packets, watch.delay_steps)
     past = (*watch.past, watch.station)
-    # Packets that tell of earlier steps change what was known after these.
+    # Packets about earlier steps change the station's estimates after these.
     before = watch.known if len(watch.known) else known[:0]
     changed = np.flatnonzero((known[:-1] != before).any(axis=1))
     first = int(changed[0]) if len(changed) else len(known) - 1
@@ -191,7 +190,7 @@ def _known(sent: Sequence[Sent], packets: Packets, delay_steps: int) -> NDArray[
     arrived = np.array([step.delivered for step in sent])
     arrived[len(sent) - min(delay_steps, len(sent)) :] = False
     if packets == "estimates":
-        # An estimate has all that was measured until it was sent.
+        # An estimate includes all earlier measurements.
         arrived = np.logical_or.accumulate(arrived[::-1], axis=0)[::-1]
     return arrived & np.array([step.seen for step in sent])
 
@@ -203,7 +202,7 @@ def _counted(
     positions_m: NDArray[np.float64],
     delivered: NDArray[np.bool_],
 ) -> InformationState:
-    """One filter a step later; it takes the noise for that at its own estimate of the target."""
+    """Return a filter one step later, with the sensor noise at its own target estimate."""
     ahead = predict(watch.model, state)
     noise = noise_covariance_m2(watch.sensor, positions_m, ahead.mean[:2])
     return update(ahead, measured_m, noise, delivered)

@@ -248,11 +248,7 @@ def key_of(case: Case) -> dict[str, Any]:
 
 @one_blas_thread()
 def answer(case: Case, start: Start) -> Row:
-    """Answer a case and judge the answer from its files.
-
-    A planner that fails with an error of any kind makes a row that says so: a suite of a thousand
-    cases does not end at one of them.
-    """
+    """Answer a case and check the answer from its files; errors of any kind become rows."""
     problem = problem_of(case)
     nothing = _nothing(case, problem)
     if start.no_plan:
@@ -283,7 +279,7 @@ def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
     plans = solution.plans
     with tempfile.TemporaryDirectory() as folder:
         solution.save(Path(folder))
-        accepted, reasons = _judged(Path(folder))
+        accepted, reasons = _checked(Path(folder))
     residuals = [c.kkt_residual for c in _certificates(plans) if c.kkt_residual is not None]
     return replace(
         nothing,
@@ -343,8 +339,8 @@ def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
     }
 
 
-def _judged(folder: Path) -> tuple[bool, tuple[str, ...]]:
-    """Judge a saved plan or run; whether the check agrees, and its objections."""
+def _checked(folder: Path) -> tuple[bool, tuple[str, ...]]:
+    """Check a saved plan; return whether the check agrees, and its objections."""
     result = check_motion(*read_object(folder))
     return result.verdict is Verdict.VERIFIED, result.reasons
 

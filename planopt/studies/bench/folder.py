@@ -1,8 +1,7 @@
-"""A folder of the regression suite: what made it, and its rows.
+"""A folder of the regression suite: a manifest, and a file for each row.
 
-``bench.json`` says by which program and from which problems the rows are; a folder of another
-program or of other problems is refused, since its rows could not be compared. Each row is a file
-of ``rows``, written when it is finished.
+``bench.json`` names program and problems; a folder of another program or of changed problems is
+refused, because its rows are not comparable.
 """
 
 from __future__ import annotations

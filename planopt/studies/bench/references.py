@@ -1,7 +1,6 @@
-"""References of the regression suite: what each planner is known to reach, case by case.
+"""References of the regression suite: the best known result of each planner, case by case.
 
-They stand in one file of the problem library. They change in commits of their own that list each
-number and why: :func:`frozen` never replaces one unless it is told to.
+They change in commits of their own that list each number and the reason.
 """
 
 from __future__ import annotations
@@ -101,10 +100,7 @@ def reference_of(row: Row, made_by: str) -> Reference:
 def frozen(
     known: References, rows: Iterable[Row], made_by: str
 ) -> tuple[dict[Case, Reference], list[str]]:
-    """Return references with those of rows, and in words each that is not as it was.
-
-    A row that the check rejects, or that ended with an error, is no reference.
-    """
+    """Return references updated by rows, and each change in words; failed rows are left out."""
     references = dict(known)
     changes: list[str] = []
     for row in rows:
@@ -134,8 +130,8 @@ def worse_share(objective: float, best: float, sense: str) -> float:
 def best_known(references: References, rows: Iterable[Row] = ()) -> dict[Question, float]:
     """Return the best objective of each question, by verified answers that no check rejects."""
     best: dict[Question, float] = {}
-    judged = [one for one in rows if one.accepted is not False]
-    for one in (*references.values(), *judged):
+    accepted = [one for one in rows if one.accepted is not False]
+    for one in (*references.values(), *accepted):
         if one.objective is None or one.verdict != Verdict.VERIFIED.value:
             continue
         question = one.case.question
@@ -185,10 +181,9 @@ def improvement(row: Row, reference: Reference) -> str | None:
 def fast_cases(
     references: References, problems: Sequence[str] | None = None
 ) -> tuple[list[Case], list[str]]:
-    """Return the fast share, and in words what the references lack for it.
+    """Return the fast share, and missing references in words.
 
-    Library problems with their own horizon and settings, all of them if none is named: plans of
-    `FAST_PLANNERS`, and the first steps of closed loops that are quick.
+    These are library problems with their own settings: plans of `FAST_PLANNERS`, and quick runs.
     """
     cases: list[Case] = []
     missing: list[str] = []
@@ -216,7 +211,7 @@ def fast_cases(
     return cases, missing
 
 
-def judged(
+def assessed(
     rows: Sequence[Row], references: References, on_unknown: Callable[[Row], str]
 ) -> tuple[list[str], list[str]]:
     """Return all regressions of rows, and all improvements, in words."""

@@ -26,18 +26,17 @@ CONVERGED = (Termination.CONVERGED.value, Termination.ACCEPTABLE.value)
 class Score:
     """The scores of one planner."""
 
-    planner: str  # Its name
-    cases: int  # How many it was asked
+    planner: str
+    cases: int
     success_rate: float  # Share that it solved (:func:`is_solved`)
     # Share of the cases with a claim whose claim holds (:func:`claims`, :func:`is_wrong`); None
     # without any claim
     correct_rate: float | None
     verified_rate: float  # Share with the verdict verified
-    # How many verified answers the check rejects, and how many cases ended with an error
-    rejected: int
-    errors: int
+    rejected: int  # Verified answers that the check rejects
+    errors: int  # Cases that ended with an error
     fallback_share: float  # Share of the released plans that came from another fallback than plan
-    # By what share objectives are worse than the best known; None where there is none
+    # Relative excess of objectives over the best known; None without any
     median_excess: float | None
     largest_excess: float | None
     iterations: float  # Mean of solver iterations a plan
@@ -56,10 +55,9 @@ def excess(row: Row, best: Mapping[Question, float]) -> float | None:
 
 
 def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
-    """Tell whether a case is solved.
+    """Return whether an answer is verified, accepted and near the best known objective.
 
-    Verified, not rejected by the check, and the objective within `OBJECTIVE_SHARE` of the best
-    known; or there is no plan, and nobody knows one.
+    Without a plan, whether none is known.
     """
     if row.outcome == NO_PLAN:
         return row.question not in best
@@ -76,11 +74,7 @@ def claims(row: Row) -> bool:
 
 
 def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
-    """Tell whether a claim does not hold.
-
-    A verified answer that the check rejects, an optimum that is worse than the best known by more
-    than `OBJECTIVE_SHARE`, or no plan where one is known.
-    """
+    """Return whether a claim is false: rejected, far from the best, or no plan where one is known."""
     if row.outcome == NO_PLAN:
         return row.question in best
     if row.verdict == Verdict.VERIFIED.value and row.accepted is False:
@@ -127,10 +121,7 @@ def step_s(row: Row) -> float:
 
 
 def shifted_geometric_mean(times_s: NDArray[np.float64], shift_s: float) -> float:
-    """Return the geometric mean of times with a shift, in seconds.
-
-    exp(mean(log(t + s))) - s, which very short times cannot dominate.
-    """
+    """Return exp(mean(log(t + s))) - s, which very short times cannot dominate, in seconds."""
     return float(np.exp(np.log(np.asarray(times_s) + shift_s).mean()) - shift_s)
 
 
@@ -145,10 +136,7 @@ class Profile:
 
 
 def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile:
-    """Return the profile of the times of solved cases.
-
-    A planner's share is of the questions that it was asked: a problem may allow only some planners.
-    """
+    """Return the profile of the times of solved cases, over the questions of each planner."""
     planners = tuple(dict.fromkeys(row.planner for row in rows))
     questions = {question: n for n, question in enumerate(dict.fromkeys(r.question for r in rows))}
     times_s = np.full((len(questions), len(planners)), np.nan)

@@ -10,19 +10,6 @@ from planopt.problems.library import library_folder
 
 OPEN_FIELD = (library_folder() / "open_field.toml").read_text()
 
-BAD_PROBLEMS = {
-    "does not parse": ("[planner]", "[planner", "is not TOML"),
-    "negative speed": ("speed_max_m_s = 2.0", "speed_max_m_s = -2.0", "robots[0].speed_max_m_s"),
-    "horizon 0": ("horizon = 10", "horizon = 0", "planner.horizon"),
-    "unknown key": ("p_min = 0.8", "p_minn = 0.8", "p_minn"),
-    "start in an obstacle": ("start_m = [32.0, 30.0]", "start_m = [20.0, 19.0]", "start_m"),
-    "no log": (
-        "count = 120",
-        'file = "no_such.csv"\ncolumns = {x = "x_m", y = "y_m", power = "power_dbm"}',
-        "no_such.csv",
-    ),
-}
-
 
 def fails(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
     """The single line of stderr of a command that must fail with exit code 2."""
@@ -37,16 +24,13 @@ def fails(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
 
 
 @pytest.mark.parametrize("command", ["solve", "simulate", "compare"])
-@pytest.mark.parametrize("name", BAD_PROBLEMS)
-def test_a_bad_problem(name: str, command: str, tmp_path: Path, capsys) -> None:
+def test_a_bad_problem(command: str, tmp_path: Path, capsys) -> None:
     """Every command that reads a problem names file and key, and leaves no folder."""
-    old, new, word = BAD_PROBLEMS[name]
-    assert old in OPEN_FIELD
     path, out = tmp_path / "bad.toml", tmp_path / "out"
-    path.write_text(OPEN_FIELD.replace(old, new, 1))
+    path.write_text(OPEN_FIELD.replace("speed_max_m_s = 2.0", "speed_max_m_s = -2.0"))
     more = ["--horizons", "2"] if command == "compare" else []
     error = fails(capsys, [command, str(path), "--json", "--out", str(out), *more])
-    assert word in error
+    assert "bad.toml" in error and "robots[0].speed_max_m_s" in error
     assert not out.exists()
 
 

@@ -81,22 +81,6 @@ def test_what_is_not_verified_is_exit_code_3(short: Path, capsys) -> None:
     assert data["verified_rate"] < 1.0 and data["outcome"] == "completed"
 
 
-def test_compare(short: Path, tmp_path: Path, capsys) -> None:
-    """A row a setting and metric, no cost to go, and a table in words."""
-    arguments = ["compare", str(short), "--horizons", "2,3", "--planners", "auto,random"]
-    arguments += ["--seeds", "2", "--first-seed", "4"]
-    assert main([*arguments, "--json", "--out", str(tmp_path / "out")]) == 0
-    data = printed(capsys)
-    settings = {(row["horizon"], row["planner"], row["cost_to_go"]) for row in data["rows"]}
-    assert settings == {(n, p, None) for n in (2, 3) for p in ("auto", "random")}
-    assert {row["stalled"] for row in data["rows"]} == {0}
-    assert [run["seed"] for run in data["runs"]] == [4, 5] * 4
-    first = {row["metric"]: row["paired_ratio"] for row in data["rows"][: len(data["rows"]) // 4]}
-    assert first["rms_db"] == pytest.approx(1.0) and first["path_m"] == pytest.approx(1.0)
-    assert main(arguments) == 0
-    assert {"RMS", "error", "[dB]"} <= set(capsys.readouterr().out.split())
-
-
 def test_costs_to_go_are_refused(short: Path, capsys) -> None:
     """There is no goal to go to."""
     assert main(["compare", str(short), "--horizons", "2", "--costs-to-go", "geodesic"]) == 2

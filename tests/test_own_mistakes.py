@@ -506,139 +506,134 @@ def test_the_line_is_that_of_the_users_code(base) -> None:
 
 
 FUNCTION_TRUTH = FunctionTruth(power_dbm=lambda places_m: -50.0 - places_m[:, 0])
+DOORS = (
+    *(planopt.load, planopt.check, planopt.load_result, planopt.explain, planopt.solve),
+    *(planopt.simulate, planopt.Planner),
+)
 
+
+def with_robot(base: Problem, part: dict) -> Problem:
+    """The problem with changed attributes of its robot."""
+    return made(base, robots=replace(base.robots[0], **part))
+
+
+def with_part(base: Problem, name: str, **part) -> Problem:
+    """The problem with changed attributes of a part."""
+    return made(base, **{name: replace(getattr(base, name), **part)})
+
+
+def with_stations(base: Problem, names: list[str]) -> Problem:
+    """The problem with several stations and one ground truth."""
+    stations = [replace(base.stations[0], name=name) for name in names]
+    return made(base, stations=stations, channel=replace(base.channel, truth=FUNCTION_TRUTH))
+
+
+# A function of the problem and a value, the values, and the words of the error.
 MISTAKES = [
-    # Parts that are none
-    (lambda base: casadi_term(3.0, 2), "is a float, nothing that can be called"),
-    (lambda base: casadi_term(ca.SX.sym("x"), 2), "is a SX, nothing that can be called"),
-    (lambda base: casadi_term(lambda path: path.nowhere, 2), "no attribute 'nowhere'"),
-    (lambda base: casadi_term(lambda path: path.start_m[0], "2"), "horizon: is '2'"),
-    (lambda base: casadi_term(lambda path: path.start_m[0], 0), "horizon: is 0"),
-    *(
-        (
-            lambda base, given=given: made(base, objective=given),
-            r"objective\.terms(\[0\])?: is a .*give terms",
-        )
-        for given in (LearningTerm, [LearningTerm], {"kind": "mapping"}, 3, "mapping")
-    ),
-    (lambda base: register_planner("x"), "kind: is a str .give PlannerKind"),
-    (lambda base: register_planner(PlannerKind), "kind: is a class PlannerKind"),
-    (lambda base: register_planner(PlannerKind(3, Maker)), "key name: 3 cannot be the name of a"),
-    (lambda base: register_planner(PlannerKind("nlp", Maker)), "'nlp' cannot be the name of a"),
-    (lambda base: register_planner(PlannerKind("a", Maker(1, 2, 3))), "make: of 'a' is a Maker"),
-    (lambda base: register_planner(PlannerKind("a", None)), "make: of 'a' is a NoneType"),
-    *(
-        (
-            lambda base, make=make: PlannerKind("mine", make).maker(),
-            r"planner\.name: .*cannot be imported",
-        )
-        for make in ("nowhere", ":x", "a b:x", "planopt:nothing")
-    ),
-    *(
-        (
-            lambda base, given=given: planopt.ConnectivityRule("each_step", settings=given),
-            r"constraints\.settings: is .*by name",
-        )
-        for given in ([1, 2], None, "steps", 3)
-    ),
-    *(
-        (
-            lambda base, rule=rule: Constraints(p_min=0.5, rule=rule),
-            r"constraints\.rule: is a .*give ConnectivityRule\(",
-        )
-        for rule in ("joint", OwnRule, {"connectivity": "joint"}, 3)
-    ),
-    *(
-        (lambda base, given=given: Robot(start_m=(1, 1), speed_max_m_s=1.0, dynamics=given), words)
-        for given, words in (
-            (Half(), "Half lacks .*limits"),
-            (type("Heir", (Half, Dynamics), {})(), "Heir lacks .*limits"),
-            (CasadiMap, "no object with dynamics"),
-            (MAP["function"], "no object with dynamics.*CasadiMap"),
-            (lambda x, u: x, "no object with dynamics"),
-            ({"kind": "unicycle"}, "no object with dynamics"),
-        )
-    ),
-    *(
-        (lambda base, part=part: made(base, robots=replace(base.robots[0], **part)), words)
-        for part, words in (
-            ({"start_rest": "ab", "dynamics": CasadiMap(**MAP)}, r"\[\]: has the start_rest 'ab'"),
-            ({"start_rest": 3.0, "dynamics": CasadiMap(**MAP)}, r"\[\]: has the start_rest 3.0"),
-            ({"weights": 2.0}, r"robots\[\]\.weights: is 2.0, should be an array"),
-        )
-    ),
-    # Arguments that are none
-    *(
-        (lambda base, door=door, given=given: door(given), r"^key \w+: is a \w+ \(.+\)$")
-        for door in (
-            *(planopt.load, planopt.check, planopt.load_result, planopt.explain, planopt.solve),
-            *(planopt.simulate, planopt.Planner),
-        )
-        for given in (3, None)
-    ),
-    *(
-        (
-            lambda base, given=given: solve(base, seed=0).save(given),
-            r"^key folder: is a \w+ \(give the name of",
-        )
-        for given in (None, 3)
-    ),
-    *(
-        (
-            lambda base, seed=seed: solve(base, seed=seed),
-            r"key seed: .*whole number.*give 0, 1",
-        )
-        for seed in ("a", -1, 0.5)
-    ),
-    (lambda base: planopt.Measurements(1.0, -50.0), r"\[\[5\.0, 2\.0\]\] and \[-61\.5\]"),
-    (lambda base: planopt.Measurements([1.0, 2.0], -50.0), "for one measurement"),
-    # Numbers beyond their range
-    *(
-        (
-            lambda base, part=part, keys=keys: made(
-                base, **{part: replace(getattr(base, part), **keys)}
-            ),
-            words,
-        )
-        for part, keys, words in (
-            (
-                "planner",
-                {"horizon": 0},
-                "planner.horizon: .*a value of at least 1, e.g. 10: S",
-            ),
-            ("planner", {"step_s": -1.0}, "planner.step_s: .*give a value above 0, e.g. 1: Dur"),
-            ("constraints", {"p_min": 1.5}, "constraints.p_min: .*below 1, e.g. 0.5: Least"),
-            ("constraints", {"clearance_m": -1.0}, "clearance_m: .*of at least 0, e.g. 1: "),
-        )
-    ),
-    # Several stations
+    (lambda _, v: casadi_term(v, 2), (3.0, ca.SX.sym("x")), "is a .*nothing that can be called"),
+    (lambda _, v: casadi_term(v, 2), (lambda path: path.nowhere,), "no attribute 'nowhere'"),
+    (lambda _, v: casadi_term(lambda path: path.start_m[0], v), ("2", 0), "horizon: is '?[20]"),
     (
-        lambda base: replace(base.channel, truth=[FUNCTION_TRUTH] * 2),
+        lambda base, v: made(base, objective=v),
+        (LearningTerm, [LearningTerm], {"kind": "mapping"}, 3, "mapping"),
+        r"objective\.terms(\[0\])?: is a .*give terms",
+    ),
+    (lambda _, v: register_planner(v), ("x", PlannerKind), "kind: is a .*PlannerKind"),
+    (
+        lambda _, v: register_planner(PlannerKind(v, Maker)),
+        (3, "nlp"),
+        "key name: .*cannot be the name of a",
+    ),
+    (
+        lambda _, v: register_planner(PlannerKind("a", v)),
+        (Maker(1, 2, 3), None),
+        "make: of 'a' is a",
+    ),
+    (
+        lambda _, v: PlannerKind("mine", v).maker(),
+        ("nowhere", ":x", "a b:x", "planopt:nothing"),
+        r"planner\.name: .*cannot be imported",
+    ),
+    (
+        lambda _, v: planopt.ConnectivityRule("each_step", settings=v),
+        ([1, 2], None, "steps", 3),
+        r"constraints\.settings: is .*by name",
+    ),
+    (
+        lambda _, v: Constraints(p_min=0.5, rule=v),
+        ("joint", OwnRule, {"connectivity": "joint"}, 3),
+        r"constraints\.rule: is a .*give ConnectivityRule\(",
+    ),
+    (
+        lambda _, v: Robot(start_m=(1, 1), speed_max_m_s=1.0, dynamics=v),
+        (Half(), type("Heir", (Half, Dynamics), {})()),
+        "(Half|Heir) lacks .*limits",
+    ),
+    (
+        lambda _, v: Robot(start_m=(1, 1), speed_max_m_s=1.0, dynamics=v),
+        (CasadiMap, MAP["function"], lambda x, u: x, {"kind": "unicycle"}),
+        "no object with dynamics",
+    ),
+    (
+        lambda base, v: with_robot(base, {"start_rest": v, "dynamics": CasadiMap(**MAP)}),
+        ("ab", 3.0),
+        r"\[\]: has the start_rest ('ab'|3\.0)",
+    ),
+    (with_robot, ({"weights": 2.0},), r"robots\[\]\.weights: is 2.0, should be an array"),
+    *(
+        (lambda _, v, door=door: door(v), (3, None), r"^key \w+: is a \w+ \(.+\)$")
+        for door in DOORS
+    ),
+    (
+        lambda base, v: solve(base, seed=0).save(v),
+        (None, 3),
+        r"^key folder: is a \w+ \(give the name of",
+    ),
+    (lambda base, v: solve(base, seed=v), ("a", -1, 0.5), r"key seed: .*whole number.*give 0, 1"),
+    (lambda _, v: planopt.Measurements(v, -50.0), (1.0,), r"\[\[5\.0, 2\.0\]\] and \[-61\.5\]"),
+    (lambda _, v: planopt.Measurements(v, -50.0), ([1.0, 2.0],), "for one measurement"),
+    (
+        lambda base, v: with_part(base, "planner", horizon=v),
+        (0,),
+        "planner.horizon: .*a value of at least 1, e.g. 10: S",
+    ),
+    (
+        lambda base, v: with_part(base, "planner", step_s=v),
+        (-1.0,),
+        "planner.step_s: .*give a value above 0, e.g. 1: Dur",
+    ),
+    (
+        lambda base, v: with_part(base, "constraints", p_min=v),
+        (1.5,),
+        "constraints.p_min: .*below 1, e.g. 0.5: Least",
+    ),
+    (
+        lambda base, v: with_part(base, "constraints", clearance_m=v),
+        (-1.0,),
+        "clearance_m: .*of at least 0, e.g. 1: ",
+    ),
+    (
+        lambda base, v: replace(base.channel, truth=v),
+        ([FUNCTION_TRUTH] * 2,),
         r"is a list .*\(stations, \.\.\.\)",
     ),
     (
-        lambda base: solve(
-            made(
-                base,
-                stations=[base.stations[0], replace(base.stations[0], name="other")],
-                channel=replace(base.channel, truth=FUNCTION_TRUTH),
-            ),
-            seed=0,
-        ),
+        lambda base, v: solve(with_stations(base, v), seed=0),
+        (["one", "other"],),
         r"for 2 stations .*\(stations, n\) by a function",
     ),
-    (
-        lambda base: made(base, stations=[base.stations[0]] * 2),
-        r"stations\[1\]\.name: is 'station', as that of",
-    ),
+    (with_stations, (["one", "one"],), r"stations\[1\]\.name: is 'one', as that of"),
 ]
 
 
-@pytest.mark.parametrize(("make", "words"), MISTAKES)
-def test_a_mistake_is_explained(base, make, words) -> None:
-    """The key, what was given, and what to give."""
+@pytest.mark.parametrize(
+    ("make", "value", "words"),
+    [(make, value, words) for make, values, words in MISTAKES for value in values],
+)
+def test_a_mistake_is_explained(base, make, value, words) -> None:
+    """The key, the value, and what to give."""
     with pytest.raises(InputError, match=words):
-        make(base)
+        make(base, value)
 
 
 def test_a_map_is_that_of_a_posterior(base) -> None:

@@ -56,11 +56,11 @@ class Verdict(StrEnum):
 class Rung(StrEnum):
     """The fallback that a released plan came from.
 
-    ``reserved`` is the rest of the last plan, verified or not, which other robots avoid;
-    it is used where standing still would block moving obstacles or robots. ``direct`` is the
-    shortest path to a goal, whatever the connection, after long wandering. ``give_way`` is a robot's
-    part of paths planned for all robots together. ``leave`` is a step away from a forbidden place:
-    too near to an obstacle, or out of bounds.
+    ``reserved`` is the rest of the last plan, verified or not, where standing still would block
+    moving obstacles or robots; the other robots avoid it. ``direct`` is the shortest path to a goal
+    after long wandering, whatever the connection. ``give_way`` is a robot's part of paths planned for
+    all robots together. ``leave`` is a step away from a forbidden place: too near to an obstacle, or
+    out of bounds.
     """
 
     PLAN = "plan"

@@ -16,7 +16,6 @@ pytest.importorskip("rasterio")
 pytest.importorskip("h5netcdf")
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="limits of processes")
 
-from run_damaged import fault_of  # noqa: E402
 from sound_files import write_inputs  # noqa: E402
 
 PART = 250
@@ -68,21 +67,3 @@ def test_damaged_files(seed: int, count: int, root: Path) -> None:
     """Some are refused and some are read; 10,000 take half an hour."""
     codes = run_cases(root, seed, count)
     assert codes[2] > count / 4 and codes[0] > count / 20, codes
-
-
-@pytest.mark.parametrize(
-    ("code", "printed", "errors"),
-    [
-        (1, "", "planopt: a.csv: no\n"),
-        (0, "fine", "RuntimeWarning: overflow\n"),
-        (2, "half", "planopt: a.csv: no\n"),
-        (2, "", "HDF5-DIAG: 000\nplanopt: a.csv: no\n"),
-        (2, "", "planopt: \x1b[31m\n"),
-        (2, "", "planopt: a.tif: 'utf-8' codec can't decode byte 0x93\n"),
-        (2, "", ""),
-    ],
-)
-def test_faults_are_seen(code: int, printed: str, errors: str) -> None:
-    """Noise, half a result, an error that is not ours, an unknown exit code."""
-    assert fault_of(code, printed, errors) is not None
-    assert fault_of(2, "", "planopt: a.csv: no\n") is None

@@ -208,16 +208,19 @@ def test_one_seed_has_no_interval(problem):
         ({"horizons": [501]}, "planner.horizon"),
         ({"planners": ["magic"]}, "planner.name"),
         ({"costs_to_go": ["cheap"]}, "objective.cost_to_go"),
+        ({"sweep": {"constraints.p_min": []}}, "constraints.p_min"),
+        ({"sweep": {"planner.horizon": [1]}, "horizons": [1]}, "planner.horizon"),
+        ({"sweep": {"planner.name": ["lattice"]}, "planners": ["auto"]}, "planner.name"),
     ],
 )
 def test_bad_arguments(problem, options, key):
     """One clear error that names the argument, before anything runs."""
     arguments = {"horizons": [2], "seeds": 1, **options}
     with pytest.raises(InputError) as caught:
-        compare(
-            problem, arguments.pop("horizons"), on_run=lambda _: pytest.fail("ran"), **arguments
-        )
+        compare(problem, on_run=lambda _: pytest.fail("ran"), **arguments)
     assert caught.value.key == key
+    with pytest.raises(InputError, match="several are called open_field"):
+        compare([problem, problem], [1])
 
 
 def test_a_single_value_is_a_list_of_one(problem):

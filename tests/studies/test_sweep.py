@@ -177,23 +177,6 @@ def test_a_problem_without_a_way_is_a_row(problem) -> None:
         compare(cut, [2], costs_to_go=["geodesic"], seeds=1)
 
 
-@pytest.mark.parametrize(
-    ("more", "key"),
-    [
-        ({"sweep": {"constraints.p_min": []}}, "constraints.p_min"),
-        ({"sweep": {"planner.horizon": [1]}, "horizons": [1]}, "planner.horizon"),
-        ({"sweep": {"planner.name": ["lattice"]}, "planners": ["auto"]}, "planner.name"),
-    ],
-)
-def test_bad_sweeps(problem, more, key) -> None:
-    """The key at fault, before anything runs."""
-    with pytest.raises(InputError) as caught:
-        compare(problem, **{"seeds": 1, **more}, on_run=lambda _: pytest.fail("ran"))
-    assert caught.value.key == key
-    with pytest.raises(InputError, match="several are called open_field"):
-        compare([problem, problem], [1])
-
-
 def test_saved_and_read_back(comparison, tmp_path: Path) -> None:
     """The same runs and rows; the manifest says what makes them again."""
     comparison.save(tmp_path)

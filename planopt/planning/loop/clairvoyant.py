@@ -60,7 +60,7 @@ def run_costs(
 def realised_cost_m(
     problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
 ) -> float:
-    """Return the length of a driven path (n + 1, 2) plus the outage price of its metres out of contact."""
+    """Return the length of a driven path (n + 1, 2) plus the price of its metres out of contact."""
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
         return true_serving_dbm(problem, truths, places) < problem.stations[0].true_threshold_dbm

@@ -74,7 +74,7 @@ def claims(row: Row) -> bool:
 
 
 def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether a claim is false: rejected, far from the best, or no plan where one is known."""
+    """Return whether a claim is false: rejected, far from the best, or no plan where one exists."""
     if row.outcome == NO_PLAN:
         return row.question in best
     if row.verdict == Verdict.VERIFIED.value and row.accepted is False:

@@ -129,7 +129,7 @@ def test_saving_into_no_folder(tmp_path: Path, solution: Solution) -> None:
         solution.save(tmp_path / "file")
 
 
-def edit_json(name: str, change: Callable[[dict], object]) -> Callable[[Path], None]:
+def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], object]:
     """Damage one key of a JSON file."""
 
     def damage(folder: Path) -> None:
@@ -140,135 +140,73 @@ def edit_json(name: str, change: Callable[[dict], object]) -> Callable[[Path], N
     return damage
 
 
-def edit_text(name: str, change: Callable[[str], str]) -> Callable[[Path], None]:
+def text(name: str, change: Callable[[str], str]) -> Callable[[Path], object]:
     """Damage the text of a file."""
-    return lambda folder: (folder / name).write_text(change((folder / name).read_text())) and None
+    return lambda folder: (folder / name).write_text(change((folder / name).read_text()))
 
 
-def remove(name: str) -> Callable[[Path], None]:
-    """Remove a file."""
-    return lambda folder: (folder / name).unlink()
+def first(data: dict) -> dict:
+    """The first robot of a plan."""
+    return data["robots"][0]
 
 
-PLAN_DAMAGE = {
-    "no json": (remove("plan.json"), "", None),
-    "no steps": (remove("steps.csv"), "steps.csv", None),
-    "no belief": (remove("belief.npz"), "belief.npz", None),
-    "truncated json": (edit_text("plan.json", lambda t: t[:500]), "plan.json", None),
-    "empty json": (edit_text("plan.json", lambda t: ""), "plan.json", None),
-    "json is a list": (edit_text("plan.json", lambda t: "[1]"), "plan.json", None),
-    "key missing": (edit_json("plan.json", lambda d: d.pop("seed")), "plan.json", "seed"),
-    "a number for a rung": (
-        edit_json("plan.json", lambda d: d["robots"][0].update(rung=1)),
-        "plan.json",
-        "robots[0].rung",
-    ),
-    "an unknown rung": (
-        edit_json("plan.json", lambda d: d["robots"][0].update(rung="guess")),
-        "plan.json",
-        "robots[0].rung",
-    ),
-    "another horizon": (
-        edit_json("plan.json", lambda d: d["problem_file"]["planner"].update(horizon=9)),
-        "plan.json",
-        "robots[0]",
-    ),
-    "a key twice": (
-        edit_text("plan.json", lambda t: t.replace("{", '{"verdict": "verified", ', 1)),
-        "plan.json",
-        "verdict",
-    ),
-    "too deep": (edit_text("plan.json", lambda t: "[" * 100_000), "plan.json", None),
-    "text for a number": (
-        edit_json("plan.json", lambda d: d["robots"][0]["x_m"].__setitem__(1, "a")),
-        "plan.json",
-        "robots[0].x_m[1]",
-    ),
-    "NaN": (
-        edit_text("plan.json", lambda t: t.replace("[32.0,", "[NaN,", 1)),
-        "plan.json",
-        "robots[0].x_m[0]",
-    ),
-    "other lengths": (
-        edit_json("plan.json", lambda d: d["robots"][0]["y_m"].pop()),
-        "plan.json",
-        "robots[0]",
-    ),
-    "no problem": (
-        edit_json("plan.json", lambda d: d.pop("problem_file")),
-        "plan.json",
-        "problem_file",
-    ),
-    "bad problem": (
-        edit_json("plan.json", lambda d: d["problem_file"]["robots"][0].update(speed_max_m_s=-1)),
-        "plan.json",
+def plan_of(data: dict) -> dict:
+    """The second released plan of a run."""
+    return data["plans"][0]["released"][1]
+
+
+PLAN, RUN, STEPS, ROW = "plan.json", "run.json", "steps.csv", "rover,0,0.0,"
+
+# File, key and damage.
+DAMAGE = [
+    (None, None, lambda folder: (folder / PLAN).unlink()),
+    (STEPS, None, lambda folder: (folder / STEPS).unlink()),
+    ("belief.npz", None, lambda folder: (folder / "belief.npz").unlink()),
+    (PLAN, None, text(PLAN, lambda t: t[:500])),
+    (PLAN, None, text(PLAN, lambda t: "")),
+    (PLAN, None, text(PLAN, lambda t: "[1]")),
+    (PLAN, None, text(PLAN, lambda t: "[" * 100_000)),
+    (PLAN, "verdict", text(PLAN, lambda t: t.replace("{", '{"verdict": "verified", ', 1))),
+    (PLAN, "seed", edit(PLAN, lambda d: d.pop("seed"))),
+    (PLAN, "robots[0].rung", edit(PLAN, lambda d: first(d).update(rung=1))),
+    (PLAN, "robots[0].rung", edit(PLAN, lambda d: first(d).update(rung="guess"))),
+    (PLAN, "robots[0]", edit(PLAN, lambda d: d["problem_file"]["planner"].update(horizon=9))),
+    (PLAN, "robots[0].x_m[1]", edit(PLAN, lambda d: first(d)["x_m"].__setitem__(1, "a"))),
+    (PLAN, "robots[0].x_m[0]", text(PLAN, lambda t: t.replace("[32.0,", "[NaN,", 1))),
+    (PLAN, "robots[0]", edit(PLAN, lambda d: first(d)["y_m"].pop())),
+    (PLAN, "problem_file", edit(PLAN, lambda d: d.pop("problem_file"))),
+    (
+        PLAN,
         "robots[0].speed_max_m_s",
+        edit(PLAN, lambda d: first(d["problem_file"]).update(speed_max_m_s=-1)),
     ),
-    "row cut": (edit_text("steps.csv", lambda t: t.rstrip()[:-20]), "steps.csv", None),
-    "column renamed": (edit_text("steps.csv", lambda t: t.replace("x_m", "x")), "steps.csv", None),
-    "text in a cell": (
-        edit_text("steps.csv", lambda t: t.replace("rover,0,0.0,32.0", "rover,0,0.0,here")),
-        "steps.csv",
-        "x_m",
+    (STEPS, None, text(STEPS, lambda t: t.rstrip()[:-20])),
+    (STEPS, None, text(STEPS, lambda t: t.replace("x_m", "x"))),
+    (STEPS, "x_m", text(STEPS, lambda t: t.replace(f"{ROW}32.0", f"{ROW}here"))),
+    (STEPS, "x_m", text(STEPS, lambda t: t.replace(f"{ROW}32.0", f"{ROW}inf"))),
+    (STEPS, "x_m", text(STEPS, lambda t: t.replace(f"{ROW}32.0", ROW))),
+    (STEPS, None, lambda folder: (folder / STEPS).write_bytes(b"\xff\xfe\x00")),
+    (STEPS, None, text(STEPS, lambda t: "")),
+    (RUN, "plans", edit(RUN, lambda d: d["plans"].pop())),
+    (RUN, "format", edit(RUN, lambda d: d.update(format=2))),
+    (RUN, "plans[0].released[1]", edit(RUN, lambda d: plan_of(d)["y_m"].pop())),
+    (
+        RUN,
+        "plans[0].released[1]",
+        edit(RUN, lambda d: [plan_of(d)[key].pop() for key in ("x_m", "y_m")]),
     ),
-    "infinite cell": (
-        edit_text("steps.csv", lambda t: t.replace("rover,0,0.0,32.0", "rover,0,0.0,inf")),
-        "steps.csv",
-        "x_m",
-    ),
-    "empty cell": (
-        edit_text("steps.csv", lambda t: t.replace("rover,0,0.0,32.0", "rover,0,0.0,")),
-        "steps.csv",
-        "x_m",
-    ),
-    "not text": (
-        lambda folder: (folder / "steps.csv").write_bytes(b"\xff\xfe\x00") and None,
-        "steps.csv",
-        None,
-    ),
-    "empty steps": (edit_text("steps.csv", lambda t: ""), "steps.csv", None),
-}
+    (RUN, "seed", edit(RUN, lambda d: d.update(seed=-1))),
+]
 
 
-@pytest.mark.parametrize("name", PLAN_DAMAGE)
-def test_a_damaged_plan_is_an_error(plan_folder: Path, name: str) -> None:
+@pytest.mark.parametrize(("file", "key", "damage"), DAMAGE)
+def test_damage_is_an_error(plan_folder: Path, run_folder: Path, file, key, damage) -> None:
     """Missing, truncated and wrong files are errors that name file and key."""
-    damage, file, key = PLAN_DAMAGE[name]
-    damage(plan_folder)
+    folder = run_folder if file == RUN else plan_folder
+    damage(folder)
     with pytest.raises(InputError) as raised:
-        read_saved(plan_folder)
-    assert raised.value.file == str(plan_folder / file)
-    assert raised.value.key == key
-
-
-RUN_DAMAGE = {
-    "plan missing": (edit_json("run.json", lambda d: d["plans"].pop()), "run.json", "plans"),
-    "another format": (edit_json("run.json", lambda d: d.update(format=2)), "run.json", "format"),
-    "plan cut": (
-        edit_json("run.json", lambda d: d["plans"][0]["released"][1]["y_m"].pop()),
-        "run.json",
-        "plans[0].released[1]",
-    ),
-    "a step cut": (
-        edit_json(
-            "run.json",
-            lambda d: [d["plans"][0]["released"][1][key].pop() for key in ("x_m", "y_m")],
-        ),
-        "run.json",
-        "plans[0].released[1]",
-    ),
-    "negative seed": (edit_json("run.json", lambda d: d.update(seed=-1)), "run.json", "seed"),
-}
-
-
-@pytest.mark.parametrize("name", RUN_DAMAGE)
-def test_a_damaged_run_is_an_error(run_folder: Path, name: str) -> None:
-    """A run whose plans do not go with its steps is an error that names file and key."""
-    damage, file, key = RUN_DAMAGE[name]
-    damage(run_folder)
-    with pytest.raises(InputError) as raised:
-        read_saved(run_folder)
-    assert raised.value.file == str(run_folder / file)
+        read_saved(folder)
+    assert raised.value.file == str(folder if file is None else folder / file)
     assert raised.value.key == key
 
 

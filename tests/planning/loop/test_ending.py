@@ -1,12 +1,14 @@
 """When a closed loop ends."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scenes import small_problem
 
+from planopt import check, load, simulate
 from planopt.planning.loop.ending import STALL_STEPS, goal_ending
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung
@@ -68,3 +70,16 @@ def test_no_more_steps() -> None:
     )
     arrived = goal_ending(problem, places(33.0, 35.0), [True], PLAN)
     assert arrived is not None and arrived[0] is Outcome.REACHED
+
+
+def test_a_run_of_no_step_is_saved_and_judged(tmp_path: Path) -> None:
+    """Its table has the robot's state all the same."""
+    problem = load("harbour_reach")
+    robot = problem.robots[0]
+    here = replace(robot, goal_m=robot.start_m, start_rest=(0.0, 0.0))
+    problem = replace(problem, robots=(here,))
+    simulation = simulate(problem)
+    assert simulation.run.outcome is Outcome.REACHED
+    assert simulation.plans == ((),)
+    simulation.save(tmp_path)
+    assert check(tmp_path).reasons == ()

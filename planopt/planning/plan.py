@@ -58,9 +58,9 @@ class Rung(StrEnum):
 
     ``reserved`` is the rest of the last plan, verified or not, where standing still would block
     moving obstacles or robots; the other robots avoid it. ``direct`` is the shortest path to a goal
-    after long wandering, whatever the connection. ``give_way`` is a robot's part of paths planned for
-    all robots together. ``leave`` is a step away from a forbidden place: too near to an obstacle, or
-    out of bounds.
+    after long wandering, whatever the connection. ``give_way`` is a robot's part of joint paths of
+    all robots. ``leave`` is a step away from a forbidden place: too near to an obstacle, or out of
+    bounds.
     """
 
     PLAN = "plan"

@@ -478,7 +478,7 @@ class Half:
         (-50.0, "is a float, nothing that can be called"),
         (np.zeros((4, 4)), "ArrayTruth for arrays"),
         (lambda places_m: np.full(len(places_m), 500.0), "powers from 500 to 500, .*-300 to 100"),
-        (lambda places_m: np.full(len(places_m), -1e9), "is no power|powers from -1e"),
+        (lambda places_m: np.full(len(places_m), -1e9), "is not a power|powers from -1e"),
         (lambda places_m: np.full(len(places_m), -60.0 + 1j), "is numbers of type complex128"),
         (lambda places_m: np.full(len(places_m), "-60"), "is text, no array of real numbers"),
     ],

@@ -1,9 +1,9 @@
 """The local channel model: kriging from the measurements nearest to chosen positions.
 
 Lattice maps, refinements of paths, rankings of initial guesses and predictions at single positions
-use the same model, built around different positions. Conditioning on fewer measurements gives a
-true posterior of less data, so that the variance is never smaller. Path loss and receivers' offsets
-are those of all measurements, with their uncertainty.
+use this model, built around different positions. Conditioning on fewer measurements gives a true
+posterior of less data: the variance is never smaller. Path loss and receivers' offsets are those of
+all measurements, with their uncertainty.
 """
 
 from __future__ import annotations
@@ -34,9 +34,8 @@ if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
 
 NEIGHBOURS_BEYOND = 192
-"""Minimum number of measurements per position where the posterior has no factor of all. With 50,000
-on 100 m by 100 m the mean is within 0.005 dB and the standard deviation within 1e-5 dB of those
-from 1,024."""
+"""Minimum number of measurements per position without a factor of all. With 50,000 on a square of
+100 m the mean is within 0.005 dB and the standard deviation within 1e-5 dB of those from 1,024."""
 
 GROUP = 64
 """Maximum number of positions that share measurements: a path, or a square of a grid."""
@@ -172,16 +171,16 @@ class LocalChannel:
         places_m: NDArray[np.float64],  # (..., p, 2)
         position_std_m: NDArray[np.float64] | None = None,  # (..., p)
     ) -> NDArray[np.float64]:
-        """Covariances of places with the measurements, age included; ``(..., p, m)``."""
+        """Return covariances of places with the measurements, age included; ``(..., p, m)``."""
         places = place_origins(places_m, self.now_s, self.parameters, position_std_m)
         return covariance_db2(places, self.origins, self.parameters)
 
     def terms(
         self,
         places_m: NDArray[np.float64],  # (..., p, 2)
-        rows_db2: NDArray[np.float64] | None = None,  # (..., p, m) as of `rows_db2`, if computed
+        rows_db2: NDArray[np.float64] | None = None,  # (..., p, m) from `rows_db2`, if computed
     ) -> KrigingTerms:
-        """Kriging terms at places, each set's own."""
+        """Return kriging terms at places, from each set's measurements."""
         rows = self.rows_db2(places_m) if rows_db2 is None else rows_db2
         latent = np.full(rows.shape[:-1], self.parameters.shadow_std_db**2)
         if rows.ndim == 2:
@@ -191,12 +190,13 @@ class LocalChannel:
             projected = half.T @ columns
             latent -= np.einsum("ij,ij->j", half, half)
             if len(self.offsets.receivers):
-                latent += self.offsets.variance_db2(half.T @ received)
+                offset = half.T @ received
+                latent += ((offset @ self.offsets.covariance_db2) * offset).sum(axis=-1)
         else:
             projected = rows @ self._weighted
             latent -= ((rows @ self.inverse) * rows).sum(axis=-1)
         trend = regressors(places_m, self.parameters.station) - projected[..., 1:]
-        # Rounding alone can make the latent variance negative, at a position known exactly.
+        # Rounding can make the latent variance negative at a position that is known exactly.
         variance = np.maximum(latent, 0.0) + self.parameters.multipath_std_db**2
         return KrigingTerms(projected[..., 0], trend, variance)
 
@@ -210,8 +210,8 @@ def nearest_to_path(
 ) -> NDArray[np.intp]:
     """Return the numbers of the `count` measurements nearest to a path (h, 2), or of all.
 
-    The nearest of each position come first, then each one's second nearest, and so on, so that no
-    position is left out for another.
+    The nearest of each position come first, then the second nearest, and so on, so that every
+    position is represented.
     """
     places = require_places(path_m)
     measured = posterior.measurements.positions_m
@@ -225,7 +225,7 @@ def nearest_to_path(
 
 @dataclass(frozen=True, eq=False)
 class LocalGrid:
-    """Places of a map, prepared for one local channel."""
+    """Positions of a map, prepared for one local channel."""
 
     positions_m: NDArray[np.float64]  # (g, 2)
     root_weight: NDArray[np.float64]  # (g,) square roots of the weights

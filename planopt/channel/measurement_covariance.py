@@ -1,29 +1,27 @@
 """Covariance of shadowing, and of measurements with each other and with places.
 
-Beside multipath, two measured powers covary by
+Apart from multipath, two measured powers have the covariance
 
     xi^2 exp(-d / beta) exp(-|t_i - t_j| / T) + s^2 [both by the same receiver, not number 0]
 
-with T the forgetting time, s the prior deviation of a receiver's offset, and d widened by position
-errors as below. The offset is a random effect: a constant of each receiver that is integrated out,
-so that no mean needs a column for it. Predictions are for receiver 0, the reference, so that places
-have no offset.
+with T the forgetting time, s the prior standard deviation of a receiver's offset, and d widened by
+position errors as below. The offset is a random effect, a constant of each receiver that is
+integrated out, so that the mean needs no column for it. Predictions are for receiver 0, the
+reference, and have no offset.
 
-A measured power belongs to the true place, but the record names another one (GPS). With independent
-planar Gaussian errors e of deviation sigma in either coordinate, the covariance of two powers is
-the kernel averaged over the errors (Cressie and Kornak, Spatial Statistics in the Presence of
-Location Error, 2003). Here xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
+Power belongs to the true position, but the record has another one (GPS). With independent planar
+Gaussian errors e of standard deviation sigma per coordinate, the covariance is the kernel averaged
+over the errors (Cressie and Kornak, Spatial Statistics in the Presence of Location Error, 2003).
+xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
 
     xi^2 exp(-sqrt(d^2 + c_i + c_j) / beta),    c = 1.2 sigma^2.
 
-It is the kernel of points lifted out of the plane, each along an axis of its own, hence a
-covariance, with xi^2 on the diagonal, where the lifts cancel. The mean distance of two recorded
-places asks for a share of pi / 2 where they coincide and of 1 where they are far apart; 1.2 keeps
-the kernel within 0.021 xi^2 of the average for sqrt(sigma_i^2 + sigma_j^2) up to 0.3 beta, 0.036 up
-to half of beta.
+This is the kernel of points lifted out of the plane, each along an axis of its own, hence a
+covariance; on the diagonal, where the lifts cancel, it is xi^2. The error is at most 0.021 xi^2 for
+sqrt(sigma_i^2 + sigma_j^2) up to 0.3 beta, and 0.036 xi^2 up to half of beta.
 
-Path loss differs between the two places too, independently for each measurement. Its variance is
-taken from that of the squared distance to the station, to first order.
+Path loss differs between the two positions too, independently for each measurement. Its variance
+follows from that of the squared distance to the station, to first order.
 """
 
 from __future__ import annotations
@@ -40,14 +38,24 @@ from planopt.channel.parameters import ChannelParameters, Station
 
 Real = TypeVar("Real", np.float32, np.float64)
 
+BLUR_SHARE = 1.2
+"""Addition to squared distances as a share of the variance of a coordinate's error."""
+
+RECEIVER_OFFSET_STD_DB = 20.0
+"""s: prior standard deviation of a receiver's offset, wide enough to be uninformative."""
+
+ROWS_AT_ONCE = 64
+"""Rows of a large symmetric matrix computed together, up to their diagonal: half of the matrix is
+never computed, and temporary arrays stay in a processor's cache."""
+
 
 def pairwise_distance_m(
     a: NDArray[np.float64], b: NDArray[np.float64], blur_m2: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Distances between every row of `a` (..., n, 2) and of `b` (..., m, 2); (..., n, m).
+    """Return distances between every row of `a` (..., n, 2) and `b` (..., m, 2); (..., n, m).
 
-    By differences, not by the expanded square, so that coordinates near 3e6 keep their digits.
-    `blur_m2`, which broadcasts to the result, is added to the squares (position errors).
+    `blur_m2` (position errors) broadcasts to the result and is added to the squares. Differences
+    are squared, not expanded, so that coordinates near 3e6 keep their digits.
     """
     dx = a[..., :, None, 0] - b[..., None, :, 0]
     dy = a[..., :, None, 1] - b[..., None, :, 1]
@@ -65,16 +73,12 @@ def shadow_covariance_db2(
     parameters: ChannelParameters,
     blur_m2: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Covariance of shadowing between positions `a` (..., n, 2) and `b` (..., m, 2), in dB^2.
-
-    Leading axes are batches; the result is (..., n, m). `blur_m2` as in
-    :func:`pairwise_distance_m`.
-    """
+    """Return the covariance of shadowing; arguments and shapes as in `pairwise_distance_m`."""
     return decayed_db2(pairwise_distance_m(a, b, blur_m2), parameters)
 
 
 def decayed_db2(distance_m: NDArray[Real], parameters: ChannelParameters) -> NDArray[Real]:
-    """Covariance of shadowing over distances, of any shape and precision, which it replaces."""
+    """Overwrite distances of any shape and precision with the covariance of shadowing."""
     covariance = distance_m
     covariance *= -1.0 / parameters.decorrelation_m
     np.exp(covariance, out=covariance)
@@ -82,27 +86,18 @@ def decayed_db2(distance_m: NDArray[Real], parameters: ChannelParameters) -> NDA
     return covariance
 
 
-BLUR_SHARE = 1.2
-"""What is added to squared distances, as a share of the variance of the coordinates' error."""
-
-
-def position_blur_m2(position_std_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what errors of `position_std_m` (...) add to squared distances, c; m^2."""
-    return BLUR_SHARE * position_std_m**2
-
-
 def path_loss_variance_db2(
     positions_m: NDArray[np.float64],  # (..., 2)
-    position_std_m: NDArray[np.float64],  # (...) sigma; the variance is zero where it is zero
+    position_std_m: NDArray[np.float64],  # (...) sigma
     station: Station,
     n_pl: float,
 ) -> NDArray[np.float64]:
-    """Variance of path loss where the position has an error; (...) in dB^2.
+    """Return the variance of path loss at positions with errors; (...) in dB^2.
 
     ``(10 n_PL / ln 10)^2 sigma^2 (rho^2 + sigma^2) / (rho^2 + h^2 + 2 sigma^2)^2`` with rho the
     horizontal distance to the station and h its height: the variance of the squared distance by
-    four times the square of its mean. Bounded also beside the station: 8 % low at 7 sigma from it,
-    43 % at sigma.
+    four times the square of its mean. It is bounded near the station: 8 % low at a distance of
+    7 sigma, 43 % at sigma.
     """
     horizontal = ((positions_m - np.asarray(station.position_m)) ** 2).sum(axis=-1)
     variance = position_std_m**2
@@ -113,24 +108,25 @@ def path_loss_variance_db2(
     return (10.0 * n_pl / math.log(10.0)) ** 2 * found
 
 
-RECEIVER_OFFSET_STD_DB = 20.0
-"""s: prior deviation of a receiver's offset, wide enough to say nothing against measurements."""
-
-ROWS_AT_ONCE = 64
-"""Rows of a large symmetric matrix computed together, up to their diagonal: half of it is never
-computed, and temporary arrays stay in a processor's cache."""
+def measured_path_loss_variance_db2(
+    measurements: Measurements, parameters: ChannelParameters
+) -> NDArray[np.float64]:
+    """Return the variance of path loss from the measurements' position errors; ``(n,)`` in dB^2."""
+    return path_loss_variance_db2(
+        measurements.positions_m, measurements.position_std_m, parameters.station, parameters.n_pl
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Origins:
-    """Places, times and receivers of powers that are measured or predicted."""
+    """Positions, times and receivers of powers that are measured or predicted."""
 
     positions_m: NDArray[np.float64]  # (..., n, 2)
-    # (..., n) of position errors; None where there is none
+    # (..., n) addition to squared distances from position errors; None without errors
     blur_m2: NDArray[np.float64] | None = None
-    # (..., n), or (1,) for all; None where the channel does not forget
+    # (..., n), or (1,) for all; None without forgetting
     time_s: NDArray[np.float64] | None = None
-    receiver: NDArray[np.intp] | None = None  # (..., n); None where all are 0
+    receiver: NDArray[np.intp] | None = None  # (..., n); None if all are 0
 
     def at(self, rows: NDArray[np.intp] | slice) -> Origins:
         """Return the origins of `rows` of measurements (n,); indices (k, m) make k batches of m."""
@@ -142,35 +138,31 @@ class Origins:
         )
 
     def without_offsets(self) -> Origins:
-        """The same, with every receiver's offset known."""
+        """Return the origins as if every receiver's offset were known."""
         return self if self.receiver is None else replace(self, receiver=None)
 
 
 def measured_origins(measurements: Measurements, parameters: ChannelParameters) -> Origins:
-    """Origins of measurements, with what plays no part left out."""
+    """Return the origins of measurements, without columns that have no effect."""
+    std_m = measurements.position_std_m
     return Origins(
         measurements.positions_m,
-        position_blur_m2(measurements.position_std_m)
-        if measurements.position_std_m.any()
-        else None,
+        BLUR_SHARE * std_m**2 if std_m.any() else None,
         None if math.isinf(parameters.forgetting_s) else measurements.time_s,
         measurements.receiver if measurements.receiver.any() else None,
     )
 
 
 def place_origins(
-    positions_m: NDArray[np.float64],
+    positions_m: NDArray[np.float64],  # (..., n, 2)
     now_s: float,
     parameters: ChannelParameters,
-    position_std_m: NDArray[np.float64] | None = None,
+    position_std_m: NDArray[np.float64] | None = None,  # (..., n) of position errors
 ) -> Origins:
-    """Origins of places (..., n, 2) that power is predicted at, at time `now_s`.
-
-    `position_std_m` (..., n) is the deviation of their position errors; None for none.
-    """
+    """Return the origins of predictions at the time `now_s`."""
     return Origins(
         positions_m,
-        None if position_std_m is None else position_blur_m2(position_std_m),
+        None if position_std_m is None else BLUR_SHARE * position_std_m**2,
         None if math.isinf(parameters.forgetting_s) else np.array([now_s]),
     )
 
@@ -178,9 +170,8 @@ def place_origins(
 def covariance_db2(
     first: Origins, second: Origins, parameters: ChannelParameters
 ) -> NDArray[np.float64]:
-    """Covariance of the powers of `first` (..., n) and `second` (..., m), no one in both."""
-    # Shapes: returns (..., n, m).
-    blur_m2 = blurred_m2(first, second)
+    """Return the covariance of the powers of `first` (..., n) and of others, `second` (..., m)."""
+    blur_m2 = _blur_m2(first, second)
     distance_m = pairwise_distance_m(first.positions_m, second.positions_m, blur_m2)
     return covariance_over_db2(distance_m, first, second, parameters)
 
@@ -198,23 +189,21 @@ def covariance_over_db2(
 
 
 def offset_covariance_db2(first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Covariance of the offsets of receivers `first` (..., n) and `second` (..., m), in dB^2."""
+    """Return the covariance of the offsets of receivers (..., n) and (..., m); (..., n, m)."""
     one, other = first[..., :, None], second[..., None, :]
     return np.where((one == other) & (one != 0), RECEIVER_OFFSET_STD_DB**2, 0.0)
 
 
 def own_covariance_db2(
-    origins: Origins, parameters: ChannelParameters, distance_m: NDArray[np.float64] | None = None
+    origins: Origins,  # (..., n)
+    parameters: ChannelParameters,
+    distance_m: NDArray[np.float64] | None = None,  # (..., n, n) blurred; None to compute them
 ) -> NDArray[np.float64]:
-    """Covariance of the powers of `origins` (..., n) among themselves; (..., n, n) in dB^2.
-
-    `distance_m` are the distances (..., n, n), blurred already, where they are at hand.
-    """
+    """Return the covariance of the powers of `origins` among themselves; (..., n, n) in dB^2."""
     count = origins.positions_m.shape[-2]
-    each_has_time = origins.time_s is None or origins.time_s.shape[-1] == count
     if distance_m is not None:
         covariance = covariance_over_db2(distance_m.copy(), origins, origins, parameters)
-    elif origins.positions_m.ndim == 2 and count > 2 * ROWS_AT_ONCE and each_has_time:
+    elif origins.positions_m.ndim == 2 and count > 2 * ROWS_AT_ONCE:
         covariance = np.empty((count, count))
         for start in range(0, count, ROWS_AT_ONCE):
             stop = min(start + ROWS_AT_ONCE, count)
@@ -225,38 +214,23 @@ def own_covariance_db2(
     else:
         covariance = covariance_db2(origins, origins, parameters)
     if origins.blur_m2 is not None:
-        # The error of one's own position is the same on both sides.
+        # A position error cancels in the distance of a measurement from itself.
         np.einsum("...ii->...i", covariance)[...] = own_variance_db2(origins, parameters)
     return covariance
 
 
 def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> NDArray[np.float64]:
-    """Variance of shadowing and the receiver's offset; ``(..., n)`` in dB^2."""
+    """Return the variance of shadowing and the receiver's offset; ``(..., n)`` in dB^2."""
     variance = np.full(origins.positions_m.shape[:-1], float(parameters.shadow_std_db) ** 2)
     if origins.receiver is not None:
         variance[origins.receiver != 0] += RECEIVER_OFFSET_STD_DB**2
     return variance
 
 
-def measured_path_loss_variance_db2(
-    measurements: Measurements, parameters: ChannelParameters
-) -> NDArray[np.float64]:
-    """Variance of path loss from the measurements' own position errors; ``(n,)`` in dB^2."""
-    if not measurements.position_std_m.any():
-        return np.zeros(len(measurements))
-    return path_loss_variance_db2(
-        measurements.positions_m,
-        measurements.position_std_m,
-        parameters.station,
-        parameters.n_pl,
-    )
-
-
 def own_distance_m(origins: Origins) -> NDArray[np.float64]:
-    """Distances among `origins` (n), position errors included, zero to oneself; ``(n, n)``."""
-    distance = pairwise_distance_m(
-        origins.positions_m, origins.positions_m, blurred_m2(origins, origins)
-    )
+    """Return distances among `origins` (n), position errors included; ``(n, n)``."""
+    blur_m2 = _blur_m2(origins, origins)
+    distance = pairwise_distance_m(origins.positions_m, origins.positions_m, blur_m2)
     np.fill_diagonal(distance, 0.0)
     return distance
 
@@ -266,28 +240,13 @@ def ageing(
     other_s: NDArray[np.float64] | float,
     parameters: ChannelParameters,
 ) -> NDArray[np.float64]:
-    """The factor exp(-age / T) of two times, in the shape they broadcast to."""
+    """Return the factor exp(-age / T) of two times, in the shape that they broadcast to."""
     gap = np.abs(np.subtract(one_s, other_s))
     return np.exp(-gap / parameters.forgetting_s)
 
 
-def fading(
-    measured_s: NDArray[np.float64], before_s: float, now_s: float, parameters: ChannelParameters
-) -> float | None:
-    """The factor that all covariances with places have from the time `before_s` to `now_s`.
-
-    All measurements age alike once all are past: None where some of `measured_s` (n,) were not yet
-    at `before_s`, or time runs back, so that there is no such factor.
-    """
-    if math.isinf(parameters.forgetting_s) or now_s == before_s:
-        return 1.0
-    if now_s < before_s or float(measured_s.max(initial=-math.inf)) > before_s:
-        return None
-    return math.exp((before_s - now_s) / parameters.forgetting_s)
-
-
-def blurred_m2(first: Origins, second: Origins) -> NDArray[np.float64] | None:
-    """Return what position errors add to the squared distances; broadcasts to (..., n, m)."""
+def _blur_m2(first: Origins, second: Origins) -> NDArray[np.float64] | None:
+    """Return the addition to squared distances from position errors; broadcasts to (..., n, m)."""
     if first.blur_m2 is None:
         return None if second.blur_m2 is None else second.blur_m2[..., None, :]
     if second.blur_m2 is None:

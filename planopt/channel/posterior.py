@@ -457,8 +457,8 @@ def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> Ch
     buffer.append(parameters, grown.origins, grown.noise_variance_db2, columns)
     grown = replace(
         grown,
-        whitened_values=np.ascontiguousarray(columns[:, 0]),
-        whitened_regressors=np.ascontiguousarray(columns[:, 1:]),
+        whitened_values=columns[:, 0].copy(),
+        whitened_regressors=columns[:, 1:].copy(),
         buffer=buffer,
     )
     columns[:, 0] -= columns[:, 1:] @ [parameters.k_pl_db, parameters.n_pl]

@@ -1,13 +1,14 @@
-"""A lattice of predictions that follows the posterior at little cost.
+"""A lattice of predictions that is updated with each measurement.
 
-Square tiles of nodes share the measurements nearest to the tile's centre. A new measurement only
-touches the tiles that it is near to, where it replaces the farthest one by two rank-one updates; a
-new theta is recombined everywhere from kept parts. Where the channel forgets, kept parts fade as
-time passes. Where receivers have offsets, a measurement changes what others say of any place, and
-all tiles are computed from nothing.
+Square tiles of nodes share the measurements nearest to the tile's centre. A new measurement affects
+only nearby tiles, where it replaces the farthest one by two rank-one updates; a new theta is
+combined with stored terms. In a channel that forgets, and with several receivers, whose offsets
+change with every measurement, all tiles are computed again.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +17,23 @@ from planopt.channel.kriging import kriging_terms
 from planopt.channel.local_channel import LocalChannel
 from planopt.channel.measurement_covariance import (
     covariance_db2,
-    fading,
     own_variance_db2,
     place_origins,
 )
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, combine
-from planopt.channel.vecchia import OffsetsGivenTheta, offsets_given_theta
+from planopt.channel.vecchia import offsets_given_theta
 
 TILES_AT_ONCE = 64
 """Tiles solved together: their matrices fit into a processor's cache."""
 
 REPLACEMENTS_BEFORE_REBUILD = 32
-"""A tile is computed from nothing after so many updates, so that rounding does not pile up."""
+"""Maximum number of updates of a tile before it is computed again, which limits rounding errors."""
 
 
 class TileMap:
-    """Predicted power and its deviation on a lattice, refreshed as measurements come in.
+    """Predicted power and its standard deviation on a lattice, refreshed with each measurement.
 
     Memory is about ``8 neighbours (neighbours + tile**2)`` bytes a tile.
     """
@@ -54,7 +54,7 @@ class TileMap:
         kept, tile_of_node = np.unique(
             (rows // tile) * across + columns // tile, return_inverse=True
         )
-        # Tiles that stick out of the lattice repeat its last row or column.
+        # Tiles that extend beyond the lattice repeat its last row or column.
         inside = np.arange(tile)
         tile_rows = np.minimum((kept // across)[:, None] * tile + inside, len(y_m) - 1)
         tile_columns = np.minimum((kept % across)[:, None] * tile + inside, len(x_m) - 1)
@@ -65,7 +65,7 @@ class TileMap:
         self._centres_m = self._places_m.mean(axis=1)
         self._lattice_index = rows * needed.shape[1] + columns
         self._tile_index = (tile_of_node * tile + rows % tile) * tile + columns % tile
-        # One contiguous plane for each term: recombining them all is most of an idle refresh.
+        # One contiguous plane per term: combining them all is most of an idle refresh.
         planes = np.full((4, len(kept), tile * tile), np.nan)
         self._terms = KrigingTerms(planes[0], np.moveaxis(planes[1:3], 0, -1), planes[3])
         self._reach_m2: NDArray[np.float64] = np.full(len(kept), np.inf)
@@ -74,7 +74,7 @@ class TileMap:
         self._indices: NDArray[np.intp] = np.zeros((0, 0), dtype=np.intp)
         self._precision: NDArray[np.float64] = np.zeros((0, 0, 0))
         self._across: NDArray[np.float64] = np.zeros((0, 0, 0))
-        # All its measurements were looked at, and the parts are of its time.
+        # The posterior of the last refresh.
         self._last: ChannelPosterior | None = None
 
     def refresh(
@@ -82,22 +82,20 @@ class TileMap:
         posterior: ChannelPosterior,
         window_m: tuple[float, float, float, float] | None = None,  # (x_min, y_min, x_max, y_max)
     ) -> int:
-        """Bring the lattice up to date with `posterior`."""
+        """Update the lattice, or the tiles in a window, and return the number of tiles updated."""
         wanted = np.ones(len(self._dirty), dtype=bool)
         if window_m is not None:
             x_min, y_min, x_max, y_max = window_m
             first_x, first_y = self._places_m[:, 0].T
             last_x, last_y = self._places_m[:, -1].T
             wanted = (x_min <= last_x) & (first_x <= x_max) & (y_min <= last_y) & (first_y <= y_max)
-        self._fade(posterior)
         replaceable, newcomers = self._mark(posterior, wanted)
         stale = np.flatnonzero(self._dirty & wanted)
         if self._neighbours >= len(posterior.measurements):
-            self._take_everyone(posterior, stale)
+            self._put(stale, kriging_terms(posterior, self._places_m[stale].reshape(-1, 2)))
+            self._reach_m2[stale] = np.inf
         elif len(stale):
-            offsets = offsets_given_theta(posterior)
-            for start in range(0, len(stale), TILES_AT_ONCE):
-                self._build(posterior, offsets, stale[start : start + TILES_AT_ONCE])
+            self._build(posterior, stale)
         self._dirty[stale] = False
         for start in range(0, len(replaceable), TILES_AT_ONCE):
             part = slice(start, start + TILES_AT_ONCE)
@@ -111,7 +109,7 @@ class TileMap:
 
     @property
     def trend(self) -> NDArray[np.float64]:
-        """``(ny, nx, 2)`` varphi at every node: what an error in theta changes there."""
+        """``(ny, nx, 2)`` varphi at every node, the derivative of the mean by theta."""
         trend = np.full((self.mean_db.size, 2), np.nan)
         trend[self._lattice_index] = self._terms.trend.reshape(-1, 2)[self._tile_index]
         return trend.reshape(*self.mean_db.shape, 2)
@@ -119,16 +117,20 @@ class TileMap:
     def _mark(
         self, posterior: ChannelPosterior, wanted: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Find the tiles that measurements not yet seen come near to.
+        """Return the tiles where one new measurement replaces one neighbour, and its number.
 
-        Returns the tiles where one of them replaces one neighbour, and which; all others that
-        are touched are marked dirty.
+        All other affected tiles are marked dirty.
         """
-        measured = posterior.measurements
-        before = 0 if self._last is None else len(self._last.measurements)
+        measured, last = posterior.measurements, self._last
+        before = 0 if last is None else len(last.measurements)
         hits = np.zeros(len(self._dirty), dtype=np.intp)
         newcomer = np.zeros(len(self._dirty), dtype=np.intp)
-        if self._last is None or not posterior.continues(self._last):
+        forgets = not math.isinf(posterior.parameters.forgetting_s)
+        if (
+            last is None
+            or not posterior.continues(last)
+            or (forgets and posterior.now_s != last.now_s)
+        ):
             self._dirty[:] = True
         elif measured.receiver.any():
             self._dirty |= len(measured) > before
@@ -151,68 +153,45 @@ class TileMap:
         tiles = np.flatnonzero(replaceable)
         return tiles, newcomer[tiles]
 
-    def _fade(self, posterior: ChannelPosterior) -> None:
-        """Bring kept parts to the time of `posterior`, or mark all tiles where that cannot be."""
-        parameters = posterior.parameters
-        if self._last is None:
-            return
-        before_s = self._last.now_s
-        faded = fading(self._last.measurements.time_s, before_s, posterior.now_s, parameters)
-        if faded is None:
-            self._dirty[:] = True
-        elif faded != 1.0:
-            terms, prior = self._terms, parameters.shadow_std_db**2 + parameters.multipath_std_db**2
-            path_loss = regressors(self._places_m, parameters.station)
-            terms.data_db[...] *= faded
-            terms.trend[...] = path_loss + faded * (terms.trend - path_loss)
-            terms.variance_db2[...] = prior + faded**2 * (terms.variance_db2 - prior)
-            self._across *= faded
+    def _put(self, tiles: NDArray[np.intp], terms: KrigingTerms) -> None:
+        """Store the terms of `tiles`, of any leading shape."""
+        shape = len(tiles), self._places_m.shape[1]
+        self._terms.data_db[tiles] = terms.data_db.reshape(shape)
+        self._terms.trend[tiles] = terms.trend.reshape(*shape, 2)
+        self._terms.variance_db2[tiles] = terms.variance_db2.reshape(shape)
 
-    def _take_everyone(self, posterior: ChannelPosterior, tiles: NDArray[np.intp]) -> None:
-        """Condition `tiles` on all measurements, which they then share."""
-        places = self._places_m[tiles]
-        terms = kriging_terms(posterior, places.reshape(-1, 2))
-        self._terms.data_db[tiles] = terms.data_db.reshape(places.shape[:2])
-        self._terms.trend[tiles] = terms.trend.reshape(places.shape)
-        self._terms.variance_db2[tiles] = terms.variance_db2.reshape(places.shape[:2])
-        self._reach_m2[tiles] = np.inf
-
-    def _build(
-        self, posterior: ChannelPosterior, offsets: OffsetsGivenTheta, tiles: NDArray[np.intp]
-    ) -> None:
-        """Compute `tiles` from nothing."""
+    def _build(self, posterior: ChannelPosterior, stale: NDArray[np.intp]) -> None:
+        """Compute tiles from their nearest measurements."""
         if not len(self._indices):
             count, places, size = *self._places_m.shape[:2], self._neighbours
             self._indices = np.zeros((count, size), dtype=np.intp)
             self._precision = np.zeros((count, size, size))
             self._across = np.zeros((count, places, size))
-        indices, self._reach_m2[tiles] = posterior.index.nearest(
-            self._centres_m[tiles], self._neighbours
-        )
-        channel = LocalChannel.of(posterior, indices, offsets)
-        places = self._places_m[tiles]
-        across = channel.rows_db2(places)
-        terms = channel.terms(places, across)
-        self._terms.data_db[tiles] = terms.data_db
-        self._terms.trend[tiles] = terms.trend
-        self._terms.variance_db2[tiles] = terms.variance_db2
-        self._indices[tiles] = indices
-        self._precision[tiles] = channel.inverse
-        self._across[tiles] = across
-        self._replacements[tiles] = 0
+        offsets = offsets_given_theta(posterior)
+        for start in range(0, len(stale), TILES_AT_ONCE):
+            tiles = stale[start : start + TILES_AT_ONCE]
+            indices, self._reach_m2[tiles] = posterior.index.nearest(
+                self._centres_m[tiles], self._neighbours
+            )
+            channel = LocalChannel.of(posterior, indices, offsets)
+            across = channel.rows_db2(self._places_m[tiles])
+            self._put(tiles, channel.terms(self._places_m[tiles], across))
+            self._indices[tiles] = indices
+            self._precision[tiles] = channel.inverse
+            self._across[tiles] = across
+            self._replacements[tiles] = 0
 
     def _replace(
         self,
         posterior: ChannelPosterior,
-        tiles: NDArray[np.intp],
-        newcomers: NDArray[np.intp],
+        tiles: NDArray[np.intp],  # (k,)
+        newcomers: NDArray[np.intp],  # (k,)
     ) -> None:
-        """Replace the farthest neighbour of each of `tiles` (k,) by `newcomers` (k,).
+        """Replace the farthest neighbour of each tile by a new measurement.
 
-        Leaving measurement j out of P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj); taking
-        one in whose covariance with the others is c adds v v' with v = [1; -P c] / sqrt(delta),
-        delta its variance given the others. What these directions say of the nodes is taken from
-        their terms, and added.
+        Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj); adding one
+        of covariance c with the others adds v v' with v = [1; -P c] / sqrt(delta), delta its
+        variance given the others. The terms change by the same directions.
         """
         parameters = posterior.parameters
         origins = posterior.origins
@@ -230,7 +209,6 @@ class TileMap:
         precision[each, leaving, :] = 0.0
 
         indices[each, leaving] = newcomers
-        positions = measured[indices]
         arriving = origins.at(newcomers[:, None])
         places = place_origins(self._places_m[tiles], posterior.now_s, parameters)
         across[each, :, leaving] = covariance_db2(places, arriving, parameters)[:, :, 0]
@@ -245,24 +223,24 @@ class TileMap:
         precision += into[:, :, None] * into[:, None, :]
         self._add_direction(tiles, across, into, _columns(posterior, indices), 1.0)
 
-        # As in a fresh build: rounding alone can take the latent variance below zero.
+        # Rounding can make the latent variance negative.
         self._terms.variance_db2[tiles] = np.maximum(
             self._terms.variance_db2[tiles], parameters.multipath_std_db**2
         )
         self._indices[tiles], self._precision[tiles] = indices, precision
         self._across[tiles] = across
-        self._reach_m2[tiles] = ((positions - centres) ** 2).sum(axis=2).max(axis=1)
+        self._reach_m2[tiles] = ((measured[indices] - centres) ** 2).sum(axis=2).max(axis=1)
         self._replacements[tiles] += 1
 
     def _add_direction(
         self,
         tiles: NDArray[np.intp],
         across: NDArray[np.float64],
-        direction: NDArray[np.float64],
+        direction: NDArray[np.float64],  # (k, m)
         columns: NDArray[np.float64],
         sign: float,
     ) -> None:
-        """Account in the terms for `sign` times the outer square of `direction` (k, m) in P."""
+        """Update the terms for `sign` times the outer square of `direction` in P."""
         seen = (across @ direction[:, :, None])[:, :, 0]
         projected = sign * (direction[:, None, :] @ columns)
         self._terms.data_db[tiles] += seen * projected[:, :, 0]
@@ -271,7 +249,7 @@ class TileMap:
 
 
 def _columns(posterior: ChannelPosterior, indices: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Values and Gamma of the measurements `indices` (k, m); ``(k, m, 3)``."""
+    """Return values and Gamma of the measurements `indices` (k, m); ``(k, m, 3)``."""
     columns = np.empty((*indices.shape, 3))
     columns[..., 0] = posterior.values_db[indices]
     at = posterior.measurements.positions_m[indices]

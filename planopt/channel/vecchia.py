@@ -1,26 +1,19 @@
-"""Vecchia's approximation: information of any number of measurements without a factor of all.
+"""Vecchia's approximation of a long log's information, and estimates of receivers' offsets.
 
 Each measurement is conditioned on the nearest of those before it: an inverse factor with few
-entries a row (Vecchia, Journal of the Royal Statistical Society B, 1988; Datta et al., Journal
-of the American Statistical Association, 2016). Only the products of the whitened columns are kept,
-so that one more measurement costs the same whatever their number. Receivers' offsets are columns of
-their own, because the nearest measurements need not be by the same receiver.
-
-A batch is taken in blocks from coarse to fine (:mod:`planopt.channel.neighbours`), so that the
-products depend on where measurements are, not on the order of their rows. Those that come later are
-taken one by one in their order.
-
-Offsets of several robots' receivers, estimated with the channel.
+entries per row (Vecchia, Journal of the Royal Statistical Society B, 1988; Datta et al., Journal of
+the American Statistical Association, 2016). Only the products of the whitened columns are stored,
+so that one more measurement costs the same whatever their number. Receivers' offsets have columns
+of their own, because the nearest measurements need not be by the same receiver. A batch is taken in
+blocks from coarse to fine (:mod:`planopt.channel.neighbours`), later measurements one by one.
 
 A measurement by receiver r reads o_r more than receiver 0 would. With Z the indicators of the
-receivers and U the covariance of the measurements, the offsets' variance s^2 Z Z' included, the
-offsets given theta have mean s^2 Z' U^-1 (y - Gamma theta) and covariance s^2 I - s^4 Z' U^-1 Z:
-the best linear unbiased prediction once theta is the generalised least squares one.
+receivers and U the covariance of the measurements, which includes s^2 Z Z', the offsets given theta
+have mean s^2 Z' U^-1 (y - Gamma theta) and covariance s^2 I - s^4 Z' U^-1 Z.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -38,7 +31,6 @@ from planopt.channel.neighbours import (
     BESIDE,
     BLOCK,
     PlaceIndex,
-    Window,
     earlier_windows,
     later_windows,
     place_blocks,
@@ -49,7 +41,7 @@ if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
 
 EARLIER_NEIGHBOURS = 64
-"""Number of earlier measurements that each one added later is conditioned on."""
+"""Number of earlier measurements that each later one is conditioned on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +60,8 @@ class VecchiaInformation:
 
     def offset_covariance_db2(self) -> NDArray[np.float64]:
         """``(R, R)`` covariance of the offsets given theta, (I / s^2 + Z' U0^-1 Z)^-1."""
-        information = self.products[3:, 3:] + np.eye(len(self.receivers)) / (
-            RECEIVER_OFFSET_STD_DB**2
-        )
-        return np.asarray(np.linalg.inv(information), dtype=np.float64)
+        prior = np.eye(len(self.receivers)) / RECEIVER_OFFSET_STD_DB**2
+        return np.asarray(np.linalg.inv(self.products[3:, 3:] + prior), dtype=np.float64)
 
 
 def vecchia_information(
@@ -81,7 +71,7 @@ def vecchia_information(
     noise_variance_db2: NDArray[np.float64],  # (n,) of their sites
     before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first of them
 ) -> VecchiaInformation:
-    """Sum over `measurements`, or add those that the index of `before` lacks, in their order."""
+    """Sum over `measurements`, or add those beyond the index of `before`, in their order."""
     places = measurements.positions_m
     if before is None:
         windows = earlier_windows(places, place_blocks(places, BLOCK), BESIDE)
@@ -91,25 +81,6 @@ def vecchia_information(
         new = measurements.receiver[len(before[1].positions_m) :]
         receivers = np.union1d(before[0].receivers, new)
     receivers = receivers[receivers != 0]
-    products = _products(
-        parameters, measurements, values_db, noise_variance_db2, receivers, windows
-    )
-    if before is not None:
-        kept = 3 + np.searchsorted(receivers, before[0].receivers)
-        kept = np.concatenate([np.arange(3), kept])
-        products[np.ix_(kept, kept)] += before[0].products
-    return VecchiaInformation(receivers, products)
-
-
-def _products(
-    parameters: ChannelParameters,
-    measurements: Measurements,
-    values_db: NDArray[np.float64],
-    noise_variance_db2: NDArray[np.float64],
-    receivers: NDArray[np.intp],
-    windows: Sequence[Window],
-) -> NDArray[np.float64]:
-    """Sum the products of whitened columns over windows, ``(3 + R, 3 + R)``."""
     products = np.zeros((3 + len(receivers), 3 + len(receivers)))
     origins = measured_origins(measurements, parameters).without_offsets()
     for window in windows:
@@ -124,7 +95,11 @@ def _products(
         columns = np.column_stack([centred, gamma, indicators])
         whitened = inverse[len(window.beside) :] @ columns
         products += whitened.T @ whitened
-    return products
+    if before is not None:
+        kept = 3 + np.searchsorted(receivers, before[0].receivers)
+        kept = np.concatenate([np.arange(3), kept])
+        products[np.ix_(kept, kept)] += before[0].products
+    return VecchiaInformation(receivers, products)
 
 
 @dataclass(frozen=True)
@@ -132,64 +107,52 @@ class ReceiverOffset:
     """The offset of a receiver's readings from those of receiver 0."""
 
     receiver: int  # Its number
-    offset_db: float  # Estimate and its standard error, the uncertainty of theta counted
-    standard_error_db: float
+    offset_db: float
+    standard_error_db: float  # With the uncertainty of theta
 
 
 @dataclass(frozen=True, eq=False)
 class OffsetsGivenTheta:
-    """The offsets of R receivers as they follow from all measurements once theta is known."""
+    """The offsets of R receivers given all measurements and theta."""
 
-    # (R,) numbers, ascending, without 0; none where every measurement is by receiver 0
+    # (R,) numbers, ascending, without 0; none if every measurement is by receiver 0
     receivers: NDArray[np.intp]
     # (R, 3) s^2 Z' U^-1 [y, Gamma]: the mean is its first column less the others by theta
     means_db: NDArray[np.float64]
     covariance_db2: NDArray[np.float64]  # (R, R) s^2 I - s^4 Z' U^-1 Z
 
     def indicators(self, receiver: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Z for measurements by `receiver` (...); ``(..., R)``."""
+        """Return Z for measurements by `receiver` (...); ``(..., R)``."""
         return (receiver[..., None] == self.receivers).astype(np.float64)
-
-    def variance_db2(self, projected: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the variance of the offsets at places, for phi' U0^-1 Z (..., R); ``(...)``.
-
-        U0 is the covariance without offsets.
-        """
-        return ((projected @ self.covariance_db2) * projected).sum(axis=-1)
 
 
 def offsets_given_theta(posterior: ChannelPosterior) -> OffsetsGivenTheta:
-    """The offsets from all measurements; O(R kappa^2) where `posterior` has a factor."""
+    """Return the offsets from all measurements; O(R kappa^2) with a factor."""
     if posterior.information is not None:
-        return _from_information(posterior, posterior.information)
-    given = posterior.measurements.receiver
-    receivers = np.unique(given[given != 0])
+        # s^2 Z' U^-1 = V Z' U0^-1, with V the offsets' covariance.
+        covariance = posterior.information.offset_covariance_db2()
+        means = covariance @ posterior.information.products[3:, :3]
+        theta = [posterior.parameters.k_pl_db, posterior.parameters.n_pl]
+        # The products have y - Gamma theta_0 in place of y.
+        means[:, 0] += means[:, 1:] @ theta
+        return OffsetsGivenTheta(posterior.information.receivers, means, covariance)
+    receiver = posterior.measurements.receiver
+    receivers = np.unique(receiver[receiver != 0])
     if not len(receivers):
         return OffsetsGivenTheta(receivers, np.zeros((0, 3)), np.zeros((0, 0)))
     prior = RECEIVER_OFFSET_STD_DB**2
-    whitened = whiten(posterior.factor, (given[:, None] == receivers).astype(np.float64))
+    whitened = whiten(posterior.factor, (receiver[:, None] == receivers).astype(np.float64))
     columns = np.column_stack([posterior.whitened_values, posterior.whitened_regressors])
     covariance = prior * np.eye(len(receivers)) - prior**2 * (whitened.T @ whitened)
     return OffsetsGivenTheta(receivers, prior * (whitened.T @ columns), covariance)
 
 
-def _from_information(
-    posterior: ChannelPosterior, information: VecchiaInformation
-) -> OffsetsGivenTheta:
-    """The same without a factor: s^2 Z' U^-1 = V Z' U0^-1, with V the offsets' covariance."""
-    covariance = information.offset_covariance_db2()
-    means = covariance @ information.products[3:, :3]
-    parameters = posterior.parameters
-    # Of y itself, from y about theta_0.
-    means[:, 0] += means[:, 1:] @ [parameters.k_pl_db, parameters.n_pl]
-    return OffsetsGivenTheta(information.receivers, means, covariance)
-
-
 def receiver_offsets(posterior: ChannelPosterior) -> tuple[ReceiverOffset, ...]:
-    """Estimated offsets of all receivers but number 0, in ascending order.
+    """Return estimated offsets of all receivers except number 0, in ascending order.
 
-    Where no measurement is by receiver 0 the offsets are known but for a common constant, which
-    the prior (mean 0, deviation `RECEIVER_OFFSET_STD_DB`) then decides; the standard errors say so.
+    Without measurements by receiver 0 the offsets are known up to a common constant, which the
+    prior (mean 0, standard deviation `RECEIVER_OFFSET_STD_DB`) decides; the standard errors
+    include that.
     """
     found = offsets_given_theta(posterior)
     trend = found.means_db[:, 1:]

@@ -7,8 +7,8 @@ from scipy.stats import norm
 from planopt.channel import ChannelParameters, Measurements, Station, condition, fit_channel
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import (
+    BLUR_SHARE,
     path_loss_variance_db2,
-    position_blur_m2,
     shadow_covariance_db2,
 )
 from planopt.channel.parameters import regressors
@@ -22,7 +22,7 @@ def test_the_kernel_is_nearly_the_average(share, most):
     """Within the documented bound of the mean of exp(-|d + e|), found by sampling."""
     errors = share * np.random.default_rng(0).standard_normal((400_000, 2))
     # Two errors that together have the deviation `share`.
-    blur = 2.0 * position_blur_m2(np.array(share / np.sqrt(2.0)))
+    blur = BLUR_SHARE * share**2
     for distance in np.linspace(0.0, 4.0, 17):
         average = np.exp(-np.hypot(distance + errors[:, 0], errors[:, 1])).mean()
         kernel = np.exp(-np.sqrt(distance**2 + blur))

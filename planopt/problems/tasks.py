@@ -29,7 +29,7 @@ MOTION = ("reach", "track", "learn", "map", "connect", "custom")
 OWN = {
     **dict.fromkeys(MOTION, "planopt.tasks.motion:TASK"),
     "coverage": "planopt.tasks.coverage.task:TASK",
-    "pursuit": "planopt.tasks.pursuit.task:TASK",
+    "pursuit": "planopt.tasks.pursuit:TASK",
     "pursuit_design": "planopt.tasks.pursuit_design:TASK",
 }
 """Where planopt's own tasks are; each is imported when a problem of it is met."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FRONT_DESIGNS = 25
-"""Deadlines of the Pareto front."""
+"""A quarter of the number of deadlines of the Pareto front."""
 
 PICTURE = "design.png"
 
@@ -55,9 +55,9 @@ REQUIREMENTS = ("first_distance_m", "capture_radius_m", "deadline_s")
 class Method:
     """A design method."""
 
-    words: str  # In text
-    solver: Callable[[Theorem], Callable[[DesignTask], Design]]  # By the theorem it relies on
-    needs: tuple[str, ...] = ()  # Requirements that it needs, and optional ones
+    words: str  # Description
+    solver: Callable[[Theorem], Callable[[DesignTask], Design]]  # By theorem
+    needs: tuple[str, ...] = ()  # Keys of required and of optional requirements
     takes: tuple[str, ...] = ()
     of_energy: bool = False  # Whether it minimises energy per capture, else power
 
@@ -89,7 +89,7 @@ METHODS: dict[MethodName, Method] = {
 
 
 class ChaseTable(Table):
-    """``[pursuit]``: the pursuit that the network is to serve."""
+    """``[pursuit]``: requirements of the pursuit."""
 
     evader_speed_m_s: float = Field(
         ge=SMALLEST, le=1e4, description="Largest speed of the evader in m/s."
@@ -151,7 +151,7 @@ class NetworkTable(Table):
 
 
 class DesignTable(Table):
-    """``[design]``: what is minimised, and under which guarantee."""
+    """``[design]``: objective and guarantee."""
 
     method: MethodName = Field(
         default="least_power",
@@ -184,9 +184,9 @@ class DesignProblem(TaskProblem):
     """A network to design."""
 
     given: DesignFile
-    design: DesignTask  # Requirements, method, and theorem that the guarantee relies on
+    design: DesignTask
     method: Method
-    theorem: Theorem
+    theorem: Theorem  # Of the guarantee
 
     @property
     def solver(self) -> Callable[[DesignTask], Design]:
@@ -239,7 +239,7 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
     except InputError as error:
         raise InputError(error.message, key=f"pursuit.{error.key}", remedy=error.remedy) from None
     task = DesignTask(
-        MoteNetwork(**cast("dict[str, float]", given.network.model_dump())),  # pyright: ignore[reportArgumentType]
+        MoteNetwork(**given.network.model_dump()),
         chase,
         given.design.margin,
         given.design.bits_per_axis,
@@ -251,7 +251,7 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
 
 
 def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
-    """Return the network of least power or energy, its guarantee, and what binds."""
+    """Return the network of least power or energy, its guarantee, and its binding limits."""
     design = problem.solver(problem.design)
     proof = _proof(problem, design)
     data = {
@@ -266,23 +266,11 @@ def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
 
 
 def _proof(problem: DesignProblem, design: Design) -> tuple[Requirement, ...]:
-    """Return what the independent verifier requires of a design."""
-    task, chase, network = problem.design, problem.design.chase, problem.design.network
-    data = DesignData(
-        chase.evader_speed_m_s,
-        chase.pursuer_speed_m_s,
-        chase.stage_delay_s,
-        network.mote_spacing_m,
-        network.bit_rate_bit_s,
-        network.header_bits,
-        network.record_bits,
-        network.slots_per_frame,
-        network.slot_blocks,
-        task.margin,
-        task.first_distance_m,
-        task.capture_radius_m,
-        task.deadline_s,
-    )
+    """Return the requirements of the independent verifier on a design."""
+    given = problem.given
+    values = given.pursuit.model_dump() | given.network.model_dump()
+    values["margin"] = given.design.margin
+    data = DesignData(**{key.name: values[key.name] for key in fields(DesignData)})
     return certify(
         data, problem.theorem, design.slot_width_s, design.rate_divisor, design.bits_per_axis
     )
@@ -356,21 +344,19 @@ def _design_json(
 
 
 def _bound_w(problem: DesignProblem) -> float | None:
-    """A lower bound on the power by the convex programme, where there is one."""
-    if problem.method not in (METHODS["least_power"], METHODS["least_power_rated"]):
-        return None
+    """Return a lower bound on the power by the convex programme, where there is one."""
     rated = problem.method is METHODS["least_power_rated"]
+    if not rated and problem.method is not METHODS["least_power"]:
+        return None
+    bits = problem.design.bits_per_axis
     try:
-        found = relaxed_design(
-            problem.design, rated=rated, bits_per_axis=problem.design.bits_per_axis
-        )
+        return relaxed_design(problem.design, rated=rated, bits_per_axis=bits).cost_w
     except NoPlanError:
         return None
-    return found.cost_w
 
 
 def _capture_time_s(problem: DesignProblem, design: Design) -> float | None:
-    """The longest time to capture that is promised; None without a first distance."""
+    """Return the bound on the time to capture; None without a first distance."""
     first_m, radius_m = problem.design.first_distance_m, problem.design.capture_radius_m
     if first_m is None:
         return None
@@ -405,23 +391,22 @@ def _inequality_json(inequality: Inequality) -> dict[str, Any]:
 
 
 def _cost_curve(problem: DesignProblem) -> list[dict[str, Any]]:
-    """The best design at every number of bits, or what fails with it."""
+    """Return the best design at every number of bits, or the inequality that fails."""
     rows: list[dict[str, Any]] = []
     for bits in problem.design.bits:
-        row: dict[str, Any] = {"bits_per_axis": bits}
+        row: dict[str, Any] = {"bits_per_axis": bits, "objective": None, "slot_width_s": None}
         try:
             design = problem.solver(replace(problem.design, bits_per_axis=bits))
         except NoDesignError as error:
-            row |= {"objective": None, "slot_width_s": None, "fails": str(error.inequality)}
+            rows.append({**row, "fails": str(error.inequality)})
         else:
-            slot_s = design.slot_width_s
-            row |= {"objective": problem.objective(design), "slot_width_s": slot_s, "fails": None}
-        rows.append(row)
+            found = {"objective": problem.objective(design), "slot_width_s": design.slot_width_s}
+            rows.append({**row, **found, "fails": None})
     return rows
 
 
 def _front(problem: DesignProblem) -> list[dict[str, Any]]:
-    """Designs of least energy for deadlines from the soonest to that of least energy."""
+    """Return designs of least energy for deadlines up to that of least energy."""
     task = replace(problem.design, deadline_s=None, capture_radius_m=None)
     try:
         slowest_s = least_energy_design(task).capture_time_s
@@ -431,16 +416,9 @@ def _front(problem: DesignProblem) -> list[dict[str, Any]]:
     # No pursuer captures sooner than by driving straight there.
     driving_s = task.first_distance_m / task.chase.pursuer_speed_m_s
     deadlines = np.geomspace(driving_s, slowest_s * (1.0 + 1e-9), FRONT_DESIGNS * 4)
-    return [
-        {
-            "capture_time_s": design.capture_time_s,
-            "energy_per_capture_j": design.energy_per_capture_j,
-            "cost_w": design.cost_w,
-            "slot_width_s": design.slot_width_s,
-            "bits_per_axis": design.bits_per_axis,
-        }
-        for design in pareto_front(task, deadlines.tolist())
-    ]
+    keys = "capture_time_s energy_per_capture_j cost_w slot_width_s bits_per_axis".split()
+    front = pareto_front(task, deadlines.tolist())
+    return [{key: getattr(design, key) for key in keys} for design in front]
 
 
 def in_words(result: TaskResult) -> Sequence[str]:

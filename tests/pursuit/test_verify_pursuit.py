@@ -10,16 +10,15 @@ import pytest
 
 import planopt
 from planopt.pursuit.certificate import (
-    Claim,
     DesignData,
     certify,
     verify_guarantees,
 )
 from planopt.pursuit.guarantees import Chase, guarantees
 from planopt.pursuit.service import SnapshotService
-from planopt.pursuit.theorems import Distances, Theorem
+from planopt.pursuit.theorems import Theorem
 from planopt.pursuit.verify import verify_pursuit
-from planopt.tasks.pursuit.task import facts_of, log_of
+from planopt.tasks.pursuit import claims, verifier_data
 
 LIBRARY = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_several")
 
@@ -28,22 +27,7 @@ LIBRARY = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_se
 def logged(name, seed=0, planner="drive"):
     """A simulated library problem as the verifier sees it, and the claims of its run."""
     answer = planopt.simulate(planopt.load(name), planner=planner, seed=seed)
-    claims = tuple(
-        Claim(
-            Theorem(theorem),
-            Distances(each["distances"]),
-            each["holds"],
-            each["capture"]["holds"],
-            each["capture_time_s"],
-        )
-        for theorem, each in answer.data["guarantee"]["theorems"].items()
-    )
-    return (
-        facts_of(answer.problem),
-        log_of(answer.value),
-        claims,
-        answer.data["guarantee"]["detour"],
-    )
+    return *verifier_data(answer), claims(answer), answer.data["guarantee"]["detour"]
 
 
 @pytest.mark.parametrize("name", LIBRARY)

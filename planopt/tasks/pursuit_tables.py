@@ -37,16 +37,16 @@ from planopt.tasks.task import TaskFile
 from planopt.world.workspace import Obstacle, Workspace
 
 LOST_ROUNDS = 4096
-"""Rounds of each level whose loss is drawn; then they repeat."""
+"""Number of rounds of each level with drawn losses; they repeat."""
 
-START_TRIES = 1000
-"""Places tried for a start in free space."""
+START_DRAWS = 1000
+"""Largest number of positions drawn for a start in free space."""
 
 PlannerName = Literal["drive", "retarget", "receding"]
 
 
 class WorldTable(Table):
-    """``[world]``: where it takes place; left out: open space."""
+    """``[world]``: bounds and obstacles; without it space is open."""
 
     bounds_m: Quad = Field(description="[x_min, y_min, x_max, y_max] in metres.")
     obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
@@ -76,19 +76,21 @@ class ServiceTable(Table):
 
 
 class RulesTable(Table):
-    """``[pursuit]``: when it ends, and what must be guaranteed."""
+    """``[pursuit]``: end of the pursuit, and its guarantee."""
 
-    capture_radius_m: Metres = Field(ge=SMALLEST, description="An evader so near is caught.")
+    capture_radius_m: Metres = Field(
+        ge=SMALLEST, description="Metres at which an evader is captured."
+    )
     step_s: float = Field(
-        ge=SMALLEST, le=1e4, description="Everybody decides every so many seconds."
+        ge=SMALLEST, le=1e4, description="Seconds between the decisions of pursuers and evaders."
     )
     max_steps: int = Field(
-        default=5000, ge=1, le=100_000, description="It is given up after so many steps."
+        default=5000, ge=1, le=100_000, description="Number of steps after which the pursuit ends."
     )
     clearance_m: Metres = Field(
         default=1.0,
         ge=SMALLEST,
-        description="How far everybody stays away from obstacles, in metres.",
+        description="Distance of pursuers and evaders from obstacles in metres.",
     )
     guarantee: Literal["any_instant", "snapshots"] | None = Field(
         default=None,
@@ -97,44 +99,29 @@ class RulesTable(Table):
 
 
 class StaticTable(Table):
-    """It stays."""
+    """An evader at rest."""
 
     kind: Literal["static"]
 
-    @property
-    def behaviour(self) -> Behaviour:
-        """Return the law by which it decides."""
-        return Static()
-
 
 class WanderingTable(Table):
-    """It drives on a heading that turns at random."""
+    """An evader whose heading turns at random."""
 
     kind: Literal["wandering"]
     turn_std_rad: float = Field(
         default=Wandering().turn_std_rad, ge=0, le=100, description="Turn over a second, in rad."
     )
 
-    @property
-    def behaviour(self) -> Behaviour:
-        """Return the law by which it decides."""
-        return Wandering(self.turn_std_rad)
-
 
 class FleeingTable(Table):
-    """It flees, from where pursuers are or from where they drive to."""
+    """An evader that flees from the positions or the aims of pursuers."""
 
     kind: Literal["fleeing"]
     from_aims: bool = Field(default=False, description="Whether it flees from where they drive to.")
 
-    @property
-    def behaviour(self) -> Behaviour:
-        """Return the law by which it decides."""
-        return Fleeing(self.from_aims)
-
 
 class ZigzagTable(Table):
-    """It flees and turns to the other side ever so often."""
+    """An evader that flees and turns from side to side."""
 
     kind: Literal["zigzag"]
     period_s: float = Field(ge=SMALLEST, le=1e6, description="Seconds between turns.")
@@ -142,24 +129,22 @@ class ZigzagTable(Table):
         default=Zigzag(1.0).angle_rad, ge=0, le=math.pi, description="To either side, in rad."
     )
 
-    @property
-    def behaviour(self) -> Behaviour:
-        """Return the law by which it decides."""
-        return Zigzag(self.period_s, self.angle_rad)
-
 
 class ForesightedTable(Table):
-    """It plans ahead against pursuers that drive straight at it; open space only."""
+    """An evader that plans against pursuers that drive straight at it; open space only."""
 
     kind: Literal["foresighted"]
     horizon: int = Field(ge=1, le=100, description="Steps that it plans.")
     plan_step_s: float = Field(ge=SMALLEST, le=1e4, description="Length of one of them in seconds.")
 
-    @property
-    def behaviour(self) -> Behaviour:
-        """Return the law by which it decides."""
-        return Foresighted(self.horizon, self.plan_step_s)
 
+BEHAVIOURS: dict[str, type[Behaviour]] = {
+    "static": Static,
+    "wandering": Wandering,
+    "fleeing": Fleeing,
+    "zigzag": Zigzag,
+    "foresighted": Foresighted,
+}
 
 BehaviourTable = Annotated[
     StaticTable | WanderingTable | FleeingTable | ZigzagTable | ForesightedTable,
@@ -168,24 +153,29 @@ BehaviourTable = Annotated[
 
 
 class EvaderTable(Table):
-    """``[[evaders]]``: who is to be caught."""
+    """``[[evaders]]``."""
 
-    name: Name = Field(default="evader", description="What outputs call it.")
+    name: Name = Field(default="evader", description="Name in outputs.")
     start_m: Pair = Field(description="Start [x, y] in metres.")
     start_radius_m: Metres = Field(
-        default=0.0, ge=0, description="The start is drawn within so many metres of start_m."
+        default=0.0, ge=0, description="The start is drawn within this distance of start_m."
     )
     speed_max_m_s: float = Field(ge=0, le=1e4, description="Largest speed in m/s.")
     behaviour: BehaviourTable = Field(description="How it moves: a table with kind.")
 
+    @property
+    def law(self) -> Behaviour:
+        """Return the behaviour."""
+        return BEHAVIOURS[self.behaviour.kind](**self.behaviour.model_dump(exclude={"kind"}))
+
 
 class PursuerTable(Table):
-    """``[[pursuers]]``: who is to catch it."""
+    """``[[pursuers]]``."""
 
-    name: Name = Field(default="pursuer", description="What outputs call it.")
+    name: Name = Field(default="pursuer", description="Name in outputs.")
     start_m: Pair = Field(description="Start [x, y] in metres.")
     start_radius_m: Metres = Field(
-        default=0.0, ge=0, description="The start is drawn within so many metres of start_m."
+        default=0.0, ge=0, description="The start is drawn within this distance of start_m."
     )
     speed_max_m_s: float = Field(ge=SMALLEST, le=1e4, description="Largest speed in m/s.")
     turn_rate_max_rad_s: float | None = Field(
@@ -204,7 +194,7 @@ class PursuerTable(Table):
 
 
 class PlannerTable(Table):
-    """``[planner]``: how pursuers decide."""
+    """``[planner]``: the decisions of pursuers."""
 
     name: PlannerName = Field(
         default="drive",
@@ -226,7 +216,7 @@ class PlannerTable(Table):
 
     @property
     def policy(self) -> Policy:
-        """Return the law by which pursuers decide."""
+        """Return the policy of the pursuers."""
         if self.name == "receding":
             return RecedingHorizon(self.horizon, self.plan_step_s, self.manoeuvre_s)
         return DriveToReport(retarget=self.name == "retarget")
@@ -238,8 +228,8 @@ class PursuitFile(TaskFile):
     world: WorldTable | None = None
     network: ServiceTable
     pursuit: RulesTable
-    pursuers: list[PursuerTable] = Field(min_length=1, max_length=50, description="Who pursues.")
-    evaders: list[EvaderTable] = Field(min_length=1, max_length=50, description="Who flees.")
+    pursuers: list[PursuerTable] = Field(min_length=1, max_length=50, description="The pursuers.")
+    evaders: list[EvaderTable] = Field(min_length=1, max_length=50, description="The evaders.")
     planner: PlannerTable = Field(default_factory=PlannerTable)
 
 
@@ -248,31 +238,32 @@ class PursuitProblem(TaskProblem):
     """A pursuit to simulate."""
 
     given: PursuitFile
-    service: SnapshotService  # The motes, free space, and what is in it
+    service: SnapshotService
     arena: Arena
     obstacles: tuple[Obstacle, ...]
 
     def scene(self, generator: np.random.Generator) -> Scene:
         """Return the scene of one run: starts and lost rounds are drawn."""
         given, rules = self.given, self.given.pursuit
-        starts = [
-            self._start_m(f"{key}[{index}].start_m", each, generator)
+        starts, begins = (
+            [
+                self._start_m(f"{key}[{index}].start_m", each, generator)
+                for index, each in enumerate(tables)
+            ]
             for key, tables in (("pursuers", given.pursuers), ("evaders", given.evaders))
-            for index, each in enumerate(tables)
-        ]
+        )
         lost, probability = None, given.network.loss_probability
         if probability > 0.0:
             shape = (given.network.levels + 1, LOST_ROUNDS)
             lost = generator.random(shape) < probability
-        count = len(given.pursuers)
         return Scene(
             tuple(
                 Pursuer(start, each.motion, given.planner.policy)
-                for start, each in zip(starts[:count], given.pursuers, strict=True)
+                for start, each in zip(starts, given.pursuers, strict=True)
             ),
             tuple(
-                Evader(start, each.speed_max_m_s, each.behaviour.behaviour)
-                for start, each in zip(starts[count:], given.evaders, strict=True)
+                Evader(start, each.speed_max_m_s, each.law)
+                for start, each in zip(begins, given.evaders, strict=True)
             ),
             SnapshotRecords(self.service, lost),
             rules.capture_radius_m,
@@ -284,7 +275,7 @@ class PursuitProblem(TaskProblem):
     def _start_m(
         self, key: str, table: PursuerTable | EvaderTable, generator: np.random.Generator
     ) -> NDArray[np.float64]:
-        for _ in range(START_TRIES if table.start_radius_m > 0.0 else 1):
+        for _ in range(START_DRAWS if table.start_radius_m > 0.0 else 1):
             away_m = table.start_radius_m * math.sqrt(generator.uniform())
             turn = generator.uniform(0.0, 2.0 * math.pi)
             place = np.array(table.start_m) + away_m * np.array([math.cos(turn), math.sin(turn)])
@@ -297,11 +288,10 @@ class PursuitProblem(TaskProblem):
         )
 
     def guarantees(self, pursuer: int, evader: int) -> dict[Theorem, Guarantee]:
-        """Return what each theorem says of one pursuer after one evader.
+        """Return the guarantees of one pursuer after one evader.
 
-        A stage takes a step longer than driving straight, and a unicycle's the turn; so does every
-        corner that a path may turn at. Among obstacles each theorem is that of the distances for
-        which its floor is lower.
+        A stage takes a step longer than driving straight, and a turn longer for a unicycle; so does
+        every corner of a path. Among obstacles the kind of distance with the lower floor counts.
         """
         motion = self.given.pursuers[pursuer].motion
         speed = max(self.given.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
@@ -309,10 +299,10 @@ class PursuitProblem(TaskProblem):
         chase, bounds = Chase(speed, motion.speed_max_m_s, delay_s), self.service.bounds
         if self.arena.obstacles is None:
             return guarantees(chase, bounds)
-        ways = guarantees_among_obstacles(chase, bounds, self.arena.detour)
+        kinds = guarantees_among_obstacles(chase, bounds, self.arena.detour)
         return {
-            theorem: min((each[theorem] for each in ways.values()), key=lambda found: found.floor_m)
-            for theorem in ways[Distances.PATHS]
+            theorem: min((each[theorem] for each in kinds.values()), key=lambda one: one.floor_m)
+            for theorem in kinds[Distances.PATHS]
         }
 
     def tables(self) -> dict[str, Any]:
@@ -335,35 +325,24 @@ class PursuitProblem(TaskProblem):
             f"  captured    within {given.pursuit.capture_radius_m:g} m",
             f"  world       {len(self.obstacles)} obstacles",
         ]
-        lines += [
-            f"  pursuer     {each.name} from ({each.start_m[0]:g}, {each.start_m[1]:g}) m, at most "
-            f"{each.speed_max_m_s:g} m/s"
-            for each in given.pursuers
-        ]
-        lines += [
-            f"  evader      {each.name} from ({each.start_m[0]:g}, {each.start_m[1]:g}) m, "
-            f"{each.behaviour.kind}, at most {each.speed_max_m_s:g} m/s"
-            for each in given.evaders
-        ]
+        for each in (*given.pursuers, *given.evaders):
+            evades = isinstance(each, EvaderTable)
+            kind = f"{each.behaviour.kind}, " if evades else ""
+            lines.append(
+                f"  {'evader ' if evades else 'pursuer'}     {each.name} from "
+                f"({each.start_m[0]:g}, {each.start_m[1]:g}) m, {kind}at most "
+                f"{each.speed_max_m_s:g} m/s"
+            )
         return lines
 
 
 LEAST_SPEED_M_S = 1e-9
-"""The theorems divide by the speed of the evader; a static one gets this speed."""
+"""Speed of a static evader in the theorems, which divide by it."""
 
 
 def build(given: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem:
     """Return the problem in validated tables."""
-    network = given.network
-    service = SnapshotService(
-        network.levels,
-        network.mote_spacing_m,
-        network.frame_s,
-        network.bits_per_axis,
-        network.hops_per_round,
-        network.rate_divisor,
-        network.endless,
-    )
+    service = SnapshotService(**given.network.model_dump(exclude={"loss_probability"}))
     obstacles: tuple[Obstacle, ...] = ()
     arena = Arena()
     if given.world is not None:
@@ -414,7 +393,7 @@ def _require_speeds(given: PursuitFile) -> None:
 
 
 def _require_open(given: PursuitFile) -> None:
-    """Among obstacles there are no arcs, and evaders that look ahead know none."""
+    """Refuse arcs and foresighted evaders, which do not avoid obstacles."""
     for index, pursuer in enumerate(given.pursuers):
         if pursuer.turn_rate_max_rad_s is not None:
             raise InputError(

@@ -1,1 +1,0 @@
-"""The task pursuit: pursuers that know evaders through aged, coarse snapshots, simulated."""

@@ -101,8 +101,8 @@ def check(
     from planopt.planning.certificate import excused_in_words, excused_steps
     from planopt.planning.files.result_json import certificate_json, no_certificate_json
     from planopt.planning.plan import Verdict
+    from planopt.report.motion_words import apart_in_words, planned_in_words
     from planopt.tasks.calls import check as checked
-    from planopt.tasks.motion_words import apart_in_words, planned_in_words
 
     with progress("checking"):
         result = checked(path)

@@ -17,11 +17,11 @@ from planopt.report.coverage_figures import draw_costs as draw_costs
 from planopt.report.coverage_figures import draw_deployment as draw_deployment
 from planopt.report.coverage_figures import draw_network as draw_network
 from planopt.report.coverage_figures import draw_step_times as draw_step_times
-from planopt.report.motion_animation import save_animation as save_animation
 from planopt.report.motion_figures import draw_no_plan as draw_no_plan
 from planopt.report.motion_figures import draw_run as draw_run
 from planopt.report.motion_figures import draw_run_series as draw_run_series
 from planopt.report.motion_figures import draw_solution as draw_solution
+from planopt.report.motion_map import save_animation as save_animation
 from planopt.report.panel import save_figure as save_figure
 from planopt.report.pursuit_figures import animate_pursuit as animate_pursuit
 from planopt.report.pursuit_figures import draw_design as draw_design

@@ -15,7 +15,7 @@ import numpy as np
 
 from planopt.errors import InputError
 from planopt.files.writing import write_whole
-from planopt.report.style import (
+from planopt.report.panel import (
     BLACK,
     FRAME,
     OBSTACLE,

@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.report.panel import Panel, new_figure
-from planopt.report.style import (
+from planopt.report.panel import (
     FRAME,
     MARKERS,
     NOTE_PT,
     SERIES,
     WHITE,
+    Panel,
     dashed_look,
     dress,
     head,
     legend_below,
     legend_inside,
+    new_figure,
     plain_log_ticks,
 )
 from planopt.report.tables import MISSING, WIDTH, aligned

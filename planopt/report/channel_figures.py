@@ -32,8 +32,7 @@ from planopt.report.maps import (
     raster_bounds,
     show_bounds,
 )
-from planopt.report.panel import Look, Panel, new_figure
-from planopt.report.style import (
+from planopt.report.panel import (
     BLACK,
     DEVIATION_MAP,
     MARKERS,
@@ -43,6 +42,8 @@ from planopt.report.style import (
     PROBABILITY_MAP,
     SERIES,
     VERMILLION,
+    Look,
+    Panel,
     curve_look,
     dashed_look,
     draw_band,
@@ -51,6 +52,7 @@ from planopt.report.style import (
     head,
     legend_below,
     legend_inside,
+    new_figure,
     plain_log_ticks,
 )
 from planopt.world.raster import Raster
@@ -93,7 +95,7 @@ def draw_belief(problem: Problem, belief: Belief) -> Figure:
     problem
         Gives the map, the threshold and p_min.
     belief
-        What is predicted from; its measurements are dots, the censored ones hollow.
+        Source of the prediction; its measurements are dots, the censored ones hollow.
     """
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
     chance = "P(any station connects)" if len(problem.stations) > 1 else _chance_words(threshold)
@@ -121,7 +123,7 @@ def draw_posterior_map(
     maps
         The map.
     measurements
-        What it was predicted from: dots on the deviation, the censored ones hollow.
+        Measurements of the prediction: dots on the deviation, the censored ones hollow.
     station
         Marked where it is inside the map.
     title
@@ -131,10 +133,8 @@ def draw_posterior_map(
     slender = min((y_max - y_min) / (x_max - x_min), MAX_SLENDER)
     figure, panels = new_figure(16.5, AROUND_IN + PANEL_IN * slender, ["ABC"], maps_only=True)
     for panel in panels:
-        dress(panel, "", X_LABEL, Y_LABEL, grid=False)
         panel.set_aspect("equal")
-    rasters = maps.mean_db, maps.deviation_db, maps.connectivity
-    threshold = maps.threshold_dbm
+    rasters, threshold = (maps.mean_db, maps.deviation_db, maps.connectivity), maps.threshold_dbm
     level = _prediction_maps(figure, panels, rasters, threshold, _chance_words(threshold), None)
     entries = draw_measurements(panels[1], measurements)
     x, y = station.position_m
@@ -164,8 +164,7 @@ def _prediction_maps(
     titles = "predicted power", "standard deviation of the prediction", chance_words
     for panel, title in zip(panels, titles, strict=True):
         dress(panel, title, X_LABEL, Y_LABEL, grid=False)
-    label = "power [dBm] (line: threshold)"
-    draw_layer(panels[0], mean, POWER_MAP, figure, label, mark=threshold)
+    draw_layer(panels[0], mean, POWER_MAP, figure, "power [dBm] (line: threshold)", mark=threshold)
     draw_layer(panels[1], deviation, DEVIATION_MAP, figure, "standard deviation [dB]")
     label = "P(connected) [1]" + ("" if p_min is None else " (line: p_min)")
     draw_layer(panels[2], chance, PROBABILITY_MAP, figure, label, (0.0, 1.0), p_min)
@@ -180,11 +179,11 @@ def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> F
     Parameters
     ----------
     measurements
-        What was fitted.
+        Those of the fit.
     fit
         The fit.
     station
-        Where distances are measured from.
+        Origin of distances.
     """
     ratios: Look = {"width_ratios": [1.15, 1.0], "height_ratios": [3.0, 1.0]}
     figure, panels = new_figure(13.0, 5.8, ["AB", "AC"], **ratios)
@@ -229,7 +228,7 @@ def _draw_path_loss(
 def _draw_covariance(
     panel: Panel, counts: Panel, measurements: Measurements, fit: ChannelFit, station: Station
 ) -> None:
-    """Draw residual products by lag, the fitted covariance, and how many pairs there are.
+    """Draw residual products by lag, the fitted covariance, and the number of pairs.
 
     Only uncensored pairs: the residual of a censored power is not known.
     """
@@ -316,10 +315,10 @@ def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:
 
 
 def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str) -> Figure:
-    """Draw true against predicted connection, and by how much they differ in each bin.
+    """Draw true against predicted connection, and their difference in each bin.
 
-    Bars are 95 % intervals over groups, where there are enough groups; below each bin stands how
-    many predictions of the first series it holds.
+    Bars are 95 % intervals over groups, where there are enough groups; each bin is labelled with
+    its number of predictions of the first series.
     """
     edges = sorted({(one.low, one.high) for bins in series.values() for one in bins})
     if not edges:
@@ -401,7 +400,7 @@ def draw_stations(
     estimates_m
         ``(m, 2)`` estimated positions by the name of the method, for the legend.
     measured_m
-        ``(k, 2)`` where the power was measured.
+        ``(k, 2)`` positions of the measurements.
 
     Raises
     ------

@@ -6,27 +6,29 @@ import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.report.panel import Panel, new_figure
-from planopt.report.style import (
+from planopt.report.panel import (
     BAND,
     LABEL_PT,
     MARKERS,
     SERIES,
     TICK_PT,
+    Panel,
     dashed_look,
     draw_band,
     draw_intervals,
     dress,
     head,
     legend_below,
+    new_figure,
     plain_log_ticks,
 )
-from planopt.report.tables import BAND_ENDS, BANDS, interval_words, metric_name
+from planopt.report.tables import BAND_ENDS, BANDS, interval_words, metric_label, metric_name
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import (
     Setting,
@@ -203,7 +205,7 @@ def _draw_metric(panel: Panel, layout: Layout, metric: str) -> None:
             mean, low, high = name.scale * np.array(numbers, dtype=np.float64)
             _draw_mean(panel, slot, mean, low, high)
     title = name.words + (f"\ngrey: {BANDS[metric][-1]}" if metric in BANDS else "")
-    dress(panel, title, layout.label, _label(metric))
+    dress(panel, title, layout.label, metric_label(metric))
     if known and min(known) < max(known):
         # Intervals over few runs are many times wider than the runs themselves.
         room = ROOM * (max(known) - min(known))
@@ -266,7 +268,7 @@ def draw_traces(comparison: Comparison) -> Figure | None:
             low, high = np.array(ends, dtype=np.float64).T
             if np.isfinite(low).all():
                 draw_band(panel, along, low, high, look["color"])
-        dress(panel, metric_name(name).words, "steps driven [1]", _label(name))
+        dress(panel, metric_name(name).words, "steps driven [1]", metric_label(name))
         _scale_trace(panel, comparison, name, [traces.mean(axis=0) for traces in table.values()])
     legend_below(figure, entries, 2)
     head(figure, f"{_title(comparison)}; mean, {interval_words(comparison, 'bands')}")
@@ -307,14 +309,9 @@ def _scale_trace(
         return
     (first,) = firsts
 
-    def over_first(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return values / first
-
-    def times_first(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return values * first
-
-    right = panel.secondary_yaxis("right", functions=(over_first, times_first))
-    right.set_ylabel(_label(other), fontsize=LABEL_PT)
+    scales = partial(np.multiply, 1.0 / first), partial(np.multiply, first)
+    right = panel.secondary_yaxis("right", functions=scales)
+    right.set_ylabel(metric_label(other), fontsize=LABEL_PT)
     right.tick_params(labelsize=TICK_PT)
     if logarithmic:
         plain_log_ticks(right.yaxis)
@@ -322,11 +319,6 @@ def _scale_trace(
 
 def _finite(values: Any) -> list[float]:
     return [value for value in values if math.isfinite(value)]
-
-
-def _label(metric: str) -> str:
-    name = metric_name(metric)
-    return f"{name.words} [{name.unit}]"
 
 
 def _title(comparison: Comparison) -> str:

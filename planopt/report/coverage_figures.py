@@ -18,8 +18,7 @@ from planopt.coverage.limits import RadioLimits
 from planopt.coverage.simulation import ABSENT, NetworkRun
 from planopt.report.animation import animate
 from planopt.report.maps import X_LABEL, Y_LABEL, draw_lines, draw_polygons, draw_sites
-from planopt.report.panel import Panel, new_figure
-from planopt.report.style import (
+from planopt.report.panel import (
     BLACK,
     BLUE,
     GREEN,
@@ -28,6 +27,7 @@ from planopt.report.style import (
     PURPLE,
     SERIES,
     VERMILLION,
+    Panel,
     curve_look,
     dashed_look,
     dress,
@@ -35,6 +35,7 @@ from planopt.report.style import (
     head,
     legend_below,
     legend_inside,
+    new_figure,
     plain_log_ticks,
     spaced,
 )

@@ -17,8 +17,7 @@ from planopt.channel.connectivity_law import (
 )
 from planopt.channel.measurements import Measurements
 from planopt.problems.problem import Problem
-from planopt.report.panel import Look, Panel, add_colorbar
-from planopt.report.style import (
+from planopt.report.panel import (
     BLACK,
     FRAME,
     GREEN,
@@ -32,6 +31,9 @@ from planopt.report.style import (
     VERMILLION,
     WHITE,
     YELLOW,
+    Look,
+    Panel,
+    add_colorbar,
     dress,
 )
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
@@ -176,18 +178,8 @@ def outline(polygon: shapely.Polygon) -> Outline:
     """Return a polygon with its holes as one path; rings turn opposite ways to keep holes open."""
     from matplotlib.path import Path as Outline
 
-    turned = shapely.geometry.polygon.orient(polygon)
-    rings = [ring_xy(ring) for ring in (turned.exterior, *turned.interiors)]
-    codes = [
-        np.array([Outline.MOVETO, *[Outline.LINETO] * (len(ring) - 2), Outline.CLOSEPOLY])
-        for ring in rings
-    ]
-    return Outline(np.concatenate(rings), np.concatenate(codes))
-
-
-def ring_xy(ring: shapely.LineString) -> NDArray[np.float64]:
-    """Return the corners of a closed ring, the first again at the end; (n, 2)."""
-    return np.asarray(shapely.get_coordinates(ring), dtype=np.float64)
+    rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon.normalize())]
+    return Outline.make_compound_path(*(Outline(ring, closed=True) for ring in rings))
 
 
 def rectangle(bounds_m: Bounds) -> tuple[list[float], list[float]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
@@ -10,11 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planopt.channel.belief import Belief
-from planopt.planning.certificate import BlockedWay, Certificate
-from planopt.planning.plan import Plan, Verdict
+from planopt.planning.certificate import BlockedWay
 from planopt.planning.results import Run, Solution
-from planopt.problems.constraints import Constraints
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.report.maps import draw_ground, draw_moving, draw_places, map_window, window_about
 from planopt.report.motion_map import (
     draw_belief_maps,
@@ -31,8 +28,8 @@ from planopt.report.motion_map import (
     layers_of,
 )
 from planopt.report.motion_series import TIME, Series, plan_series, power_series, run_series
-from planopt.report.panel import Panel, new_figure, split_panel
-from planopt.report.style import NOTE_PT, head, legend_below, spaced
+from planopt.report.motion_words import certificate_in_words, plan_in_words
+from planopt.report.panel import NOTE_PT, Panel, head, legend_below, new_figure, spaced, split_panel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,15 +40,8 @@ COLUMNS = 5
 MESSAGE_WIDTH = 100
 """Letters in a line of a message above a map."""
 
-WORDS_WIDTH, WORDS_LINES = 60, 13
-"""Letters in a line, and number of lines, of a certificate."""
-
-MEANING = {
-    Verdict.VERIFIED: "constraints hold; contact is left only where unavoidable or worth its price",
-    Verdict.FEASIBLE_UNVERIFIED: "not rejected, but a part of the proof is missing",
-    Verdict.VIOLATED: "a constraint does not hold",
-    Verdict.NONE: "there is no plan",
-}
+WORDS_WIDTH, WORDS_LINES = 70, 15
+"""Letters in a line, and number of lines for each robot, of the certificates."""
 
 
 def draw_solution(solution: Solution) -> Figure:
@@ -93,15 +83,17 @@ def draw_solution(solution: Solution) -> Figure:
 
 
 def _certificates(solution: Solution) -> list[str]:
-    """Return the certificates in lines that fit their panel."""
-    if len(solution.plans) > 1:
-        return team_words(solution.plans)
-    lines = [
-        piece
-        for line in plan_words(solution.plan, solution.problem.constraints)
-        for piece in wrap(line, WORDS_WIDTH, subsequent_indent="    ")
-    ]
-    return lines if len(lines) <= WORDS_LINES else [*lines[: WORDS_LINES - 1], "..."]
+    """Return the plans in lines that fit their panel, a single one with its certificate."""
+    found: list[str] = []
+    in_words = certificate_in_words if len(solution.plans) == 1 else plan_in_words
+    for number, plan in enumerate(solution.plans):
+        words = in_words(problem_of_robot(solution.problem, number), plan)
+        lines = [
+            piece for line in words for piece in wrap(line, WORDS_WIDTH, subsequent_indent="    ")
+        ]
+        cut = len(lines) > WORDS_LINES
+        found += [*lines[: WORDS_LINES - 1], "..."] if cut else lines
+    return found
 
 
 def draw_run(run: Run) -> Figure:
@@ -235,72 +227,3 @@ def _draw_series(
 
 def _draw_nothing(panel: Panel) -> None:
     """Draw nothing: the panel holds text."""
-
-
-def plan_words(plan: Plan, constraints: Constraints) -> list[str]:
-    """Return the plan and the verdict of the independent verifier in words, a line each."""
-    proof = plan.certificate
-    clearance = (
-        f"least clearance {proof.min_clearance_m:.3f} m along the swept path, "
-        f"{constraints.clearance_m:g} m required"
-        if math.isfinite(proof.min_clearance_m)
-        else "no obstacles to keep clear of"
-    )
-    required = f", {constraints.step_p_min:g} required" if constraints.step_p_min > 0.0 else ""
-    residual = (
-        "not refined"
-        if proof.kkt_residual is None
-        else f"KKT residual of the refinement {proof.kkt_residual:.2g}"
-    )
-    lines = [
-        f"verdict: {spaced(plan.verdict)} ({MEANING[plan.verdict]})",
-        clearance,
-        *_distance_words(proof),
-        f"least P(connected) {proof.min_connectivity:.3f}{required} (posterior: {proof.posterior})",
-        f"motion model satisfied to {proof.dynamics_defect:.2g} m; {residual}",
-        f"cost {plan.objective:.1f} s (lattice start {plan.lattice_objective:.1f} s); "
-        f"{spaced(plan.termination)} after {plan.iterations} iterations, "
-        f"{1e3 * plan.wall_s:.0f} ms; fallback: {spaced(plan.rung)}",
-    ]
-    if proof.rule is not None:
-        lines.append(proof.rule.words)
-    if proof.relaxed_steps:
-        lines.append(
-            f"the bound is not met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "
-            f"missed by at most {max(proof.relaxation_db):.2f} dB"
-        )
-    return [*lines, *proof.reasons, *([plan.message] if plan.message else [])]
-
-
-def team_words(plans: Sequence[Plan]) -> list[str]:
-    """Return each robot's verdict in words, a few lines each."""
-    lines: list[str] = []
-    for plan in plans:
-        proof = plan.certificate
-        clearance = (
-            f"least clearance {proof.min_clearance_m:.2f} m"
-            if math.isfinite(proof.min_clearance_m)
-            else "no obstacles"
-        )
-        lines += [
-            f"{plan.robot}: {spaced(plan.verdict)}, {clearance}, "
-            f"least P(connected) {proof.min_connectivity:.3f}",
-            *(f"    {words}" for words in _distance_words(proof)),
-            f"    objective {plan.objective:.4g} (best start {plan.lattice_objective:.4g}); "
-            f"fallback {spaced(plan.rung)}, {1e3 * plan.wall_s:.0f} ms",
-            *(f"    {reason}" for reason in proof.reasons[:2]),
-        ]
-    return lines
-
-
-def _distance_words(proof: Certificate) -> list[str]:
-    """Return the distance a plan keeps from robots and moving obstacles, if there are any."""
-    parts = [
-        f"{distance:.3f} m from {kind}"
-        for distance, kind in (
-            (proof.min_separation_m, "other robots"),
-            (proof.min_moving_clearance_m, "moving obstacles"),
-        )
-        if distance is not None
-    ]
-    return [f"always at least {', '.join(parts)}"] if parts else []

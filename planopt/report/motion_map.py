@@ -1,9 +1,10 @@
-"""Maps of plans and runs: channel layers, paths, coverage holes, measurements and the target."""
+"""Maps of plans and runs: channel layers, paths, coverage holes, the target; their animation."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from planopt.planning.loop.metrics import true_serving_dbm
 from planopt.planning.plan import Plan
 from planopt.planning.results import Run
 from planopt.problems.problem import Problem
+from planopt.report.animation import animate
 from planopt.report.maps import (
     LAYER_Z,
     MARGIN_Z,
@@ -24,17 +26,18 @@ from planopt.report.maps import (
     PLACE_Z,
     Bounds,
     believed_rasters,
+    draw_discs,
     draw_ground,
     draw_layer,
     draw_level,
     draw_lines,
     draw_path,
     draw_places,
-    ring_xy,
+    map_window,
+    show_bounds,
     show_window,
 )
-from planopt.report.panel import Look, Panel
-from planopt.report.style import (
+from planopt.report.panel import (
     BLACK,
     CONNECTED,
     DEVIATION_MAP,
@@ -44,10 +47,17 @@ from planopt.report.style import (
     PURPLE,
     VERMILLION,
     WHITE,
+    Look,
+    Panel,
+    frame_title,
+    head,
+    new_figure,
     robot_colour,
     robot_marker,
+    spaced,
 )
 from planopt.robots.drive import Drive
+from planopt.world.moving_discs import centres_at
 from planopt.world.raster import Raster
 
 if TYPE_CHECKING:
@@ -71,7 +81,7 @@ def draw_belief_maps(
     panels: Sequence[Panel],
     problem: Problem,
     belief: Belief,
-    positions_m: NDArray[np.float64],  # (n, 2) what the maps have to show
+    positions_m: NDArray[np.float64],  # (n, 2) that the maps must show
     window: Bounds,
 ) -> list[Artist]:
     """Draw the workspace on each layer of the predicted channel; legend entries."""
@@ -220,7 +230,9 @@ def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artis
         return []
     look: Look = {"colors": PURPLE, "linewidths": 0.9, "linestyles": "dashed", "zorder": MARGIN_Z}
     label = f"clearance of {clearance:g} m"
-    return [draw_lines(panel, [ring_xy(ring) for ring in rings], label=label, **look)]
+    return [
+        draw_lines(panel, [shapely.get_coordinates(ring) for ring in rings], label=label, **look)
+    ]
 
 
 def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
@@ -297,3 +309,65 @@ def draw_expected_target(panel: Panel, target_m: NDArray[np.float64]) -> list[Ar
     look |= {"markersize": 9.0, "markeredgecolor": WHITE, "markeredgewidth": 0.5}
     label = "target as expected"
     return list(draw_path(panel, target_m, zorder=PATH_Z + 0.1, label=label, **look))
+
+
+def save_animation(run: Run, path: Path) -> None:
+    """Write a run as an animated GIF; errors as :func:`planopt.report.animation.animate`."""
+    problem = run.problem
+    shown = [one.log.positions_m for one in run.runs]
+    shown += [np.array([robot.goal_m]) for robot in problem.robots if robot.goal_m is not None]
+    if run.target is not None:
+        shown.append(run.target.true_m)
+    figure, (panel,) = new_figure(7.4, 7.2, maps_only=True)
+    draw_ground(panel, problem.workspace, "")
+    draw_true_power(figure, panel, run)
+    show_bounds(panel, map_window(problem, np.concatenate(shown)))
+    head(figure, f"{problem.name}: horizon {problem.planner.horizon}, seed {run.seed}")
+    entries = draw_places(panel, problem)
+    count = len(run.runs[0].log.t_s)
+    animate(figure, path, count, lambda step: _draw_frame(panel, run, step), entries)
+
+
+def _draw_frame(panel: Panel, run: Run, step: int) -> list[Artist]:
+    """Draw everything that changes, as it is after `step` steps."""
+    t_s = run.runs[0].log.t_s
+    ending = f", {spaced(run.outcome)}" if step == len(t_s) - 1 else ""
+    drawn = [frame_title(panel, f"t = {t_s[step]:.0f} s{ending}")]
+    moving = run.problem.workspace.moving
+    if moving:
+        centres = np.concatenate([centres_at(each, t_s[step : step + 1]) for each in moving])
+        radii = np.array([each.radius_m for each in moving])
+        drawn.append(draw_discs(panel, centres, radii, linewidths=1.2, label="moving obstacle"))
+    for number in range(len(run.runs)):
+        drawn += _draw_robot(panel, run, number, step)
+    if run.target is not None:
+        look: Look = {"color": BLACK, "linewidth": 1.4, "marker": "*", "markersize": 13.0}
+        look |= {"markevery": [-1], "markeredgecolor": WHITE, "zorder": PLACE_Z + 0.3}
+        drawn += draw_path(panel, run.target.true_m[: step + 1], label="target", **look)
+    return drawn
+
+
+def _draw_robot(panel: Panel, run: Run, number: int, step: int) -> list[Artist]:
+    """Draw a robot, its path so far, its positions out of contact, and its plan."""
+    several = len(run.runs) > 1
+    name = f"{run.runs[number].robot}, " if several else ""
+    colour, log, plans = robot_colour(number), run.runs[number].log, run.plans[number]
+    path = log.positions_m[: step + 1]
+    drawn: list[Artist] = []
+    if step:
+        drawn += draw_path(panel, path, color=WHITE, linewidth=4.4, label="_casing")
+    look: Look = {"color": colour, "linewidth": 2.4, "marker": robot_marker(number)}
+    look |= {"markersize": 9.0, "markevery": [-1], "markeredgecolor": WHITE}
+    drawn += draw_path(panel, path, zorder=PATH_Z + 0.5, label=f"{name}driven", **look)
+    lost = path[~log.connected[: step + 1]]
+    if len(lost):
+        look = {"marker": "x", "s": 26.0, "color": DISCONNECTED, "linewidths": 1.6}
+        cross = panel.scatter(*lost.T, zorder=PATH_Z + 0.6, label="out of contact", **look)
+        drawn.append(cross)
+    if step < len(plans):
+        ahead, _ = path_curve(run.problem, plans[step].positions_m, plans[step].drive)
+        look = {"color": colour if several else BLACK, "linestyle": (0, (2.0, 1.0))}
+        planned = np.vstack([path[-1:], ahead])
+        label = f"{name}planned"
+        drawn += draw_path(panel, planned, linewidth=1.6, zorder=PATH_Z + 0.2, label=label, **look)
+    return drawn

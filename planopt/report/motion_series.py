@@ -17,8 +17,7 @@ from planopt.planning.reservations import (
 )
 from planopt.planning.results import Run
 from planopt.problems.problem import Problem
-from planopt.report.panel import Panel
-from planopt.report.style import (
+from planopt.report.panel import (
     BAND_WORDS,
     BAND_Z,
     BLACK,
@@ -33,6 +32,7 @@ from planopt.report.style import (
     TRUE,
     VERMILLION,
     WHITE,
+    Panel,
     draw_band,
     dress,
     legend_above,
@@ -74,10 +74,12 @@ Track = tuple[NDArray[np.float64], Drive | None]
 
 def run_series(run: Run) -> list[Series]:
     """Return the panels that a run has data for."""
-    problem, t_s = run.problem, run.runs[0].log.t_s
+    problem, t_s, channel = run.problem, run.runs[0].log.t_s, run.channel
     strip = 0.18 + 0.13 * len(run.runs)
     panels: list[Series] = []
-    channel = run.channel
+    error = (
+        [] if channel is None else [(partial(_draw_map_error, t_s=t_s, rms_db=channel.rms_db), 1.0)]
+    )
     if run.target is not None:
         panels.append((partial(_draw_target, run=run), 1.3))
     elif channel is not None:
@@ -86,12 +88,12 @@ def run_series(run: Run) -> list[Series]:
             # Known path loss has no uncertainty to draw.
             variance = np.asarray(channel.theta_variance_db, dtype=np.float64)
             panels.append((partial(_draw_path_loss, t_s=t_s, variance_db=variance), 1.0))
-        panels.append((partial(_draw_map_error, t_s=t_s, rms_db=channel.rms_db), 1.0))
+        panels += error
     if run.target is not None or problem.constraints.p_min > 0.0:
         panels.append((partial(_draw_run_connectivity, run=run), 1.0))
         panels.append((partial(_draw_connection, run=run), strip))
-    if run.target is not None and channel is not None:
-        panels.append((partial(_draw_map_error, t_s=t_s, rms_db=channel.rms_db), 1.0))
+    if run.target is not None:
+        panels += error
     tracks = [(one.log.positions_m, one.drive) for one in run.runs]
     panels += _distance_series(problem, tracks, t_s)
     panels.append((partial(_draw_fallbacks, run=run), strip))
@@ -114,8 +116,9 @@ def plan_series(
     """Return the panels that plans have data for; `target_m` (N, 2) is the expected target."""
     panels: list[Series] = []
     if target_m is not None:
-        distance = partial(_draw_target_distance, problem=problem, plans=plans, target_m=target_m)
-        panels.append((distance, 1.0))
+        panels.append(
+            (partial(_draw_target_distance, problem=problem, plans=plans, target_m=target_m), 1.0)
+        )
     panels.append((partial(_draw_planned_power, problem=problem, plans=plans), 1.0))
     if target_m is not None or problem.constraints.p_min > 0.0:
         panels.append((partial(_draw_planned_connectivity, problem=problem, plans=plans), 1.0))
@@ -230,10 +233,8 @@ def _draw_fallbacks(panel: Panel, run: Run) -> None:
         look = {"marker": marker, "color": colour, "s": 18.0, "zorder": 3.0}
         _draw_rows(panel, rows, spaced(rung), **look)
     rows = [
-        log.t_s[1:][
-            np.array([each is not Verdict.VERIFIED for each in log.verdict[1:]], dtype=bool)
-        ]
-        for log in logs
+        np.array([t_s for t_s, one in released if one is not Verdict.VERIFIED])
+        for released in (zip(log.t_s[1:], log.verdict[1:], strict=True) for log in logs)
     ]
     look = {"s": 80.0, "facecolors": "none", "edgecolors": BLACK, "linewidths": 1.3}
     _draw_rows(panel, rows, "not verified", **look)
@@ -300,37 +301,30 @@ def _draw_distances(
     panel: Panel, problem: Problem, tracks: Sequence[Track], t_s: NDArray[np.float64]
 ) -> None:
     """Draw the least distances during each step, and the required ones."""
-    motions = [driven_motion(*track, problem.planner.step_s) for track in tracks]
-    lowest = 0.0
-    for label, colour, required, least in (
-        (
-            "two robots",
-            BLUE,
-            problem.constraints.separation_m,
-            least_separations_m(motions) if len(motions) > 1 else None,
-        ),
-        (
-            "moving obstacle",
-            VERMILLION,
-            problem.constraints.clearance_m,
-            least_moving_clearances_m(problem, motions) if problem.workspace.moving else None,
-        ),
-    ):
-        if least is not None:
-            # The value of a step holds during the whole step.
-            steps = np.append(least[:1], least)
-            panel.plot(t_s, steps, color=colour, drawstyle="steps-pre", label=label)
-            panel.axhline(required, color=colour, linestyle="dashed")
-            lowest = min(lowest, float(least.min()))
+    limits, motions = (
+        problem.constraints,
+        [driven_motion(*track, problem.planner.step_s) for track in tracks],
+    )
+    curves: list[tuple[str, str, float, NDArray[np.float64]]] = []
+    if len(motions) > 1:
+        least = least_separations_m(motions)
+        curves.append(("two robots", BLUE, limits.separation_m, least))
+    if problem.workspace.moving:
+        least = least_moving_clearances_m(problem, motions)
+        curves.append(("moving obstacle", VERMILLION, limits.clearance_m, least))
+    for label, colour, required, least in curves:
+        # The value of a step holds during the whole step.
+        steps = np.append(least[:1], least)
+        panel.plot(t_s, steps, color=colour, drawstyle="steps-pre", label=label)
+        panel.axhline(required, color=colour, linestyle="dashed")
     dress(panel, "least distance (dashed: required)", TIME, "distance [m]")
-    panel.set_ylim(lowest, None)
+    panel.set_ylim(min(0.0, *(float(least.min()) for *_, least in curves)), None)
     legend_above(panel)
 
 
 def _draw_target(panel: Panel, run: Run) -> None:
     """Draw the trace of the station's covariance, marked where a packet arrived."""
-    if run.target is None:
-        raise AssertionError("there is no target")
+    assert run.target is not None
     t_s, trace = run.runs[0].log.t_s, run.target.station_variance_m2
     panel.plot(t_s, trace, color=PREDICTED)
     arrived = run.target.delivered.any(axis=1)

@@ -1,16 +1,16 @@
-"""Figures and panels: Matplotlib as it is used here, typed; layout; files.
+"""Figures and panels: typed Matplotlib, layout, files, and the common style of all figures.
 
-Matplotlib leaves the styling keywords of its methods untyped, which strict checking reports at
-every call. The protocols below name the methods that are used, with types, and this file is the
-only place where one is taken for the other. No pyplot: figures belong to the caller and are
-collected like any other object.
+Matplotlib leaves the styling keywords of its methods untyped; the protocol :class:`Panel` has the
+methods in use, with types. No pyplot and no global settings: figures belong to the caller.
+Colours are those of Okabe and Ito (2008) and the perceptually uniform maps viridis and cividis.
 """
 
 # ruff: noqa: D102 - matplotlib documents the methods that the protocols name
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
@@ -26,6 +26,34 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import Collection
     from matplotlib.figure import Figure
+
+BLACK, WHITE = "#000000", "#ffffff"
+ORANGE, SKY, GREEN, YELLOW = "#e69f00", "#56b4e9", "#009e73", "#f0e442"
+BLUE, VERMILLION, PURPLE = "#0072b2", "#d55e00", "#cc79a7"
+SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+DASHES = ("-", "--", "-.", ":")
+
+OBSTACLE, OBSTACLE_EDGE, FRAME = "#efefef", "#8c8c8c", "#404040"
+BAND = "#d9d9d9"
+PREDICTED, TRUE, THRESHOLD = BLUE, BLACK, VERMILLION
+CONNECTED, DISCONNECTED = SKY, VERMILLION
+
+POWER_MAP, DEVIATION_MAP, PROBABILITY_MAP = "viridis", "cividis", "cividis"
+
+TITLE_PT, LABEL_PT, TICK_PT, NOTE_PT = 11.0, 10.0, 9.0, 9.0
+
+BAND_Z = 1.28
+"""Half width of drawn bands in standard deviations: the middle 80 % of a normal distribution."""
+
+BAND_WORDS = "80 % band"
+
+ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
+ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
+"""Of different lengths, so that the pair of colour and marker repeats late."""
+
+LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
+"""Width in inches of a letter of a legend and of the mark before its words; height of a line."""
 
 DPI = 110
 """Resolution of pixel formats."""
@@ -159,3 +187,137 @@ def save_figure(figure: Figure, path: Path) -> None:
         )
     write = cast("Any", figure).savefig
     write_whole(path, lambda temporary: write(temporary, dpi=DPI, metadata=metadata))
+
+
+def robot_colour(number: int) -> str:
+    """Return the colour of a robot, the first has number 0."""
+    return ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
+
+
+def robot_marker(number: int) -> str:
+    """Return the marker of a robot."""
+    return ROBOT_MARKERS[number % len(ROBOT_MARKERS)]
+
+
+def curve_look(number: int) -> dict[str, Any]:
+    """Return the colour, marker and sizes of a curve by its number."""
+    return {
+        "color": SERIES[number % len(SERIES)],
+        "marker": MARKERS[number % len(MARKERS)],
+        "markersize": 5.0,
+        "linewidth": 1.6,
+    }
+
+
+def dashed_look(number: int) -> dict[str, Any]:
+    """Return the colour and dashes of a curve without marks by its number."""
+    dashes = DASHES[number % len(DASHES)]
+    return {"color": SERIES[number % len(SERIES)], "linestyle": dashes, "linewidth": 1.8}
+
+
+def spaced(name: str) -> str:
+    """Return a name as words."""
+    return name.replace("_", " ")
+
+
+def dress(panel: Panel, title: str, x_label: str, y_label: str, *, grid: bool = True) -> None:
+    """Give a panel its title and labels, in the common sizes."""
+    panel.set_title(title, fontsize=TITLE_PT, loc="left")
+    panel.set_xlabel(x_label, fontsize=LABEL_PT)
+    panel.set_ylabel(y_label, fontsize=LABEL_PT)
+    panel.tick_params(labelsize=TICK_PT)
+    if grid:
+        panel.set_axisbelow(True)
+        panel.grid(True, color="#e2e2e2", linewidth=0.6)
+
+
+def frame_title(panel: Panel, words: str) -> Artist:
+    """Return the title of one frame of an animation, as an artist that can be removed."""
+    return panel.text(
+        0.0, 1.01, words, transform=panel.transAxes, fontsize=TITLE_PT, va="bottom", zorder=9.0
+    )
+
+
+def head(figure: Figure, words: str) -> None:
+    """Give a figure its title."""
+    add_title(figure, words, fontsize=TITLE_PT + 1.0, fontweight="bold")
+
+
+def draw_intervals(
+    panel: Panel, x: Values, y: Values, low: Values, high: Values, **look: Any
+) -> Artist:
+    """Draw marks (n,) with bars from `low` to `high`, none where these are NaN; the marks."""
+    # An end that equals the value may pass it by rounding; NaN stays.
+    ends = (np.maximum(np.subtract(y, low), 0.0), np.maximum(np.subtract(high, y), 0.0))
+    bars = {"elinewidth": 1.5, "capsize": 3.0, "linestyle": "none"}
+    panel.errorbar(x, y, yerr=ends, ecolor=look["color"], **bars)
+    (marks,) = panel.plot(x, y, **look)
+    return marks
+
+
+def draw_band(
+    panel: Panel, x: Values, low: Values, high: Values, colour: str, label: str | None = None
+) -> None:
+    """Draw the area between two curves (n,)."""
+    panel.fill_between(x, low, high, color=colour, alpha=0.16, linewidth=0.0, label=label)
+
+
+def legend_entries(entries: Iterable[Artist]) -> list[Artist]:
+    """Return legend entries with one for each label: the first of each, in their order."""
+    found: dict[str, Artist] = {}
+    for entry in entries:
+        found.setdefault(str(entry.get_label()), entry)
+    return list(found.values())
+
+
+def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> None:
+    """Add a legend under all panels, where it covers no start and no goal.
+
+    Long words reduce the number of columns; the figure grows with the number of lines.
+    """
+    handles = legend_entries(entries)
+    labels = [str(handle.get_label()) for handle in handles]
+    longest = max((len(line) for label in labels for line in label.splitlines()), default=0)
+    width_in, height_in = (float(side) for side in figure.get_size_inches())
+    fitting = int(width_in / (LETTER_IN * longest + HANDLE_IN))
+    fitting = max(1, min(columns, fitting))
+    lines = math.ceil(len(labels) / fitting) - math.ceil(len(labels) / columns)
+    figure.set_size_inches(width_in, height_in + LINE_IN * lines)
+    add_legend(
+        figure,
+        handles=handles,
+        labels=labels,
+        loc="outside lower center",
+        ncols=fitting,
+        fontsize=NOTE_PT,
+        frameon=False,
+    )
+
+
+def legend_above(panel: Panel, columns: int = 6) -> None:
+    """Add a legend of curves, if any has a label, on the line of the panel's title."""
+    if not panel.get_legend_handles_labels()[1]:
+        return
+    panel.legend(
+        fontsize=NOTE_PT,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=columns,
+        frameon=False,
+        borderaxespad=0.0,
+        columnspacing=1.2,
+    )
+
+
+def legend_inside(panel: Panel, place: str = "best") -> None:
+    """Add a legend in a panel of dots, which leave room for it."""
+    panel.legend(fontsize=NOTE_PT, loc=place, framealpha=0.9, edgecolor="none")
+
+
+def plain_log_ticks(axis: Axis) -> None:
+    """Write the values of a logarithmic axis out, at 1, 2 and 5."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())

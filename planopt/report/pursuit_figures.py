@@ -14,8 +14,7 @@ from planopt.pursuit.service import Snapshot, SnapshotService, Track, mote_centr
 from planopt.pursuit.simulation import Pursuit, Use
 from planopt.report.animation import animate
 from planopt.report.maps import X_LABEL, Y_LABEL, draw_layer, draw_polygons, rectangle, show_bounds
-from planopt.report.panel import Panel, new_figure
-from planopt.report.style import (
+from planopt.report.panel import (
     BLACK,
     BLUE,
     DEVIATION_MAP,
@@ -23,12 +22,14 @@ from planopt.report.style import (
     ORANGE,
     SERIES,
     VERMILLION,
+    Panel,
     curve_look,
     dress,
     frame_title,
     head,
     legend_below,
     legend_inside,
+    new_figure,
     spaced,
 )
 from planopt.world.raster import Raster

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin
-from planopt.report.style import spaced
+from planopt.report.panel import spaced
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import (
     Row,
@@ -22,47 +22,47 @@ from planopt.studies.comparison_rows import (
 class MetricName:
     """The name, unit and form of a metric."""
 
-    words: str  # Its name for people
-    unit: str  # Its unit as shown
-    scale: float  # What its value is multiplied by
-    digits: int  # Digits after the point in tables
+    words: str
+    unit: str
+    scale: float = 1.0  # Factor from the value to the unit
+    digits: int = 1  # Digits after the point in tables
 
 
 METRIC_NAMES = {
-    "goal_time_s": MetricName("time to goal", "s", 1.0, 1),
-    "capture_time_s": MetricName("time to capture", "s", 1.0, 2),
-    "path_m": MetricName("driven length", "m", 1.0, 1),
-    "realised_cost_m": MetricName("realised cost", "m", 1.0, 1),
-    "clairvoyant_cost_m": MetricName("clairvoyant cost", "m", 1.0, 1),
-    "cost_ratio": MetricName("cost ratio to the clairvoyant", "1", 1.0, 3),
-    "true_connected_share": MetricName("connected in truth", "%", 100.0, 1),
-    "longest_outage_m": MetricName("longest outage", "m", 1.0, 1),
-    "longest_outage_s": MetricName("longest outage", "s", 1.0, 1),
-    "stated_times_connected": MetricName("stated times connected", "%", 100.0, 1),
-    "least_connected_share": MetricName("least connected share", "%", 100.0, 1),
-    "data_mbit": MetricName("delivered data", "Mbit", 1.0, 2),
-    "predicted_min_connectivity": MetricName("least P(connected) of driven steps", "1", 1.0, 3),
-    "time_averaged_trace_p": MetricName("time-averaged tr P", "m2", 1.0, 3),
-    "trace_p": MetricName("tr P", "m2", 1.0, 3),
-    "target_lost": MetricName("target lost", "%", 100.0, 1),
-    "final_trace_p": MetricName("final tr P", "m2", 1.0, 3),
-    "time_averaged_normalised_trace_p": MetricName("time-averaged tr P over first", "1", 1.0, 4),
-    "final_normalised_trace_p": MetricName("final tr P over first", "1", 1.0, 4),
-    "normalised_trace_p": MetricName("over the first", "1", 1.0, 4),
-    "time_averaged_det_p": MetricName("time-averaged det P", "m4", 1.0, 4),
-    "nees": MetricName("NEES of the station", "1", 1.0, 2),
-    "nis": MetricName("NIS of the robots", "1", 1.0, 2),
-    "delivered": MetricName("delivered", "%", 100.0, 1),
-    "mean_squared_error_db2": MetricName("mean squared error", "dB2", 1.0, 2),
-    "rms_db": MetricName("RMS error", "dB", 1.0, 2),
-    "rms_without_multipath_db": MetricName("RMS error without multipath", "dB", 1.0, 2),
-    "path_loss_variance_db2": MetricName("path loss variance over the workspace", "dB2", 1.0, 3),
-    "anmse_db": MetricName("ANMSE", "dB", 1.0, 2),
-    "measured_steps": MetricName("steps that measured", "1", 1.0, 1),
-    "trace_m_db": MetricName("tr M over |θ|²", "dB", 1.0, 2),
-    "log_det_m": MetricName("log det M", "nats", 1.0, 2),
-    "min_separation_m": MetricName("least distance of two robots", "m", 1.0, 3),
-    "min_moving_clearance_m": MetricName("least distance from moving obstacles", "m", 1.0, 3),
+    "goal_time_s": MetricName("time to goal", "s"),
+    "capture_time_s": MetricName("time to capture", "s", digits=2),
+    "path_m": MetricName("driven length", "m"),
+    "realised_cost_m": MetricName("realised cost", "m"),
+    "clairvoyant_cost_m": MetricName("clairvoyant cost", "m"),
+    "cost_ratio": MetricName("cost ratio to the clairvoyant", "1", digits=3),
+    "true_connected_share": MetricName("connected in truth", "%", 100.0),
+    "longest_outage_m": MetricName("longest outage", "m"),
+    "longest_outage_s": MetricName("longest outage", "s"),
+    "stated_times_connected": MetricName("stated times connected", "%", 100.0),
+    "least_connected_share": MetricName("least connected share", "%", 100.0),
+    "data_mbit": MetricName("delivered data", "Mbit", digits=2),
+    "predicted_min_connectivity": MetricName("least P(connected) of driven steps", "1", digits=3),
+    "time_averaged_trace_p": MetricName("time-averaged tr P", "m2", digits=3),
+    "trace_p": MetricName("tr P", "m2", digits=3),
+    "target_lost": MetricName("target lost", "%", 100.0),
+    "final_trace_p": MetricName("final tr P", "m2", digits=3),
+    "time_averaged_normalised_trace_p": MetricName("time-averaged tr P over first", "1", digits=4),
+    "final_normalised_trace_p": MetricName("final tr P over first", "1", digits=4),
+    "normalised_trace_p": MetricName("over the first", "1", digits=4),
+    "time_averaged_det_p": MetricName("time-averaged det P", "m4", digits=4),
+    "nees": MetricName("NEES of the station", "1", digits=2),
+    "nis": MetricName("NIS of the robots", "1", digits=2),
+    "delivered": MetricName("delivered", "%", 100.0),
+    "mean_squared_error_db2": MetricName("mean squared error", "dB2", digits=2),
+    "rms_db": MetricName("RMS error", "dB", digits=2),
+    "rms_without_multipath_db": MetricName("RMS error without multipath", "dB", digits=2),
+    "path_loss_variance_db2": MetricName("path loss variance over the workspace", "dB2", digits=3),
+    "anmse_db": MetricName("ANMSE", "dB", digits=2),
+    "measured_steps": MetricName("steps that measured", "1"),
+    "trace_m_db": MetricName("tr M over |θ|²", "dB", digits=2),
+    "log_det_m": MetricName("log det M", "nats", digits=2),
+    "min_separation_m": MetricName("least distance of two robots", "m", digits=3),
+    "min_moving_clearance_m": MetricName("least distance from moving obstacles", "m", digits=3),
     "polish_gain": MetricName("gain of the polish", "%", 100.0, 2),
 }
 
@@ -75,8 +75,13 @@ BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends
 
 
 def metric_name(metric: str) -> MetricName:
-    """Return how `metric` is shown; a metric unknown here is shown by its own name, as it is."""
+    """Return the name of a metric; one that is not listed keeps its own name and value."""
     return METRIC_NAMES.get(metric, MetricName(spaced(metric), "as is", 1.0, 3))
+
+
+def metric_label(metric: str) -> str:
+    """Return the name of a metric with its unit."""
+    return f"{metric_name(metric).words} [{metric_name(metric).unit}]"
 
 
 MISSING = "-"
@@ -189,7 +194,7 @@ def _paired(
         "paired differences from the first setting, seed by seed, with 95 % intervals; "
         f"{apart} of {len(intervals)} leave out zero (*)"
     )
-    table = [[*names[0], *map(_label, shown)]]
+    table = [[*names[0], *map(metric_label, shown)]]
     for number, name in enumerate(names[2:], start=1):
         table.append([*name, *(cells[metric][number] for metric in shown)])
     alike = textwrap.wrap(f"the same in every run: {', '.join(same)}", WIDTH) if same else []
@@ -219,11 +224,7 @@ def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
     there = dict.fromkeys(row.metric for row in rows if row.mean is not None)
     bands = {metric: f", and of {words}" for metric, (*_, words) in BANDS.items()}
     metrics = [m for m in there if m != "polish_gain" and m not in BAND_ENDS]
-    return [*((_label(m) + bands.get(m, ""), m) for m in metrics), VERIFIED, POLISH]
-
-
-def _label(metric: str) -> str:
-    return f"{metric_name(metric).words} [{metric_name(metric).unit}]"
+    return [*((metric_label(m) + bands.get(m, ""), m) for m in metrics), VERIFIED, POLISH]
 
 
 def _cells(setting: Setting, shown: Sequence[str]) -> list[str]:

@@ -43,7 +43,7 @@ class MotionReport:
     @property
     def words(self) -> Sequence[str]:
         """Return lines of text."""
-        from planopt.tasks.motion_words import run_in_words, solution_in_words
+        from planopt.report.motion_words import run_in_words, solution_in_words
 
         value = self.value
         return solution_in_words(value) if isinstance(value, Solution) else run_in_words(value)
@@ -135,7 +135,7 @@ class MotionTask(Task):
 
     def words(self, problem: Problem) -> Sequence[str]:
         """Return a problem in lines of text."""
-        from planopt.tasks.motion_words import problem_in_words
+        from planopt.report.motion_words import problem_in_words
 
         warnings = (f"  warning     {warning}" for warning in self.warnings(problem))
         return [*problem_in_words(problem), *warnings]
@@ -199,7 +199,7 @@ class MotionTask(Task):
 
     def words_ahead(self, problem: Problem, plans: Any) -> Iterable[str]:
         """Return the coverage holes that lie on the way to each goal."""
-        from planopt.tasks.motion_words import words_ahead
+        from planopt.report.motion_words import words_ahead
 
         return words_ahead(problem, plans)
 

@@ -13,7 +13,7 @@ from planopt import InputError
 from planopt.cli import main
 from planopt.report import save_animation
 from planopt.report.animation import FRAME_MS, LAST_MS, MOST_FRAMES, shown_steps
-from planopt.report.style import robot_colour
+from planopt.report.panel import robot_colour
 
 
 def frames_of(path: Path) -> list[np.ndarray]:

@@ -16,8 +16,9 @@ from planopt.planning.certificate import RuleResult
 from planopt.planning.values.context import Aim
 from planopt.problems import GivenParameters
 from planopt.report import draw_run, draw_run_series, draw_solution
-from planopt.report.motion_figures import WORDS_LINES, plan_words
-from planopt.report.style import BAND_Z
+from planopt.report.motion_figures import WORDS_LINES
+from planopt.report.motion_words import certificate_in_words
+from planopt.report.panel import BAND_Z
 from planopt.tasks.motion import MotionReport
 from planopt.world.moving_discs import centres_at
 
@@ -89,16 +90,39 @@ def test_curves_of_a_plan(solution, plan):
 
 def test_certificate_in_words(solution):
     """The certificate's numbers stand in the figure; too many words end in dots."""
-    figure = draw_solution(solution)
-    words = " ".join(text.get_text() for axes in figure.axes for text in axes.texts).split()
+
+    def words_of(solution):
+        figure = draw_solution(solution)
+        return "\n".join(text.get_text() for axes in figure.axes for text in axes.texts)
+
+    words = words_of(solution)
     for number in ("1.625 m", "0.812", "2.5e-09", "3.5e-07", "101.2", "103.5", "0.75 dB"):
-        assert number in " ".join(words)
+        assert number in words
+    proof = solution.plan.certificate
+    rule = RuleResult("each_step", 2.0, 3.0, "steps", "p_min at each step asked for", 0.5)
+    parts = replace(proof, kkt_residual=None, relaxed_steps=(), rule=rule, reasons=("one",))
+    words = words_of(replace(solution, plans=(replace(solution.plan, certificate=parts),)))
+    assert "not refined" in words and "missed" not in words and words.endswith("one")
+    assert "connectivity (each step): 2 steps" in words.replace("\n    ", " ")
     reasons = tuple(f"reason {number}" for number in range(30))
-    certificate = replace(solution.plan.certificate, reasons=reasons)
-    plan = replace(solution.plan, certificate=certificate, verdict=Verdict.VIOLATED)
-    figure = draw_solution(replace(solution, plans=(plan,)))
-    (text,) = [text.get_text() for axes in figure.axes for text in axes.texts]
-    assert len(text.splitlines()) == WORDS_LINES and text.endswith("...")
+    plan = replace(solution.plan, certificate=replace(proof, reasons=reasons))
+    words = words_of(replace(solution, plans=(plan,)))
+    assert len(words.splitlines()) == WORDS_LINES and words.endswith("...")
+
+
+@pytest.mark.parametrize(
+    ("form", "more", "required"),
+    [
+        ("joint", {}, False),
+        ("data", {"data_mbit": 10.0, "deadline_s": 100.0, "rate_mbit_s": 1.0}, False),
+        ("outage", {"outage_max_s": 10.0}, True),
+    ],
+)
+def test_a_bound_is_required_of_single_steps(plan, problem, form, more, required):
+    """A requirement on all steps together says nothing of the least of them."""
+    limits = replace(problem.constraints, rule=ConnectivityRule(form, **more))
+    words = "\n".join(certificate_in_words(replace(problem, constraints=limits), plan))
+    assert (", P(connected) 0.8" in words) == required
 
 
 def test_map_of_a_run(simulation, plan, log, measurements):
@@ -255,7 +279,7 @@ def test_plans_of_a_team(simulation, belief, plan, task):
         line_of(figure.axes[0], "robot_1, planned").get_xydata(), plan.positions_m
     )
     words = "\n".join(text.get_text() for axes in figure.axes for text in axes.texts)
-    assert words.count("verified, least clearance 1.62 m, least P(connected) 0.812") == 2
+    assert words.count("verified (plan, converged)") == words.count("0.812") == 2
     if target_m is not None:
         curve = panel_of(figure, "distance").lines[0].get_xydata()
         np.testing.assert_allclose(curve, np.stack([plan.t_s[1:], np.full(4, 5.0)], axis=1))
@@ -302,57 +326,3 @@ def test_moving_obstacles_only_where_there_are_some():
     moving = replace(problem, workspace=replace(problem.workspace, moving=(cart,)))
     figure = drawn(draw_solution(replace(solved, problem=moving)))
     assert DISC in legend_of(figure) and len(discs(figure.axes[0])) == 3
-
-
-def test_all_numbers(plan, problem):
-    """Every number of the certificate, with what was asked."""
-    assert plan_words(plan, problem.constraints) == [
-        "verdict: verified (constraints hold; "
-        "contact is left only where unavoidable or worth its price)",
-        "least clearance 1.625 m along the swept path, 1.5 m required",
-        "least P(connected) 0.812, 0.8 required (posterior: exact)",
-        "motion model satisfied to 2.5e-09 m; KKT residual of the refinement 3.5e-07",
-        "cost 101.2 s (lattice start 103.5 s); converged after 17 iterations, 42 ms; "
-        "fallback: plan",
-        "the bound is not met at 1 of 4 steps; missed by at most 0.75 dB",
-    ]
-
-
-def test_missing_parts(plan, problem):
-    """No obstacles, no polish, no relaxation; reasons and message come last."""
-    certificate = replace(
-        plan.certificate,
-        min_clearance_m=float("inf"),
-        kkt_residual=None,
-        relaxed_steps=(),
-        relaxation_db=(),
-        reasons=("first", "second"),
-    )
-    words = plan_words(replace(plan, certificate=certificate, message="third"), problem.constraints)
-    assert words[1] == "no obstacles to keep clear of"
-    assert words[3].endswith("not refined")
-    assert words[5:] == ["first", "second", "third"]
-
-
-def test_rule_of_connectivity_has_its_line(plan, problem):
-    """What was asked and achieved, by which method, with which slack."""
-    rule = RuleResult("each_step", 2.0, 3.0, "steps", "p_min at each step asked for", 0.5)
-    ruled = replace(plan, certificate=replace(plan.certificate, rule=rule))
-    words = "\n".join(plan_words(ruled, problem.constraints))
-    assert "connectivity (each step): 2 steps, 3 steps asked" in words
-    assert "slack 0.50 dB" in words
-
-
-@pytest.mark.parametrize(
-    ("form", "more", "required"),
-    [
-        ("joint", {}, False),
-        ("data", {"data_mbit": 10.0, "deadline_s": 100.0, "rate_mbit_s": 1.0}, False),
-        ("outage", {"outage_max_s": 10.0}, True),
-    ],
-)
-def test_a_bound_is_required_of_single_steps(plan, problem, form, more, required):
-    """A requirement on all steps together says nothing of the least of them."""
-    rule = ConnectivityRule(form, **more)
-    words = "\n".join(plan_words(plan, replace(problem.constraints, rule=rule)))
-    assert (", 0.8 required" in words) == required

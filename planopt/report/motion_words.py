@@ -1,4 +1,4 @@
-"""Problems, plans and runs of motion planning in lines of text."""
+"""Problems, plans, certificates and runs of motion planning in lines of text."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planopt.planning.explain.explanation import Crossing
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Verdict
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.report import reliability_lines
+from planopt.report.tables import reliability_lines
 from planopt.short_repr import shown_number
 
 if TYPE_CHECKING:
@@ -25,6 +25,13 @@ if TYPE_CHECKING:
 
 COLUMNS = 3
 """Number of metrics in a line."""
+
+MEANING = {
+    Verdict.VERIFIED: "constraints hold; contact is left only where unavoidable or worth its price",
+    Verdict.FEASIBLE_UNVERIFIED: "not rejected, but a part of the proof is missing",
+    Verdict.VIOLATED: "a constraint does not hold",
+    Verdict.NONE: "there is no plan",
+}
 
 
 def solution_in_words(solution: Solution) -> list[str]:
@@ -38,7 +45,7 @@ def solution_in_words(solution: Solution) -> list[str]:
         total = sum(plan.objective for plan in plans)
         lines.append(f"  {_value(problem, total)} of {len(plans)} plans")
     for number, plan in enumerate(plans):
-        lines += _plan_in_words(problem_of_robot(problem, number), plan)
+        lines += [f"  {line}" for line in plan_in_words(problem_of_robot(problem, number), plan)]
         own = [one for one in solution.explanation if one.robot == plan.robot]
         # The coverage holes are listed above.
         lines += [f"  {one.why if isinstance(one, Crossing) else one}" for one in own]
@@ -46,13 +53,14 @@ def solution_in_words(solution: Solution) -> list[str]:
 
 
 def _value(problem: Problem, objective: float) -> str:
-    """An objective value with its unit: a cost in seconds where there is a goal."""
+    """Return an objective value with its unit: a cost in seconds where there is a goal."""
     if problem.task == "reach":
         return f"cost {shown_number(objective, ' s')}"
     return f"value {shown_number(objective)}"
 
 
-def _plan_in_words(problem: Problem, plan: Plan) -> list[str]:
+def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
+    """Return verdict, objective, distances, connectivity and coverage holes of a robot's plan."""
     proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
     lines = [
         f"{plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
@@ -68,9 +76,33 @@ def _plan_in_words(problem: Problem, plan: Plan) -> list[str]:
         lines.append(f"  {plan.message}")
     if problem.task == "reach":
         words = goal_in_words(problem, plan.holes)
-        words += holes_in_words(problem, plan.holes, "the way to the goal crosses")
+        words += holes_in_words(problem, plan.holes, "the path to the goal crosses")
         lines += [f"  {line}" for line in words]
-    return [f"  {line}" for line in lines]
+    return lines
+
+
+def certificate_in_words(problem: Problem, plan: Plan) -> list[str]:
+    """Return a plan in words with the details of its certificate."""
+    proof, limits = plan.certificate, problem.constraints
+    residual = (
+        "not refined"
+        if proof.kkt_residual is None
+        else f"KKT residual of the refinement {proof.kkt_residual:.2g}"
+    )
+    required = f"; required: clearance {limits.clearance_m:g} m"
+    if limits.step_p_min > 0.0:
+        required += f", P(connected) {limits.step_p_min:g}"
+    lines = [
+        *plan_in_words(problem, plan),
+        f"  {MEANING[plan.verdict]}{required}",
+        f"  motion model satisfied to {proof.dynamics_defect:.2g} m; {residual}",
+    ]
+    if proof.relaxed_steps:
+        lines.append(
+            f"  the bound is not met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "
+            f"missed by at most {max(proof.relaxation_db):.2f} dB"
+        )
+    return [*lines, *(f"  {reason}" for reason in proof.reasons)]
 
 
 def run_in_words(run: Run) -> list[str]:
@@ -214,7 +246,7 @@ def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
-    """The clearance of planned ways, and the least P(connected) of all planned steps.
+    """Return the clearance of planned paths, and the least P(connected) of all planned steps.
 
     Runs have another least probability: that of the driven steps, each by the plan that led there.
     """

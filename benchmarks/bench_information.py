@@ -24,8 +24,8 @@ from planopt.channel.cholesky import one_blas_thread
 from planopt.extend import Rung
 from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.search.coupled_starts import driven_ways, rough_clearance
-from planopt.planning.search.start_search import Start
+from planopt.planning.search.fan_guesses import driven_paths, rough_clearance
+from planopt.planning.search.guess_search import Guess
 from planopt.planning.values.context import StepContext
 
 GOALS_MS = {5: 15.0, 10: 30.0, 20: 80.0}
@@ -42,8 +42,8 @@ def best_of_starts(
     turn[0] = generator.uniform(0.0, 2.0 * np.pi, count)
     rough = rough_clearance(situation.problem, index)
     best = -np.inf
-    for path in driven_ways(situation, index, rough, turn, np.ones(turn.shape)):
-        start = Start(path, judge.objective(path), 0.0)
+    for path in driven_paths(situation, index, rough, turn, np.ones(turn.shape)):
+        start = Guess(path, judge.objective(path), 0.0)
         for candidate in planner.cascade.refinement.candidates(situation, judge, start, Rung.PLAN):
             if candidate.verdict is Verdict.VERIFIED:
                 best = max(best, candidate.objective)

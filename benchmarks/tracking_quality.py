@@ -1,7 +1,7 @@
 """How good single plans are: their worth as a share of the best of 60 polished starts.
 
 ``python benchmarks/tracking_quality.py --horizon 10`` plans one cold step in each of 50 seeded
-scenes, by the planner as it is and in its thorough setting. The starts are the lattice's best paths
+scenes, by the planner. The starts are the lattice's best paths
 to places drawn at random within reach; each is polished, and counts if the verifier accepts it and
 it misses the connectivity bound nowhere. Worths are from all 1,000 measurements.
 """
@@ -19,13 +19,13 @@ from planopt import Verdict
 from planopt.extend import Rung
 from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.search.start_search import StartSearch
+from planopt.planning.search.guess_search import GuessSearch
 from planopt.planning.values.context import StepContext
 
 
 def best_of_starts(
     planner: HorizonPlanner,
-    search: StartSearch,
+    search: GuessSearch,
     situation: StepContext,
     judge: Judge,
     count: int,
@@ -41,8 +41,8 @@ def best_of_starts(
         place = situation.position_m + away * np.array([np.cos(angle), np.sin(angle)])
         # A target that waits at the place draws the lattice's path there.
         lured = replace(situation, target_m=np.tile(place, (horizon, 1)))
-        for start in search.find_starts(lured, None)[:1]:
-            start = replace(start, worth=max(judge.objective(start.path_m), 1e-3))
+        for start in search.find_guesses(lured, None)[:1]:
+            start = replace(start, value=max(judge.objective(start.path_m), 1e-3))
             for candidate in planner.cascade.refinement.candidates(
                 situation, judge, start, Rung.PLAN
             ):
@@ -60,42 +60,31 @@ def main() -> None:
     parser.add_argument("--measurements", type=int, default=1000)
     parser.add_argument("--munich-like", action="store_true")
     chosen = parser.parse_args()
-    shares: dict[bool, list[float]] = {False: [], True: []}
-    wall_s: dict[bool, list[float]] = {False: [], True: []}
-    cpu_s: dict[bool, list[float]] = {False: [], True: []}
+    shares: list[float] = []
+    wall_s: list[float] = []
+    cpu_s: list[float] = []
     for seed in range(chosen.instances):
         place, situation, judge = single_step(
             chosen.horizon, chosen.measurements, seed, chosen.munich_like
         )
-        planners = {
-            thorough: HorizonPlanner(place.problem, place.ground, thorough)
-            for thorough in (False, True)
-        }
-        search = StartSearch(place.problem, place.ground)
-        best = best_of_starts(planners[False], search, situation, judge, chosen.starts, seed)
-        for thorough, planner in planners.items():
-            # The first plan fills the map; what it found is forgotten.
-            planner.plan(replace(situation), judge)
-            again = replace(situation)
-            fresh = replace(judge, objective=replace(judge.objective, situation=again))
-            wall, cpu = perf_counter(), process_time()
-            plan = planner.plan(again, fresh)
-            wall_s[thorough].append(perf_counter() - wall)
-            cpu_s[thorough].append(process_time() - cpu)
-            kept = plan.verdict is Verdict.VERIFIED and not plan.certificate.relaxed_steps
-            shares[thorough].append(plan.objective / best if kept else 0.0)
-        print(
-            f"{seed:3} best {best:9.3f}  plan {shares[False][-1]:.4f}"
-            f"  thorough {shares[True][-1]:.4f}",
-            flush=True,
-        )
-    for thorough, name in ((False, "plan"), (True, "thorough")):
-        share = np.array(shares[thorough])
-        print(
-            f"{name}: share mean {share.mean():.4f}, least {share.min():.4f}; "
-            f"median {1e3 * np.median(wall_s[thorough]):.1f} ms wall, "
-            f"{1e3 * np.median(cpu_s[thorough]):.1f} ms CPU"
-        )
+        planner = HorizonPlanner(place.problem, place.ground)
+        search = GuessSearch(place.problem, place.ground)
+        best = best_of_starts(planner, search, situation, judge, chosen.starts, seed)
+        # The first plan fills the map.
+        planner.plan(replace(situation), judge)
+        again = replace(situation)
+        fresh = replace(judge, objective=replace(judge.objective, situation=again))
+        wall, cpu = perf_counter(), process_time()
+        plan = planner.plan(again, fresh)
+        wall_s.append(perf_counter() - wall)
+        cpu_s.append(process_time() - cpu)
+        kept = plan.verdict is Verdict.VERIFIED and not plan.certificate.relaxed_steps
+        shares.append(plan.objective / best if kept else 0.0)
+        print(f"{seed:3} best {best:9.3f}  plan {shares[-1]:.4f}", flush=True)
+    print(
+        f"share mean {np.mean(shares):.4f}, least {np.min(shares):.4f}; "
+        f"median {1e3 * np.median(wall_s):.1f} ms wall, {1e3 * np.median(cpu_s):.1f} ms CPU"
+    )
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from planopt.planning.programme.path_polish import MotionTask
 from planopt.planning.programme.path_rows import MotionShape
 from planopt.planning.proof.motion import swept_motion, verify_apart, verify_motion
 from planopt.planning.scene import Ground
-from planopt.planning.search.start_search import Start
+from planopt.planning.search.guess_search import Guess
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_missing
 from planopt.problems.problem import Problem
@@ -34,12 +34,12 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
 
 
 def driven_starts(
-    judge: Judge, situation: StepContext, starts: list[Start], warm: Plan | None
-) -> list[Start]:
+    judge: Judge, situation: StepContext, starts: list[Guess], warm: Plan | None
+) -> list[Guess]:
     """Starts that the robot can drive, best first; those that come too near to something last."""
     problem = judge.problem
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
-    found: list[Start] = []
+    found: list[Guess] = []
     for start in starts:
         inputs = dynamics.following(judge.state, start.path_m, step_s)
         drive = rolled_out(dynamics, judge.state, inputs, step_s)
@@ -47,7 +47,7 @@ def driven_starts(
     last = last_drive(problem, warm)
     if last is not None:
         found.append(driven_start(judge, situation, last))
-    found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.worth))
+    found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.value))
     return found
 
 
@@ -59,7 +59,7 @@ def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
     return shifted if len(shifted.inputs) == problem.planner.horizon else None
 
 
-def driven_start(judge: Judge, situation: StepContext, drive: Drive) -> Start:
+def driven_start(judge: Judge, situation: StepContext, drive: Drive) -> Guess:
     """A drive as a start."""
     candidate = drive_candidate(judge, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
     path = candidate.path_m
@@ -68,7 +68,7 @@ def driven_start(judge: Judge, situation: StepContext, drive: Drive) -> Start:
     apart = verify_apart(judge.context.moving, swept)
     clear = not (moved.reasons or apart.reasons)
     missing = rule_missing(situation, path)
-    return Start(path, judge.worth(candidate), missing, drive, clear)
+    return Guess(path, judge.worth(candidate), missing, drive, clear)
 
 
 def motion_task(

@@ -13,8 +13,7 @@ from planopt.errors import InputError
 from planopt.planning.candidates import Judge, held, released
 from planopt.planning.plan import Plan
 from planopt.planning.scene import build_ground
-from planopt.planning.search.lattice_search import LatticeSearch, MoveValues
-from planopt.planning.search.moving_moves import Window, move_table
+from planopt.planning.search.lattice_search import LatticeSearch, MoveValues, Window, move_table
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.targets.sensor import sensing_information
@@ -151,5 +150,7 @@ def best_nodes(road_map: RoadMap, first: int, rewards: NDArray[np.float64]) -> N
     moves = MoveValues(move_table(lattice), np.zeros(len(MOVES)))
     ends = np.stack([rows[nodes], columns[nodes]], axis=1)
     found = LatticeSearch(moves, ends, np.zeros(len(nodes)), len(rewards))(reward)
-    path = found.path_to(found.best_ends(1, 0)[0])
+    path = found.best_path()
+    if path is None:
+        raise AssertionError("a stationary target stays reachable")
     return road_map.number[path[:, 0], path[:, 1]]

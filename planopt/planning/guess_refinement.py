@@ -30,7 +30,7 @@ from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.rule import rule_of
 from planopt.planning.rule_bounds import lacks, moved, recentred, with_bounds
 from planopt.planning.scene import Ground
-from planopt.planning.search.start_search import Start
+from planopt.planning.search.guess_search import Guess
 from planopt.planning.values.context import StepContext, structure_of
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.rule_rows import has_step_rows, has_sum_row, rows_again, rule_rows
@@ -169,7 +169,7 @@ class GuessRefinement:
         self,
         situation: StepContext,
         judge: Judge,
-        start: Start,
+        start: Guess,
         rung: Rung,
         budget: Budget | None = None,
     ) -> list[Candidate]:
@@ -210,7 +210,7 @@ class GuessRefinement:
             path = point.path_m if drive is None else drive.positions_m[1:]
             candidate = replace(
                 judge.candidate(path, rung, point.termination, drive),
-                lattice_objective=judge.sense * start.worth,
+                lattice_objective=judge.sense * start.value,
                 solve_s=perf_counter() - begun,
                 iterations=point.iterations,
                 kkt_residual=point.kkt_residual,
@@ -224,7 +224,7 @@ class GuessRefinement:
                 task = _driven_from(recentred(task, situation, rows, point), drive)
                 continue
             improvable = start.clear and start.missing_db == 0.0 and not allocations
-            if improvable and judge.worth(candidate) < start.worth:
+            if improvable and judge.worth(candidate) < start.value:
                 # The start will be asked for in its place.
                 return [*found, candidate]
             candidate = judge.judged(candidate)
@@ -290,9 +290,9 @@ class GuessRefinement:
         return replace(task, path_m=path_m, lines=lines.path, motion=motion)
 
 
-def _counted(problem: Problem, start: Start) -> float:
+def _counted(problem: Problem, start: Guess) -> float:
     """Return the value at which the solver's is counted; of a goal, the time of all steps."""
-    return start.worth if start.charge is None else problem.planner.step_s * len(start.path_m)
+    return start.value if start.charge is None else problem.planner.step_s * len(start.path_m)
 
 
 def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:

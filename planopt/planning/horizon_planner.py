@@ -20,10 +20,10 @@ from planopt.planning.guess_refinement import GuessRefinement
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.path_nlp import METHODS
 from planopt.planning.scene import Ground
+from planopt.planning.search.guess_search import COUPLED_GUESSES, Guess, GuessSearch
 from planopt.planning.search.local_ranking import can_climb
 from planopt.planning.search.place_paths import way_to_unmeasured, ways_to_good_place
-from planopt.planning.search.start_search import COUPLED_STARTS, Start, StartSearch
-from planopt.planning.values.context import StepContext, bends_starts
+from planopt.planning.values.context import StepContext, bends_guesses
 from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.problems.problem import Problem
 
@@ -36,10 +36,10 @@ MERGED_STEPS = 2.0
 
 
 def is_worth_following(
-    start: Start, best: Start, refined_m: Sequence[NDArray[np.float64]], longest_m: float
+    start: Guess, best: Guess, refined_m: Sequence[NDArray[np.float64]], longest_m: float
 ) -> bool:
     """Return whether `start`, that has climbed, may lead to something better."""
-    if start.worth < best.worth - CLOSE_SHARE * abs(best.worth):
+    if start.value < best.value - CLOSE_SHARE * abs(best.value):
         return False
     return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in refined_m)
 
@@ -55,15 +55,14 @@ SETTLED_SHARE = 3e-3
 class FallbackCascade:
     """Makes a plan of starts; keeps the solvers that refine them."""
 
-    def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
+    def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
-        self._thorough = thorough
-        coupled = bends_starts(problem) and problem.planner.horizon > 1
-        self._followed = COUPLED_STARTS if coupled else 1
+        coupled = bends_guesses(problem) and problem.planner.horizon > 1
+        self._followed = COUPLED_GUESSES if coupled else 1
         self._driven = not problem.robots[0].moves_freely
         # To a goal, what one more round gains is lost again where the next pivot is seen.
         again = self._driven and problem.task != "reach"
-        self._rounds = DRIVEN_ROUNDS if again else int(thorough)
+        self._rounds = DRIVEN_ROUNDS if again else 0
         refines = problem.planner.name in METHODS and problem.can_be_polished
         self.refinement = GuessRefinement(problem, ground) if refines else None
 
@@ -71,7 +70,7 @@ class FallbackCascade:
         self,
         situation: StepContext,
         judge: Judge,
-        starts: list[Start],
+        starts: list[Guess],
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
@@ -81,7 +80,7 @@ class FallbackCascade:
         for number, start in enumerate(starts):
             unrefined = replace(
                 judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY, start.drive),
-                lattice_objective=judge.sense * starts[0].worth,
+                lattice_objective=judge.sense * starts[0].value,
             )
             if self.refinement is None:
                 unrefined = replace(unrefined, rung=Rung.PLAN)
@@ -122,9 +121,9 @@ class FallbackCascade:
                 break
         return best_of(judge, tried, warm)
 
-    def _is_settled(self, starts: list[Start], number: int, verified: list[Candidate]) -> bool:
+    def _is_settled(self, starts: list[Guess], number: int, verified: list[Candidate]) -> bool:
         """Return whether start `number` need not be followed, there being verified candidates."""
-        if self._thorough or self._driven:
+        if self._driven:
             return False
         if number >= min(self._followed, len(starts)):
             return True
@@ -143,7 +142,7 @@ class FallbackCascade:
         for path in ways_to_good_place(judge, tried):
             way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
             if self.refinement is not None:
-                start = Start(path, judge.worth(way), rule_missing(situation, path))
+                start = Guess(path, judge.worth(way), rule_missing(situation, path))
                 refined = self.refinement.candidates(
                     situation, judge, start, Rung.COLD_RETRY, budget
                 )
@@ -157,7 +156,7 @@ class FallbackCascade:
         self,
         situation: StepContext,
         judge: Judge,
-        starts: list[Start],
+        starts: list[Guess],
         verified: list[Candidate],
         budget: Budget,
     ) -> list[Candidate]:
@@ -165,7 +164,7 @@ class FallbackCascade:
         if self.refinement is None:
             return []
         best = max(verified, key=judge.worth)
-        again = Start(best.path_m, starts[0].worth, 0.0, best.drive, charge=starts[0].charge)
+        again = Guess(best.path_m, starts[0].value, 0.0, best.drive, charge=starts[0].charge)
         rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
         return self.refinement.candidates(situation, judge, again, rung, budget)
 
@@ -173,24 +172,24 @@ class FallbackCascade:
 class HorizonPlanner:
     """Plans for one robot of a problem whose objective is a sum of terms."""
 
-    def __init__(self, problem: Problem, ground: Ground, thorough: bool = False) -> None:
+    def __init__(self, problem: Problem, ground: Ground) -> None:
         self.problem = problem
         self.ground = ground
-        self._search = StartSearch(problem, ground, thorough)
-        self.cascade = FallbackCascade(problem, ground, thorough)
+        self._search = GuessSearch(problem, ground)
+        self.cascade = FallbackCascade(problem, ground)
 
     def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Plan from where the robot is."""
         begun = perf_counter()
         budget = budget_from(self.problem, begun)
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
-        starts = self._search.find_starts(situation, shifted, budget)
+        starts = self._search.find_guesses(situation, shifted, budget)
         way = self._way_out(situation, starts)
         if way is not None:
-            out = Start(way, judge.objective(way), rule_missing(situation, way))
+            out = Guess(way, judge.objective(way), rule_missing(situation, way))
             if situation.measuring.takes(way).any():
                 # It measures something after all: what that is worth is for all to compare.
-                starts = sorted([*starts, out], key=lambda start: -start.worth)
+                starts = sorted([*starts, out], key=lambda start: -start.value)
             elif (plan := self._released(situation, judge, out, warm, begun)) is not None:
                 return plan
         if not self.problem.robots[0].moves_freely:
@@ -198,7 +197,7 @@ class HorizonPlanner:
         chosen = self.cascade.first_verified(situation, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
-    def _way_out(self, situation: StepContext, starts: list[Start]) -> NDArray[np.float64] | None:
+    def _way_out(self, situation: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
         """The way (N, 2) to the nearest unmeasured place, where no start measures anything.
 
         None where one does, where a term asks for more than measurements, or none is left.
@@ -216,7 +215,7 @@ class HorizonPlanner:
         return way_to_unmeasured(situation, self.ground)
 
     def _released(
-        self, situation: StepContext, judge: Judge, start: Start, warm: Plan | None, begun_s: float
+        self, situation: StepContext, judge: Judge, start: Guess, warm: Plan | None, begun_s: float
     ) -> Plan | None:
         """The plan of a start as it is; None if it is not verified."""
         if not self.problem.robots[0].moves_freely:

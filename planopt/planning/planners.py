@@ -21,8 +21,8 @@ from planopt.planning.history import BEGINNING
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan
 from planopt.planning.scene import Ground, first_moves, free_ends
+from planopt.planning.search.lattice_search import steps_apart
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.planning.search.moving_moves import steps_apart
 from planopt.planning.search.place_paths import way_to_unmeasured
 from planopt.planning.search.taut_way import WaysFrom, stops_along
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M

@@ -57,8 +57,8 @@ from planopt.planning.refine import Refiner
 from planopt.planning.reservations import reserved_path
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
+from planopt.planning.search.guess_search import Guess
 from planopt.planning.search.pivot import Ahead, find_pivot
-from planopt.planning.search.start_search import Start
 from planopt.planning.search.taut_way import retime
 from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
@@ -358,7 +358,7 @@ class DrivenReach:
         rests = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
         shared = self._pivot(start, rests or [now], node_margin_db)
 
-        def own(each: Start) -> Pivot:
+        def own(each: Guess) -> Pivot:
             if not each.clear or each.drive is None:
                 return shared
             return self._pivot(start, [resting_places_m(each.drive)[-1]], node_margin_db)
@@ -411,7 +411,7 @@ class DrivenReach:
 
     def _starts(
         self, step: StepContext, judge: Judge, start: GlobalStart, warm: Plan | None
-    ) -> list[Start]:
+    ) -> list[Guess]:
         """Return initial guesses: the previous plan, along the path found, and straight on."""
         problem, settings = self._problem, self._problem.planner
         last = last_drive(problem, warm)
@@ -459,9 +459,9 @@ class DrivenReach:
         self,
         step: StepContext,
         judge: Judge,
-        starts: list[Start],
+        starts: list[Guess],
         cost: ReachCost,
-        pivot_of: Callable[[Start], Pivot],
+        pivot_of: Callable[[Guess], Pivot],
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
@@ -474,13 +474,13 @@ class DrivenReach:
         charged = [
             replace(
                 each,
-                worth=judge.sense * cost(each.path_m, each.drive),
+                value=judge.sense * cost(each.path_m, each.drive),
                 charge=self._charge(cost, pivot_of(each), each.drive),
             )
             for each in starts
             if each.drive is not None
         ]
-        charged.sort(key=lambda each: (not each.clear, round(each.missing_db, 2), -each.worth))
+        charged.sort(key=lambda each: (not each.clear, round(each.missing_db, 2), -each.value))
         return self._cascade.first_verified(step, judge, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:

@@ -13,7 +13,7 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 import planopt.planning.candidates as judge_module
 import planopt.planning.guess_refinement as polish_module
 import planopt.planning.proof.verify as steps_module
-import planopt.planning.search.start_search as search_module
+import planopt.planning.search.guess_search as search_module
 from planopt import check
 from planopt.errors import InputError
 from planopt.planning.horizon_planner import HorizonPlanner

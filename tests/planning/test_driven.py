@@ -105,7 +105,7 @@ def test_fallbacks_brake_where_that_is_clear_and_else_drives_the_rest(monkeypatc
     """Without any start, a moving robot does not jump to rest."""
     problem = driven_problem(DOUBLE, TRACKING, horizon=5)
     plan, situation, judge, planner = planned(problem)
-    monkeypatch.setattr(planner._search, "find_starts", lambda *_: [])
+    monkeypatch.setattr(planner._search, "find_guesses", lambda *_: [])
     monkeypatch.setattr("planopt.planning.horizon_planner.driven_starts", lambda *_: [])
     moving = at_state(judge, plan.drive.states[1])
     unverified = replace(plan, verdict=Verdict.VIOLATED)

@@ -11,7 +11,7 @@ from terms_scene import TRACKING
 
 from planopt import load, solve
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.search.start_search import Start
+from planopt.planning.search.guess_search import Guess
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.robots.drive import rolled_out
 
@@ -42,11 +42,11 @@ def test_plan_is_worth_as_much_as_from_random_starts(dynamics, target_m) -> None
             start = begun(dynamics, judge, best.drive.inputs)
 
 
-def begun(dynamics, judge, inputs) -> Start:
+def begun(dynamics, judge, inputs) -> Guess:
     """A start that drives these inputs."""
     drive = rolled_out(dynamics, judge.state, inputs, 1.0)
     path = drive.positions_m[1:]
-    return Start(path, judge.objective(path), 0.0, drive, clear=False)
+    return Guess(path, judge.objective(path), 0.0, drive, clear=False)
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])

@@ -29,17 +29,17 @@ from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.programme import path_nlp
 from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.programme.solver import NlpPoint
-from planopt.planning.search.start_search import StartSearch
+from planopt.planning.search.guess_search import GuessSearch
 from planopt.planning.solve import solve
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 
 
-def planned(problem, warm=None, seed=0, **options):
+def planned(problem, warm=None, seed=0):
     """A plan from the problem's start, and the situation it was made in."""
     situation, belief = situation_of(problem, seed)
     judge, ground = judge_of(situation, belief)
-    return HorizonPlanner(problem, ground, **options).plan(situation, judge, warm), situation, judge
+    return HorizonPlanner(problem, ground).plan(situation, judge, warm), situation, judge
 
 
 @pytest.mark.parametrize(
@@ -116,14 +116,6 @@ def test_lattice_planner_takes_the_best_start():
     assert polished.objective >= plan.objective
 
 
-def test_thorough_is_never_worse():
-    """All starts are followed, the best is taken."""
-    for seed in range(3):
-        quick, *_ = planned(terms_problem(INFORMATION), seed=seed)
-        thorough, *_ = planned(terms_problem(INFORMATION), seed=seed, thorough=True)
-        assert thorough.objective >= quick.objective - 1e-9
-
-
 @pytest.mark.parametrize("p_min", [0.5, 0.9])
 def test_bound_is_kept(p_min):
     """Every step of a verified plan that relaxes nothing keeps the bound."""
@@ -169,7 +161,7 @@ def test_without_starts_the_last_plan_goes_on(monkeypatch):
     """The shifted plan is checked again; without one the robot stands."""
     problem = terms_problem(TRACKING)
     first, *_ = planned(problem)
-    monkeypatch.setattr(StartSearch, "find_starts", lambda *_: [])
+    monkeypatch.setattr(GuessSearch, "find_guesses", lambda *_: [])
     situation, belief = situation_of(problem)
     situation = replace(situation, state=first.positions_m[1])
     judge, ground = judge_of(situation, belief)

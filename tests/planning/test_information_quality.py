@@ -8,8 +8,8 @@ from terms_scene import LEARNING, judge_of, situation_of, terms_problem
 
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.search.coupled_starts import rough_clearance, straight_starts
-from planopt.planning.search.start_search import Start
+from planopt.planning.search.fan_guesses import fan_paths, rough_clearance
+from planopt.planning.search.guess_search import Guess
 
 
 @pytest.mark.parametrize(
@@ -31,8 +31,8 @@ def test_plans_are_hardly_worse_than_the_best_of_starts(term):
         assert plan.verdict is Verdict.VERIFIED
         rough = rough_clearance(situation.problem, ground.index)
         best = plan.objective
-        for path in straight_starts(situation, ground.index, rough, 5)[::10]:
-            start = Start(path, judge.objective(path), 0.0)
+        for path in fan_paths(situation, ground.index, rough, 5)[::10]:
+            start = Guess(path, judge.objective(path), 0.0)
             for candidate in planner.cascade.refinement.candidates(
                 situation, judge, start, Rung.PLAN
             ):

@@ -173,14 +173,14 @@ def test_the_last_plan_where_no_start_is_found(monkeypatch):
     at = tuple(last.positions_m[1].tolist())
     now = replace(PROBLEM, robots=(replace(PROBLEM.robots[0], start_m=at),))
     planner = fresh(now)
-    monkeypatch.setattr(planner._search, "find_starts", lambda *_: [])
+    monkeypatch.setattr(planner._search, "find_guesses", lambda *_: [])
     shifted = planned(planner, last, now)
     assert shifted.rung is Rung.SHIFTED
     assert_sound(shifted)
     wall = Obstacle("new", shapely.Point(last.positions_m[3]).buffer(0.2))
     walled = replace(now, workspace=replace(now.workspace, obstacles=(wall,)))
     planner = fresh(walled)
-    monkeypatch.setattr(planner._search, "find_starts", lambda *_: [])
+    monkeypatch.setattr(planner._search, "find_guesses", lambda *_: [])
     stopped = planned(planner, last, walled)
     assert stopped.rung is Rung.STOP
     assert (stopped.positions_m == stopped.positions_m[0]).all()

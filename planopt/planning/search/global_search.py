@@ -20,8 +20,7 @@ from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_
 from planopt.planning.free_space import node_at
 from planopt.planning.history import History
 from planopt.planning.scene import Scene, first_moves
-from planopt.planning.search.lattice_search import search_cheapest
-from planopt.planning.search.moving_moves import first_steps_apart, move_table
+from planopt.planning.search.lattice_search import first_steps_apart, move_table, search_cheapest
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.search.timed_search import (
     TimedCosts,
@@ -329,7 +328,7 @@ class GlobalSearch:
         nodes: NDArray[np.intp] | None = None
         for _ in range(CORRECTION_ROUNDS):
             surcharge = self._rate * np.concatenate([self._metre_cost() - 1.0, here])
-            found = search_cheapest(
+            nodes = search_cheapest(
                 scene.road_map,
                 self._table,
                 first_nodes,
@@ -343,9 +342,8 @@ class GlobalSearch:
                 surcharge if priced else None,
                 moving,
             )
-            if found is None:
+            if nodes is None:
                 return None
-            nodes = found.nodes
             if not margins.correct(nodes):
                 break
         return nodes

@@ -1,14 +1,16 @@
 """Dynamic programming over N steps on the lattice: the path of the largest sum of rewards.
 
-Exact for rewards that add up over steps. The first move leads from the robot's own place to any
-node in reach; every later one is one of the lattice's 21 moves. A move has a value, less a
-surcharge that depends on its two ends. Stage by stage the best value of every node in the reachable
-window is kept, moves being shifted slices of the previous stage's values; paths are traced back
-from these values, so that no pointers are stored.
+Exact for rewards that add up over steps. The first move leads from the robot's position to any node
+within a step, every later one is one of the lattice's 21 moves. A move has a value, less a
+surcharge that depends on its two ends; moving obstacles close moves in single steps. Stage by stage
+the best value of every node in the reachable window is computed from shifted slices of the previous
+stage's values; paths are traced back from these values. A window is a part of the lattice with a
+margin of closed nodes around it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,20 +18,200 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.reach import step_cost_s
-from planopt.planning.search.moving_moves import (
-    REACH,
-    MoveTable,
-    MovingMoves,
-    Window,
-    window_around,
-    window_shape,
-    without_margin,
-)
-from planopt.world.lattice import MOVES, RoadMap
-from planopt.world.moving_discs import MovingDiscs
+from planopt.planning.tolerances import CLEARANCE_PAD_M
+from planopt.world.lattice import MOVES, Lattice, RoadMap
+from planopt.world.moving_discs import MovingDiscs, passing_gaps_m
+from planopt.world.workspace import LONGEST_MOVE
+
+
+@dataclass(frozen=True)
+class MoveTable:
+    """The moves of a lattice as a table."""
+
+    lattice: Lattice
+    # (21, ny + 2 REACH, nx + 2 REACH): 0 where a move from the node is open, else minus infinity;
+    # with a margin of closed nodes around the lattice
+    closed: NDArray[np.float64]
+    # (ny, nx) free nodes that some move from a free node does not lead to
+    hindered: NDArray[np.bool_]
+    # (ny + 2 REACH, nx + 2 REACH) numbers of the free nodes in reading order, -1 elsewhere
+    number: NDArray[np.intp]
+
+
+def move_table(lattice: Lattice) -> MoveTable:
+    """Tabulate the moves of a lattice."""
+    inside = np.where(lattice.open_moves, 0.0, -np.inf)
+    margin = ((0, 0), (REACH, REACH), (REACH, REACH))
+    closed = np.pad(inside, margin, constant_values=-np.inf)
+    free = np.pad(lattice.free, REACH)
+    ny, nx = lattice.shape
+    hindered = np.zeros(lattice.shape, dtype=np.bool_)
+    for move, (dx, dy) in enumerate(MOVES):
+        source = (
+            slice(REACH - dy, REACH - dy + ny),
+            slice(REACH - dx, REACH - dx + nx),
+        )
+        hindered |= free[source] & (closed[move][source] != 0.0)
+    number = np.full(free.shape, -1, dtype=np.intp)
+    number[free] = np.arange(int(free.sum()))
+    return MoveTable(lattice, closed, hindered & lattice.free, number)
+
+
+Window = tuple[slice, slice]
+"""Rows and columns of a part of the lattice."""
+
+REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
+"""Largest number of nodes along an axis that a move spans, and the width of the margin."""
+
+
+def window_around(
+    low: NDArray[np.intp], high: NDArray[np.intp], grown: int, shape: tuple[int, int]
+) -> Window:
+    """Return the nodes from `low` to `high`, grown to all sides, in the lattice with its margin."""
+    rows, columns = (
+        slice(
+            max(int(low[axis]) - grown, 0) + REACH,
+            min(int(high[axis]) + grown, shape[axis] - 1) + REACH + 1,
+        )
+        for axis in (0, 1)
+    )
+    return rows, columns
+
+
+def without_margin(window: Window) -> Window:
+    """Return a window in the lattice without its margin."""
+    rows, columns = window
+    return (
+        slice(rows.start - REACH, rows.stop - REACH),
+        slice(columns.start - REACH, columns.stop - REACH),
+    )
+
+
+def window_shape(window: Window) -> tuple[int, int]:
+    """Return the numbers of rows and columns of a window."""
+    return window[0].stop - window[0].start, window[1].stop - window[1].start
+
+
+TINY_M2 = 1e-30
+"""A relative move of less than this squared length is a standstill."""
+
+
+def first_steps_apart(
+    discs: MovingDiscs, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return whether first steps from a position (2,) to `ends_m` (n, 2) keep clear of discs."""
+    return steps_apart(discs, 0, np.broadcast_to(position_m, ends_m.shape), ends_m)
+
+
+def steps_apart(
+    discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return whether straight motions (..., 2) in one step, 0 the first, keep clear of discs.
+
+    A first step that begins too near to a disc may lead away from it.
+    """
+    if not len(discs):
+        return np.ones(starts_m.shape[:-1], dtype=np.bool_)
+    begin = discs.centres_m[:, step].reshape(-1, *([1] * (starts_m.ndim - 1)), 2)
+    apart = discs.apart_m[:, step].reshape(begin.shape[:-1])
+    here = np.linalg.norm(starts_m - begin, axis=-1) - apart
+    wanted = np.minimum(CLEARANCE_PAD_M, here) if step == 0 else CLEARANCE_PAD_M
+    return np.asarray((passing_gaps_m(discs, step, starts_m, ends_m) >= wanted).all(axis=0))
+
+
+class MovingMoves:
+    """The moves of a lattice among moving discs.
+
+    Relative to a disc a move along (dx, dy) is the same vector wherever it ends, so that one
+    formula applies to all nodes.
+    """
+
+    def __init__(self, lattice: Lattice, discs: MovingDiscs) -> None:
+        self._lattice = lattice
+        self._discs = discs
+
+    def hindered(
+        self, step: int, rows: slice, columns: slice
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+        """Return the nodes of a window that some one-step move cannot reach, and these moves."""
+        nodes: list[NDArray[np.intp]] = []
+        moves: list[NDArray[np.bool_]] = []
+        for number in range(len(self._discs)):
+            high, wide = self._about(step, number, rows, columns)
+            blocked = self._blocked_by(step, number, high[:, None], wide)
+            row, column = np.nonzero(blocked.any(axis=0))
+            nodes.append(high[row] * self._lattice.shape[1] + wide[column])
+            moves.append(blocked[:, row, column])
+        found, place = np.unique(np.concatenate(nodes), return_inverse=True)
+        together = np.zeros((len(MOVES), len(found)), dtype=np.bool_)
+        begin = 0
+        for blocked in moves:
+            end = begin + int(blocked.shape[1])
+            together[:, place[begin:end]] |= blocked
+            begin = end
+        return found // self._lattice.shape[1], found % self._lattice.shape[1], together
+
+    def blocked(
+        self, step: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
+        """Return whether each move to nodes (n,) in one step comes too near; ``(21, n)``."""
+        found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
+        for number in range(len(self._discs)):
+            found |= self._blocked_by(step, number, rows, columns)
+        return found
+
+    def _about(
+        self, step: int, number: int, rows: slice, columns: slice
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the rows and columns of a window where a move could come too near to a disc."""
+        lattice, discs = self._lattice, self._discs
+        before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
+        reach = (
+            float(discs.apart_m[number, step])
+            + CLEARANCE_PAD_M
+            + LONGEST_MOVE * lattice.spacing_m
+            + float(np.linalg.norm(centre - before))
+        )
+        (left, right), (low, high) = (
+            (
+                (float(centre[axis] - lattice.origin_m[axis]) - reach) / lattice.spacing_m,
+                (float(centre[axis] - lattice.origin_m[axis]) + reach) / lattice.spacing_m,
+            )
+            for axis in (0, 1)
+        )
+        return (
+            np.arange(max(int(rows.start), math.floor(low)), min(int(rows.stop), high + 1)).astype(
+                np.intp
+            ),
+            np.arange(
+                max(int(columns.start), math.floor(left)), min(int(columns.stop), right + 1)
+            ).astype(np.intp),
+        )
+
+    def _blocked_by(
+        self, step: int, number: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
+    ) -> NDArray[np.bool_]:
+        """Return whether moves to nodes, by rows and columns that broadcast, meet one disc."""
+        lattice, discs = self._lattice, self._discs
+        before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
+        x = lattice.origin_m[0] + lattice.spacing_m * columns - centre[0]
+        y = lattice.origin_m[1] + lattice.spacing_m * rows - centre[1]
+        across = lattice.spacing_m * MOVES - (centre - before)
+        square = np.maximum((across * across).sum(axis=1), TINY_M2)
+        shape = (len(MOVES), *([1] * max(x.ndim, y.ndim)))
+        dx, dy, square = (
+            across[:, 0].reshape(shape),
+            across[:, 1].reshape(shape),
+            square.reshape(shape),
+        )
+        # Backwards from the end: the way is nearest to the disc at this share of it.
+        share = np.clip((dx * x + dy * y) / square, 0.0, 1.0)
+        limit = float(discs.apart_m[number, step]) + CLEARANCE_PAD_M
+        return np.asarray((x - share * dx) ** 2 + (y - share * dy) ** 2 < limit**2)
+
 
 StageReward = Callable[[int, Window], NDArray[np.float64]]
-"""From the stage k = 1..N and a window to the reward of ending step k at each of its nodes."""
+"""From stage k = 1..N and a window to the reward of ending step k at each of its nodes."""
 
 Node = tuple[int, int]
 """A node (iy, ix)."""
@@ -38,12 +220,12 @@ MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
 """(dx, dy) of each move."""
 
 STANDING = 0
-"""The move that leads nowhere."""
+"""Number of the move that stays at its node."""
 
 
 @dataclass(frozen=True, eq=False)
 class MoveValues:
-    """The value of every move."""
+    """The value of every move, and where moves are open."""
 
     table: MoveTable  # Which moves are open
     value: NDArray[np.float64]  # (21,)
@@ -59,7 +241,7 @@ class MoveValues:
         return not self.value.any() and self.charge is None
 
     def surcharge(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return what each move to nodes (n,), margin counted, costs besides its value; (21, n)."""
+        """Return the surcharge of each move to nodes (n,), margin counted; (21, n)."""
         width, places = self.table.number.shape[1], self.table.number.size
         end = rows * width + columns
         source = np.asarray(end - (MOVES[:, 1:] * width + MOVES[:, :1]), dtype=np.intp)
@@ -98,11 +280,11 @@ class StageFrame:
         self._list_nodes()
 
     def clear(self) -> None:
-        """Forget all values."""
+        """Reset all values."""
         self._value.fill(-np.inf)
 
     def put(self, window: Window, value: NDArray[np.float64]) -> None:
-        """Take the previous stage's values."""
+        """Set the previous stage's values."""
         self._value[self._at(window)] = value
 
     def arriving(self, stage: int) -> NDArray[np.float64]:
@@ -135,7 +317,7 @@ class StageFrame:
         return best
 
     def _pass_by(self, moving: MovingMoves, stage: int, best: NDArray[np.float64]) -> None:
-        """Correct the best values at nodes that some move comes too near to a moving disc for."""
+        """Correct the values of nodes that some move cannot reach because of a moving disc."""
         window = self._windows[stage]
         rows, columns, blocked = moving.hindered(stage, *without_margin(window))
         rows, columns = rows + REACH, columns + REACH
@@ -169,7 +351,7 @@ class StageFrame:
         return end - (MOVES[:, 1:] * width + MOVES[:, :1])
 
     def surcharge(self, row: int, column: int) -> list[float]:
-        """Return what each move to a node, margin counted, costs besides its value."""
+        """Return the surcharge of each move to a node, margin counted."""
         if self._moves.are_free:
             return self._moves.surcharge(np.array([row]), np.array([column]))[:, 0].tolist()
         if self._listed is None:
@@ -188,7 +370,7 @@ class StageFrame:
 
 
 def _largest_in_disc(around: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The largest of the 21 values (dx, dy), dx^2 + dy^2 <= 5, about each node.
+    """Return the largest of the 21 values (dx, dy), dx^2 + dy^2 <= 5, about each node.
 
     `around` (h + 4, w + 4) is two nodes wider to each side than the result (h, w).
     """
@@ -211,23 +393,17 @@ class LatticeValues:
     # For each stage its window's values; the windows grow by `REACH` nodes to each side
     values: tuple[NDArray[np.float64], ...]
     windows: tuple[Window, ...]  # The windows, in the lattice with its margin
-    # What each move to a node of the last window, margin counted, costs besides its value
+    # Surcharge of each move to a node of the last window, margin counted
     surcharge: Callable[[int, int], list[float]]
 
-    def best_ends(self, count: int, apart: int) -> list[Node]:
-        """Return the nodes of the highest values after the last step, best first."""
-        left = self.values[-1].copy()
-        top, beside = (part.start - REACH for part in self.windows[-1])
-        ends: list[Node] = []
-        while len(ends) < count:
-            row, column = (int(i) for i in np.unravel_index(int(np.argmax(left)), left.shape))
-            if not np.isfinite(left[row, column]):
-                break
-            ends.append((row + top, column + beside))
-            left[
-                max(row - apart, 0) : row + apart + 1, max(column - apart, 0) : column + apart + 1
-            ] = -np.inf
-        return ends
+    def best_path(self, cost: NDArray[np.float64] | float = 0.0) -> NDArray[np.intp] | None:
+        """Return the nodes (N, 2) of the best path, less the `cost` of its end; None without."""
+        total = self.values[-1] - cost
+        row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
+        if not np.isfinite(total[row, column]):
+            return None
+        rows, columns = without_margin(self.windows[-1])
+        return self.path_to((row + rows.start, column + columns.start))
 
     def path_to(self, end: Node) -> NDArray[np.intp]:
         """Return the nodes (N, 2) as (iy, ix) of the best path that ends at `end`."""
@@ -259,7 +435,7 @@ class LatticeValues:
 
 
 class LatticeSearch:
-    """Searches from one place, for one reward after the other."""
+    """Searches from one position, for one reward after another."""
 
     def __init__(
         self,
@@ -290,14 +466,6 @@ class LatticeSearch:
         return LatticeValues(self._moves, tuple(values), tuple(windows), frame.surcharge)
 
 
-@dataclass(frozen=True)
-class LatticePath:
-    """The cheapest path found."""
-
-    nodes: NDArray[np.intp]  # (N,) node after each step
-    cost_s: float  # Its cost, penalties and cost-to-go included
-
-
 def search_cheapest(
     road_map: RoadMap,
     table: MoveTable,
@@ -311,11 +479,8 @@ def search_cheapest(
     terminal_cost_s: NDArray[np.float64],  # (n,) added for the last node
     surcharge_s_m: NDArray[np.float64] | None = None,  # (n + 1,) of a metre at nodes, and here
     moving: MovingDiscs | None = None,
-) -> LatticePath | None:
-    """Find the cheapest path of `horizon` steps, or None if no node can be reached at all.
-
-    Standing at the goal costs nothing.
-    """
+) -> NDArray[np.intp] | None:
+    """Return the nodes (N,) of the cheapest path, or None; standing at the goal costs nothing."""
     if first_nodes.size == 0:
         return None
     rows, columns, number = road_map.rows, road_map.columns, road_map.number
@@ -337,10 +502,6 @@ def search_cheapest(
     found = LatticeSearch(moves, first, -cost, horizon)(
         lambda stage, window: -penalties[min(stage, len(penalties)) - 1][number[window]]
     )
-    total = found.values[-1] - terminal_cost_s[number[without_margin(found.windows[-1])]]
-    row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
-    if not np.isfinite(total[row, column]):
-        return None
-    top, left = (part.start - REACH for part in found.windows[-1])
-    path = found.path_to((row + top, column + left))
-    return LatticePath(number[path[:, 0], path[:, 1]], -float(total[row, column]))
+    terminal = terminal_cost_s[number[without_margin(found.windows[-1])]]
+    path = found.best_path(terminal)
+    return None if path is None else number[path[:, 0], path[:, 1]]

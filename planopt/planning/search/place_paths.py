@@ -60,7 +60,7 @@ TRIED = 4
 """Paths that are handed on, the best first."""
 
 
-class TriedPlaces:
+class ProbedPlaces:
     """Finds places to try for one robot."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
@@ -77,7 +77,7 @@ class TriedPlaces:
         reach_m = problem.planner.horizon * self._longest_m
         self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
 
-    def find_ways(self, situation: StepContext, field: NodeField) -> list[NDArray[np.float64]]:
+    def find_paths(self, situation: StepContext, field: NodeField) -> list[NDArray[np.float64]]:
         """Return the best paths (N, 2), best first."""
         places = self._places(situation)
         seen = free_ends(self._problem, self._ground, situation.position_m, places)

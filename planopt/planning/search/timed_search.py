@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.neighbours import PlaceTree
 from planopt.objectives.reach import step_cost_s
-from planopt.planning.search.moving_moves import steps_apart
+from planopt.planning.search.lattice_search import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.world.lattice import CostToGo, RoadMap, lattice_paths
 from planopt.world.motion import closest_approach_m

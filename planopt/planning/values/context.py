@@ -98,7 +98,7 @@ def structure_of(problem: Problem) -> Structure:
     return "chain" if "chain" in found else "stagewise"
 
 
-def bends_starts(problem: Problem, *, steered: bool = True) -> bool:
+def bends_guesses(problem: Problem, *, steered: bool = True) -> bool:
     """Return whether paths in all directions are tried besides those of the lattice.
 
     That is so for terms that couple the places of a path, unless they have paths of their own: to

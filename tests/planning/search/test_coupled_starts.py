@@ -14,7 +14,7 @@ from planopt.channel.posterior import condition
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.programme import path_nlp
 from planopt.planning.proof.verify import Verdict
-from planopt.planning.search.coupled_starts import CoupledStarts, rough_clearance, straight_starts
+from planopt.planning.search.fan_guesses import FanGuesses, fan_paths, rough_clearance
 from planopt.planning.search.local_ranking import LocalRanking
 
 INFORMATION = {"kind": "mapping", "form": "information"}
@@ -32,12 +32,12 @@ def test_ways_are_better_than_the_fan(horizon):
     problem = terms_problem(INFORMATION, horizon=horizon)
     situation, belief = situation_of(problem)
     judge, ground = judge_of(situation, belief)
-    search = CoupledStarts(problem, ground)
-    found = search.find_ways(situation, [])
+    search = FanGuesses(problem, ground)
+    found = search.find_paths(situation, [])
     rough = rough_clearance(problem, ground.index)
-    fan = straight_starts(situation, ground.index, rough, horizon)
+    fan = fan_paths(situation, ground.index, rough, horizon)
     assert judge.objective(found[0]) >= LocalRanking(situation, fan)(fan).max() - 1e-9
-    for way, again in zip(found, search.find_ways(situation, []), strict=True):
+    for way, again in zip(found, search.find_paths(situation, []), strict=True):
         np.testing.assert_array_equal(way, again)
 
 
@@ -46,9 +46,9 @@ def test_known_ways_are_not_lost():
     problem = terms_problem(LEARNING)
     situation, belief = situation_of(problem)
     _, ground = judge_of(situation, belief)
-    search = CoupledStarts(problem, ground)
+    search = FanGuesses(problem, ground)
     plan = plan_for(situation, belief)
-    found = search.find_ways(situation, [plan.positions_m[1:]])
+    found = search.find_paths(situation, [plan.positions_m[1:]])
     value = LocalRanking(situation, np.asarray(found))
     best = value(plan.positions_m[None, 1:])[0]
     # Ways are ranked on the measurements near all of them, not near this one alone.

@@ -9,8 +9,14 @@ import pytest
 from scenes import WALL, good_everywhere, search_of, small_problem
 
 from planopt.planning.scene import build_ground, first_moves
-from planopt.planning.search.lattice_search import LatticeSearch, MoveValues, search_cheapest
-from planopt.planning.search.moving_moves import MovingMoves, move_table, steps_apart
+from planopt.planning.search.lattice_search import (
+    LatticeSearch,
+    MoveValues,
+    MovingMoves,
+    move_table,
+    search_cheapest,
+    steps_apart,
+)
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES
 from planopt.world.moving_discs import NOTHING_MOVES, path_distances_m, predicted_discs
@@ -78,7 +84,7 @@ def test_paths_keep_apart_and_are_worth_their_value(seed, cost):
     discs = discs_of(CART, VAN, horizon=horizon)
     move_value = np.full(len(MOVES), -cost)
     found, rewards, road_map, _ = searched(horizon, discs, move_value, seed)
-    path = found.path_to(found.best_ends(1, 0)[0])
+    path = found.best_path()
     gained = rewards[np.arange(horizon), path[:, 0], path[:, 1]].sum() - cost * (horizon - 1)
     assert gained == pytest.approx(found.values[-1].max())
     places = road_map.nodes_m[road_map.number[path[:, 0], path[:, 1]]]
@@ -135,6 +141,8 @@ def test_cheapest_path_to_a_goal_against_enumeration_by_stages(horizon):
                 total = cost[source] + 1.0 + 0.1 * road_map.lengths_m[move] ** 2
                 following[node] = min(total, following.get(node, np.inf))
         cost = following
-    assert found.cost_s == pytest.approx(min(c + terminal[n] for n, c in cost.items()))
-    path = np.vstack([AT, road_map.nodes_m[found.nodes]])
+    path = np.vstack([AT, road_map.nodes_m[found]])
+    legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    total = (1.0 + 0.1 * legs**2).sum() + terminal[found[-1]]
+    assert total == pytest.approx(min(c + terminal[n] for n, c in cost.items()))
     assert (path_distances_m(discs, path) - discs.apart_m).min() >= CLEARANCE_PAD_M

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from planopt.planning.horizon_planner import CLOSE_SHARE, MERGED_STEPS, is_worth_following
-from planopt.planning.search.start_search import Start
+from planopt.planning.search.guess_search import Guess
 
 PATH = np.zeros((4, 2))
 
 
 def start(worth, offset=0.0):
     """A start beside `PATH`."""
-    return Start(PATH + offset, worth, 0.0)
+    return Guess(PATH + offset, worth, 0.0)
 
 
 @pytest.mark.parametrize("best", [3.0, -3.0])

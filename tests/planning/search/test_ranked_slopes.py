@@ -9,7 +9,7 @@ import pytest
 from terms_scene import ENERGY, LEARNING, situation_of, terms_problem
 
 from planopt.objectives.stage_power import CUSP_ROUNDING
-from planopt.planning.search.local_ranking import LocalRanking, can_climb
+from planopt.planning.search.local_ranking import LocalRanking
 
 STEP_M = 1e-2
 
@@ -88,15 +88,3 @@ def test_slopes_lead_to_where_the_bound_is_kept(rule):
     assert missed.any()
     wanted = differences(lambda moved: bounded.slopes(moved)[0], ways)[missed]
     np.testing.assert_allclose(slopes[missed], wanted, atol=2e-2 * np.abs(wanted).max())
-
-
-def test_ways_climb_only_where_all_slopes_are_known():
-    """A term of another kind is bent instead."""
-    tracking = {
-        "kind": "tracking",
-        "noise_curvature": 0.008,
-        "noise_floor_m2": 0.08,
-        "sweet_spot_m": 1,
-    }
-    assert can_climb(terms_problem(LEARNING, ENERGY))
-    assert not can_climb(terms_problem(LEARNING, tracking))

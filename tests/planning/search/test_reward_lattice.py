@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from scenes import CUP, WALL, small_problem
 
 from planopt.planning.scene import build_ground, first_moves
-from planopt.planning.search.lattice_search import LatticeSearch, MoveValues
-from planopt.planning.search.moving_moves import REACH, move_table
+from planopt.planning.search.lattice_search import REACH, LatticeSearch, MoveValues, move_table
 from planopt.world.lattice import MOVES
 
 
@@ -49,14 +48,13 @@ def test_value_is_that_of_a_search_by_nodes(polygon, horizon, cost):
     move_value = -cost * np.random.default_rng(5).random(len(MOVES))
     found, rewards, ground, nodes = searched(polygon, horizon, move_value=move_value)
     expected = value_by_nodes(rewards, ground, nodes, move_value)
-    (end,) = found.best_ends(1, 0)
     by_node = np.full(ground.road_map.lattice.shape, -np.inf)
     by_node[ground.road_map.rows, ground.road_map.columns] = expected
     rows, columns = (slice(part.start - REACH, part.stop - REACH) for part in found.windows[-1])
     np.testing.assert_allclose(found.values[-1], by_node[rows, columns], atol=1e-12)
     by_node[rows, columns] = -np.inf
     assert not np.isfinite(by_node).any()
-    path = found.path_to(end)
+    path = found.best_path()
     gained = rewards[np.arange(horizon), path[:, 0], path[:, 1]].sum()
     moves = np.diff(path, axis=0)[:, ::-1]
     gained += sum(move_value[(np.asarray(MOVES) == move).all(axis=1)].item() for move in moves)
@@ -67,46 +65,10 @@ def test_value_is_that_of_a_search_by_nodes(polygon, horizon, cost):
         assert before in ground.road_map.sources[after]
 
 
-def test_value_is_that_of_enumeration():
-    """Three steps, all of them tried."""
-    found, rewards, ground, nodes = searched(WALL, 3)
-    number, shape = ground.road_map.number, ground.road_map.lattice.shape
-    open_moves = ground.road_map.lattice.open_moves
-    best = -np.inf
-    for node, moves in product(nodes, product(range(len(MOVES)), repeat=2)):
-        row, column = ground.road_map.rows[node], ground.road_map.columns[node]
-        gained, possible = rewards[0][row, column], True
-        for k, move in enumerate(moves, start=1):
-            possible = possible and bool(open_moves[move, row, column])
-            if not possible:
-                break
-            row, column = row + MOVES[move][1], column + MOVES[move][0]
-            assert number[row, column] >= 0 and row < shape[0]
-            gained += rewards[k][row, column]
-        if possible:
-            best = max(best, gained)
-    assert found.values[-1].max() == pytest.approx(best, abs=1e-12)
-
-
 def test_rewards_that_forbid_everything_leave_no_end():
     """No finite value, no end."""
     found, rewards, _, _ = searched(WALL, 4)
-    assert len(found.best_ends(1, 0)) == 1
+    assert found.best_path() is not None
     assert rewards.shape[0] == 4
     nothing, *_ = searched(WALL, 4, move_value=np.full(len(MOVES), -np.inf))
-    assert nothing.best_ends(1, 0) == []
-
-
-def test_ends_are_the_best_that_are_far_enough_from_better_ones():
-    """Compared node by node; all nodes where none need be apart."""
-    found, *_ = searched(WALL, 6)
-    value = found.values[-1]
-    top, left = (part.start - REACH for part in found.windows[-1])
-    expected = []
-    for index in np.argsort(-value, axis=None):
-        row, column = np.unravel_index(index, value.shape)
-        if all(max(abs(row - r), abs(column - c)) > 3 for r, c in expected):
-            expected.append((row, column))
-    ends = found.best_ends(4, 3)
-    assert ends == [(row + top, column + left) for row, column in expected[:4]]
-    assert len(found.best_ends(value.size, 0)) == np.isfinite(value).sum()
+    assert nothing.best_path() is None

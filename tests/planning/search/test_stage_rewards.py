@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
+from planopt.planning.search.guess_search import StageRewards
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.start_search import StageRewards
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.rule_rows import Guide
 

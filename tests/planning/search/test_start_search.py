@@ -7,7 +7,7 @@ from terms_scene import CONNECT, judge_of, situation_of, terms_problem
 
 from planopt.planning.history import history_of
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.search.start_search import StartSearch, without_waiting
+from planopt.planning.search.guess_search import GuessSearch, without_waiting
 from planopt.planning.values.objective_value import ObjectiveValue
 
 
@@ -30,13 +30,13 @@ def test_a_search_does_not_begin_with_the_waiting_of_the_last_plan() -> None:
     judge, ground = judge_of(situation, belief)
     polished = HorizonPlanner(problem, ground).plan(situation, judge).positions_m[1:]
     waits = np.vstack([np.tile(situation.position_m, (2, 1)), polished[:-2]])
-    search = StartSearch(problem, ground)
+    search = GuessSearch(problem, ground)
     offered = without_waiting(situation.position_m, waits)
     worth = ObjectiveValue(situation)
     assert worth(offered) > worth(waits)
-    assert search.find_starts(situation, waits)[0].worth >= worth(offered)
+    assert search.find_guesses(situation, waits)[0].value >= worth(offered)
     # No other search has it.
-    assert search.find_starts(situation, None)[0].worth < worth(offered)
+    assert search.find_guesses(situation, None)[0].value < worth(offered)
 
 
 def test_places_missed_beside_connected_measurements_are_tried_once() -> None:

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, judge_of, situation_of, terms_problem
 
-from planopt.planning.search.coupled_starts import (
+from planopt.planning.search.fan_guesses import (
     HEADINGS,
     TURNS_RAD,
-    driven_ways,
+    driven_paths,
+    fan_paths,
     rough_clearance,
-    straight_starts,
 )
 from planopt.world.clearance import clearance_m, inside_bounds, swept_clearance_m
 
@@ -27,7 +27,7 @@ def fan_of(horizon, position_m=None):
         situation = replace(situation, state=np.asarray(position_m))
     _, ground = judge_of(situation, belief)
     rough = rough_clearance(problem, ground.index)
-    return straight_starts(situation, ground.index, rough, horizon), situation, ground, rough
+    return fan_paths(situation, ground.index, rough, horizon), situation, ground, rough
 
 
 @pytest.mark.parametrize("position_m", [None, (16.9, 20.0), (1.0, 39.0)])
@@ -71,7 +71,7 @@ def test_slow_ways_are_short():
     """Speed is a share of the largest."""
     _, situation, ground, rough = fan_of(4)
     turn, speed = np.zeros((4, 1)), np.array([[1.0], [0.5], [0.0], [0.25]])
-    way = driven_ways(situation, ground.index, rough, turn, speed)[0]
+    way = driven_paths(situation, ground.index, rough, turn, speed)[0]
     np.testing.assert_allclose(
         way[:, 0] - situation.position_m[0], 2.0 * np.cumsum(speed[:, 0]), atol=1e-5
     )

@@ -13,7 +13,7 @@ from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
 from planopt.planning.search import place_paths
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.place_paths import COMPARED, TRIED, TriedPlaces
+from planopt.planning.search.place_paths import COMPARED, TRIED, ProbedPlaces
 from planopt.planning.values import context as situation_module
 from planopt.planning.values.objective_value import ObjectiveValue
 
@@ -33,7 +33,7 @@ def found_ways(problem, situation, ground):
     """The ways of a search whose field knows what the situation does."""
     field = NodeField(ground.road_map.lattice)
     field.refresh(situation, problem.planner.horizon * problem.step_length_m)
-    return TriedPlaces(problem, ground).find_ways(situation, field)
+    return ProbedPlaces(problem, ground).find_paths(situation, field)
 
 
 def test_ways_keep_the_step_length_and_end_at_rest(step):

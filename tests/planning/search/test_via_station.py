@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planopt.planning.search.coupled_starts import DETOURS, ONWARD, arc_turn, commands_via
+from planopt.planning.search.fan_guesses import DETOURS, ONWARD, arc_turn, commands_via
 
 START = np.array([3.0, 1.0])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planopt.planning.candidates import Budget
-from planopt.planning.search.way_search import climb_ways
+from planopt.planning.search.climb import climb_paths, distinct
 
 START = np.array([1.0, -2.0])
 
@@ -35,7 +35,7 @@ def near(places):
 
 def climbed(ways, slope, rounds=(30, 30), followed=(9, 9), move=drive):
     """The climb without limits that matter."""
-    return climb_ways(START, ways, 1.0, move, slope, rounds, followed, 0.5)
+    return climb_paths(START, ways, 1.0, move, slope, rounds, followed, 0.5)
 
 
 @pytest.mark.parametrize("horizon", [1, 2, 6])
@@ -51,7 +51,7 @@ def test_a_spent_budget_hands_the_best_ways_on():
     """Nothing climbs any more; the best of what there is comes first."""
     ways, slope = some_ways(4), near(some_ways(4, 1)[0] + 0.3)
     spent = Budget(search_ends_s=0.0)
-    found, worths = climb_ways(START, ways, 1.0, drive, slope, (9, 9), (9, 9), 0.5, spent)
+    found, worths = climb_paths(START, ways, 1.0, drive, slope, (9, 9), (9, 9), 0.5, spent)
     assert worths[0] == slope(ways)[0].max()
     assert all((way == ways).all(axis=(1, 2)).any() for way in found)
 
@@ -82,15 +82,6 @@ def test_no_way_goes_down_and_the_best_comes_first():
             assert (np.abs(found[:number] - way).max(axis=(1, 2)) > 0.5).all()
 
 
-def test_as_many_are_followed_as_asked():
-    """The best of them after each round."""
-    wanted = some_ways(5, 1)[0]
-    assert len(climbed(some_ways(5), near(wanted), (0, 0), (4, 2))[0]) == 2
-    best = climbed(some_ways(5), near(wanted), (0,), (1,))[0]
-    value = near(wanted)(some_ways(5))[0]
-    np.testing.assert_array_equal(best[0], some_ways(5)[value.argmax()])
-
-
 def test_ways_that_are_turned_aside_still_climb():
     """Behind a wall at x = 2 the nearest way to a place beyond it goes up to the wall."""
 
@@ -117,3 +108,10 @@ def test_a_worth_that_is_no_number_is_never_taken():
     ways = ways[ways[:, -1, 1] < -1.2]
     _, worths = climbed(ways, slope)
     assert np.isfinite(worths).all()
+
+
+def test_distinct_keeps_the_best_of_each_group():
+    """Near ones are left out, in order of worth."""
+    ways = np.array([0.0, 0.1, 5.0, 5.1, 9.0])[:, None, None] * np.ones((1, 3, 2))
+    kept = distinct(ways, np.array([1.0, 2.0, 7.0, 6.0, 0.0]), 0.5, 2)
+    np.testing.assert_array_equal(kept, [2, 1])

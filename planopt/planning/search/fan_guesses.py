@@ -1,0 +1,323 @@
+"""Initial guesses for objectives that couple the positions of a path: a fan of paths that climb.
+
+All paths are driven at once. If the next step of one would leave the free space, it turns aside as
+little as needed and goes on from there. A raster of distances decides while paths are driven; every
+segment is checked exactly afterwards, and a path stops before the first that is not clear.
+
+Paths to the station are added while path loss is uncertain: a measurement next to the station is
+most informative about it, and no path of the fan may pass near it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.planning.candidates import UNLIMITED, Budget
+from planopt.planning.scene import Ground
+from planopt.planning.search.climb import APART_STEPS, climb_paths, distinct
+from planopt.planning.search.lattice_search import steps_apart
+from planopt.planning.search.local_ranking import LocalRanking, can_climb
+from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
+from planopt.planning.values.context import StepContext
+from planopt.problems.problem import Problem
+from planopt.world.clearance import ObstacleIndex, clearance_m, inside_bounds, segments_clear
+from planopt.world.moving_discs import paths_gap_m
+
+CELLS_PER_STEP = 4.0
+"""Cells of the raster per longest step."""
+
+MAX_CELLS = 250_000
+"""Maximum number of cells; a larger workspace gets a coarser raster."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoughClearance:
+    """Distances at the corners of square cells over the workspace."""
+
+    origin_m: NDArray[np.float64]  # (2,) of corner [0, 0]
+    cell_m: float  # Side of a cell
+    distance_m: NDArray[np.float64]  # (ny, nx) to the nearest obstacle
+    bounds_m: tuple[float, float, float, float]  # (x_min, y_min, x_max, y_max)
+
+    def is_free(self, places_m: NDArray[np.float64], clearance: float) -> NDArray[np.bool_]:
+        """Return whether places (..., 2) are in bounds and about `clearance` from obstacles."""
+        x_min, y_min, x_max, y_max = self.bounds_m
+        x, y = places_m[..., 0], places_m[..., 1]
+        inside = (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+        ny, nx = self.distance_m.shape
+        across = np.clip((x - self.origin_m[0]) / self.cell_m, 0.0, nx - 1.000001)
+        up = np.clip((y - self.origin_m[1]) / self.cell_m, 0.0, ny - 1.000001)
+        column, row = across.astype(np.intp), up.astype(np.intp)
+        u, v = across - column, up - row
+        d, at = self.distance_m.ravel(), row * nx + column
+        below = (1.0 - u) * d[at] + u * d[at + 1]
+        above = (1.0 - u) * d[at + nx] + u * d[at + nx + 1]
+        return inside & ((1.0 - v) * below + v * above >= clearance)
+
+
+def rough_clearance(problem: Problem, index: ObstacleIndex) -> RoughClearance:
+    """Return the distances at the corners of all cells."""
+    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+    width, height = x_max - x_min, y_max - y_min
+    cell = max(problem.step_length_m / CELLS_PER_STEP, math.sqrt(width * height / MAX_CELLS))
+    nx, ny = math.ceil(width / cell) + 2, math.ceil(height / cell) + 2
+    corners = np.empty((ny, nx, 2))
+    corners[..., 0] = x_min + cell * np.arange(nx)
+    corners[..., 1] = y_min + cell * np.arange(ny)[:, None]
+    far = width + height
+    distance = np.minimum(clearance_m(index, corners.reshape(-1, 2)), far).reshape(ny, nx)
+    return RoughClearance(np.array([x_min, y_min]), cell, distance, problem.workspace.bounds_m)
+
+
+HEADINGS = 16
+"""Number of directions of the fan."""
+
+TURNS_RAD = (0.0, 0.5, -0.5, 1.0, -1.0)
+"""Total turns of the paths, in units of pi, spread evenly over the steps."""
+
+ASIDE_RAD = tuple(
+    side * turn for turn in (0.0, 0.4, 0.8, 1.2, 1.6, 2.2, 2.8) for side in (1.0, -1.0)
+)[1:]
+"""Turns to probe at a blocked step, the smallest first."""
+
+SAMPLES = (0.5, 1.0)
+"""Positions on a step at which the raster is read, as shares of it."""
+
+
+def fan_paths(
+    context: StepContext, index: ObstacleIndex, rough: RoughClearance, horizon: int
+) -> NDArray[np.float64]:
+    """Return the fan (c, N, 2): free paths at full speed."""
+    heading, turn = (
+        grid.ravel()
+        for grid in np.meshgrid(
+            2.0 * math.pi * np.arange(HEADINGS) / HEADINGS,
+            math.pi * np.asarray(TURNS_RAD if horizon > 1 else TURNS_RAD[:1]) / max(horizon - 1, 1),
+        )
+    )
+    turns = np.tile(turn, (horizon, 1))
+    turns[0] = heading
+    return driven_paths(context, index, rough, turns, np.ones(turns.shape))
+
+
+def driven_paths(
+    context: StepContext,
+    index: ObstacleIndex,
+    rough: RoughClearance,
+    turn_rad: NDArray[np.float64],  # (N, c) before each step, the first one from the x axis
+    speed: NDArray[np.float64],  # (N, c) as a share of the largest
+) -> NDArray[np.float64]:
+    """Drive c paths at once and return them; ``(c, N, 2)``."""
+    problem = context.problem
+    clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    longest = problem.step_length_m - STEP_PAD_M
+    shares = np.asarray(SAMPLES)[:, None]
+    heading = np.cumsum(turn_rad, axis=0)
+    moves = _direction(heading) * (longest * speed)[:, :, None]
+    paths = np.empty((turn_rad.shape[1], len(turn_rad) + 1, 2))
+    paths[:, 0] = context.position_m
+    np.cumsum(moves.transpose(1, 0, 2), axis=1, out=paths[:, 1:])
+    paths[:, 1:] += context.position_m
+    places = paths[:, :-1, None] + moves.transpose(1, 0, 2)[:, :, None] * shares
+    free = np.asarray(rough.is_free(places, clear).all(axis=2))
+    for k in range(len(turn_rad) if len(context.moving) else 0):
+        free[:, k] &= steps_apart(context.moving, k, paths[:, k], paths[:, k + 1])
+    rest = np.flatnonzero(~free.all(axis=1))
+    if len(rest):
+        first = int(free[rest].argmin(axis=1).min())
+        paths[rest] = _turned_aside(
+            context, rough, paths[rest], heading[:, rest], speed[:, rest], first
+        )
+    return _stopped(context, index, rough, paths, clear)
+
+
+def _turned_aside(
+    context: StepContext,
+    rough: RoughClearance,
+    paths_m: NDArray[np.float64],
+    heading_rad: NDArray[np.float64],  # (N, c) commanded
+    speed: NDArray[np.float64],  # (N, c) commanded
+    first: int,
+) -> NDArray[np.float64]:
+    """Return the paths (c, N + 1, 2), turned aside where they are blocked, from step `first` on."""
+    problem = context.problem
+    clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
+    longest = problem.step_length_m - STEP_PAD_M
+    aside, shares = np.asarray(ASIDE_RAD), np.asarray(SAMPLES)[:, None]
+    paths, turned = paths_m.copy(), np.zeros(len(paths_m))
+    for k in range(first, len(speed)):
+        heading = heading_rad[k] + turned
+        step = longest * speed[k]
+        ahead = _direction(heading) * step[:, None]
+        paths[:, k + 1] = paths[:, k] + ahead
+        places = paths[:, k, None] + ahead[:, None] * shares
+        ahead_free = rough.is_free(places, clear).all(axis=1)
+        ahead_free &= steps_apart(context.moving, k, paths[:, k], paths[:, k + 1])
+        blocked = np.flatnonzero(~ahead_free)
+        if not len(blocked):
+            continue
+        angles = heading[blocked, None] + aside
+        moves = _direction(angles) * step[blocked, None, None]
+        places = paths[blocked, k][:, None, None] + moves[:, :, None] * shares
+        free = rough.is_free(places, clear).all(axis=2)
+        begins = np.broadcast_to(paths[blocked, k][:, None], moves.shape)
+        free &= steps_apart(context.moving, k, begins, begins + moves)
+        chosen = free.argmax(axis=1)
+        rows = np.arange(len(blocked))
+        turned[blocked] += aside[chosen]
+        paths[blocked, k + 1] = paths[blocked, k] + moves[rows, chosen]
+    return paths
+
+
+def _stopped(
+    context: StepContext,
+    index: ObstacleIndex,
+    rough: RoughClearance,
+    paths_m: NDArray[np.float64],
+    clear_m: float,
+) -> NDArray[np.float64]:
+    """Return the paths (c, N, 2) after the start, each stopped before its first blocked step."""
+    count, places = len(paths_m), int(paths_m.shape[1])
+    starts, ends = paths_m[:, :-1].reshape(-1, 2), paths_m[:, 1:].reshape(-1, 2)
+    free = inside_bounds(context.problem.workspace, ends)
+    # Half a step lies on each side of its middle; the raster's error is below a cell.
+    far = clear_m + 0.5 * context.problem.step_length_m + rough.cell_m
+    near = free & ~rough.is_free(0.5 * (starts + ends), far)
+    free[near] = segments_clear(index, starts[near], ends[near], clear_m)
+    free = free.reshape(count, places - 1)
+    # Number of free steps before the first blocked one.
+    reached = np.logical_and.accumulate(free, axis=1).sum(axis=1, dtype=np.intp)
+    until = np.minimum(np.arange(1, places, dtype=np.intp), reached[:, None])
+    return paths_m[np.arange(count)[:, None], until]
+
+
+def _direction(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+ONWARD = 8
+"""Directions in which paths continue from the station."""
+
+DETOURS = 2
+"""Additional steps of the arcs to the station, at most."""
+
+HALVINGS = 40
+"""Bisections of the bend of an arc."""
+
+Commands = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Turns and speeds ``(N, c)``."""
+
+
+def commands_via(
+    start_m: NDArray[np.float64], place_m: NDArray[np.float64], horizon: int, longest_m: float
+) -> Commands | None:
+    """Return commands to a position, straight or in an arc, and on in all directions or waiting.
+
+    None if it is out of reach.
+    """
+    # Shapes: start_m, place_m (2,).
+    offset = (place_m - start_m) / longest_m
+    chord, heading = float(np.hypot(*offset)), math.atan2(offset[1], offset[0])
+    fewest = max(1, math.ceil(chord))
+    if fewest > horizon:
+        return None
+    paths = [_onward(heading, 0.0, chord / fewest, fewest, horizon)]
+    for steps in range(fewest + 1, min(fewest + DETOURS, horizon) + 1):
+        bend = arc_turn(chord, steps)
+        paths += [_onward(heading, side * bend, 1.0, steps, horizon) for side in (1.0, -1.0)]
+    turns, speeds = zip(*paths, strict=True)
+    return np.concatenate(turns, axis=1), np.concatenate(speeds, axis=1)
+
+
+def arc_turn(chord: float, steps: int) -> float:
+    """Return the turn a between `steps` unit steps whose ends are `chord` apart.
+
+    ``chord = sin(steps a / 2) / sin(a / 2)`` falls from `steps` to 0 as a grows from 0 to
+    2 pi / steps.
+    """
+    low, high = 0.0, 2.0 * math.pi / steps
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        far = math.sin(0.5 * steps * middle) > chord * math.sin(0.5 * middle)
+        low, high = (middle, high) if far else (low, middle)
+    return low
+
+
+def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int) -> Commands:
+    """Return commands along a chord in `steps` steps of a speed; then on, or waiting."""
+    paths = ONWARD + 1 if steps < horizon else 1
+    turn, speeds = np.zeros((horizon, paths)), np.ones((horizon, paths))
+    turn[0] = heading - 0.5 * bend * (steps - 1)
+    turn[1:steps] = bend
+    speeds[:steps] = speed
+    if steps < horizon:
+        turn[steps, :ONWARD] = 2.0 * math.pi * np.arange(ONWARD) / ONWARD
+        speeds[steps:, ONWARD] = 0.0
+    return turn, speeds
+
+
+RANKED = 4
+"""Paths of the fan that are returned where no slopes are known."""
+
+CLIMBING = 12
+"""Number of paths that climb at first."""
+
+ROUNDS, FOLLOWED = (3, 3, 4), (6, 3, 3)
+"""After each number of climbing steps, the number of paths that are followed on."""
+
+
+class FanGuesses:
+    """Finds initial guesses for one robot; keeps its raster of distances."""
+
+    def __init__(self, problem: Problem, ground: Ground) -> None:
+        self._problem = problem
+        self._index = ground.index
+        self._rough = rough_clearance(problem, ground.index)
+
+    def find_paths(
+        self,
+        context: StepContext,
+        known_m: list[NDArray[np.float64]],
+        budget: Budget = UNLIMITED,
+    ) -> list[NDArray[np.float64]]:
+        """Return the best paths (N, 2), pairwise distinct, best first by the local ranking."""
+        fan = fan_paths(context, self._index, self._rough, self._problem.planner.horizon)
+        longest = self._problem.step_length_m - STEP_PAD_M
+        climbs = can_climb(self._problem)
+
+        def drive(turn: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
+            return driven_paths(context, self._index, self._rough, turn, speed)
+
+        paths = np.concatenate([np.asarray(known_m).reshape(-1, *fan.shape[1:]), fan])
+        if climbs and not context.posterior.theta_known:
+            station = np.asarray(context.posterior.parameters.station.position_m)
+            via = commands_via(context.position_m, station, int(fan.shape[1]), longest)
+            paths = paths if via is None else np.concatenate([paths, drive(*via)])
+        ranking = LocalRanking(context, paths)
+        apart = APART_STEPS * longest
+        values = self._if_apart(context, paths, ranking(paths))
+        best = paths[distinct(paths, values, apart, CLIMBING if climbs else RANKED)]
+        if not climbs:
+            return list(best)
+
+        def slopes(moved_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            value, slope = ranking.slopes(moved_m)
+            return self._if_apart(context, moved_m, value), slope
+
+        found, _ = climb_paths(
+            context.position_m, best, longest, drive, slopes, ROUNDS, FOLLOWED, apart, budget
+        )
+        return list(found)
+
+    def _if_apart(
+        self, context: StepContext, paths_m: NDArray[np.float64], values: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the values of paths (c, N, 2), minus infinity if a moving obstacle is too near."""
+        begin = np.broadcast_to(context.position_m, (len(paths_m), 1, 2))
+        whole = np.concatenate([begin, paths_m], axis=1)
+        is_apart = paths_gap_m(context.moving, whole) >= -CLEARANCE_TOLERANCE_M
+        return np.where(is_apart, values, -np.inf)

@@ -20,7 +20,7 @@ V the fitted covariance of the measurements: A alone takes correlated errors for
 and is several times too small. That of the joint position is the likelihood's second moment about
 the estimate, over the positions that a likelihood-ratio test does not reject, the total variance
 integrated out as in :mod:`planopt.channel.parameter_uncertainty`; on a paraboloid it is the inverse
-of the expected (Fisher) information J' V^-1 J but for 1 %.
+of the expected (Fisher) information J' V^-1 J within 1 %.
 """
 
 from __future__ import annotations
@@ -55,127 +55,18 @@ from planopt.channel.parameters import (
 )
 from planopt.errors import InputError
 
+Array = NDArray[np.float64]
+
+StationMethod = Literal["line", "joint"]
+
 DB_PER_NEPER = 10.0 / math.log(10.0)
 """Change of 10 log10 d by that of ln d."""
 
 MIN_N_PL = 1e-3
 """Positions from which the power grows with the distance, or does not fall, are no candidates."""
 
-
-@dataclass(frozen=True, eq=False)
-class StationSurface:
-    """Measurements, whitened by the factor of their covariance, at an antenna's height."""
-
-    positions_m: NDArray[np.float64]  # (n, 2)
-    height_m: float  # Of the station
-    lower: NDArray[np.float64]  # (n, n) L with L L' = V
-    whitened_db: NDArray[np.float64]  # (n,) L^-1 y
-    has_prior: bool  # Whether n_PL has its prior
-
-    def station(self, position_m: NDArray[np.float64]) -> Station:
-        """The station at `position_m` (2,)."""
-        return Station((float(position_m[0]), float(position_m[1])), self.height_m)
-
-
-@dataclass(frozen=True)
-class Losses:
-    """The loss of positions of the station."""
-
-    loss: NDArray[np.float64]  # (m,) l(q); inf where n_PL is less than `MIN_N_PL`
-    theta: NDArray[np.float64]  # (m, 2) theta profiled out there
-
-
-def gaussian_covariance_db2(
-    measurements: Measurements, parameters: ChannelParameters
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Measurements as Gaussian ones: values (n,) in dBm and their covariance V (n, n).
-
-    Censored and rounded ones are replaced by the sites of
-    :func:`planopt.channel.gaussian_sites.gaussian_sites`.
-    """
-    sites = gaussian_sites(parameters, measurements)
-    covariance = own_covariance_db2(measured_origins(measurements, parameters), parameters)
-    noise = sites.noise_variance_db2 + measured_path_loss_variance_db2(measurements, parameters)
-    covariance.flat[:: len(covariance) + 1] += noise
-    return sites.values_db, covariance
-
-
-def station_surface(
-    measurements: Measurements, parameters: ChannelParameters, *, has_prior: bool
-) -> StationSurface:
-    """The surface under the covariance, and the sites about the mean, of `parameters`."""
-    values, covariance = gaussian_covariance_db2(measurements, parameters)
-    lower = lower_factor(covariance)
-    return StationSurface(
-        measurements.positions_m,
-        parameters.station.height_m,
-        lower,
-        solve_lower(lower, values),
-        has_prior,
-    )
-
-
-def losses(surface: StationSurface, places_m: NDArray[np.float64]) -> Losses:
-    """Values at `places_m` (m, 2)."""
-    dx = surface.positions_m[:, None, 0] - places_m[:, 0]
-    dy = surface.positions_m[:, None, 1] - places_m[:, 1]
-    square = np.maximum(dx**2 + dy**2 + surface.height_m**2, MIN_DISTANCE_M**2)
-    slope = solve_lower(surface.lower, (-0.5 * DB_PER_NEPER) * np.log(square))
-    ones = solve_lower(surface.lower, np.ones(len(slope)))
-    weight = float(ones @ ones)
-    mean_slope, mean_power = ones @ slope / weight, float(ones @ surface.whitened_db) / weight
-    slope -= ones[:, None] * mean_slope
-    power = surface.whitened_db - ones * mean_power
-    precision = PRIOR_N_PL_STD**-2 if surface.has_prior else 0.0
-    information = np.einsum("ij,ij->j", slope, slope) + precision
-    score = power @ slope + precision * PRIOR_N_PL
-    n_pl = score / np.maximum(information, np.finfo(np.float64).tiny)
-    loss = 0.5 * (float(power @ power) + precision * PRIOR_N_PL**2 - score * n_pl)
-    return Losses(
-        np.where(n_pl >= MIN_N_PL, loss, np.inf),
-        np.column_stack([mean_power - mean_slope * n_pl, n_pl]),
-    )
-
-
-def mean_jacobian(
-    positions_m: NDArray[np.float64], station: Station, n_pl: float
-) -> NDArray[np.float64]:
-    """Derivatives of the mean power by K_PL, n_PL and the station's x and y; ``(n, 4)``.
-
-    By the position it is ``10 n_PL / ln 10 (p - q) / d^2`` for a measurement at p.
-    """
-    offset = positions_m - np.asarray(station.position_m)
-    square = (offset**2).sum(axis=1) + station.height_m**2
-    # Where the distance is held at its least value the mean does not move.
-    factor = np.where(
-        square > MIN_DISTANCE_M**2, n_pl * DB_PER_NEPER / np.maximum(square, 1e-12), 0
-    )
-    return np.column_stack([regressors(positions_m, station), offset * factor[:, None]])
-
-
-def gauss_newton(
-    surface: StationSurface, position_m: NDArray[np.float64]
-) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Value, gradient (2,) and Gauss-Newton curvature (2, 2) of l at a position (2,).
-
-    The gradient is exact. The curvature is the expected (Fisher) information of the position with
-    theta unknown: its inverse is the position's covariance where l is a paraboloid.
-    """
-    station = surface.station(position_m)
-    found = losses(surface, np.asarray(position_m, dtype=np.float64)[None])
-    theta = found.theta[0]
-    whitened = solve_lower(
-        surface.lower, mean_jacobian(surface.positions_m, station, float(theta[1]))
-    )
-    residual = surface.whitened_db - whitened[:, :2] @ theta
-    gradient = -whitened[:, 2:].T @ residual
-    information = whitened.T @ whitened
-    if surface.has_prior:
-        information[1, 1] += PRIOR_N_PL_STD**-2
-    by_theta = np.linalg.pinv(information[:2, :2], hermitian=True)
-    cross = information[:2, 2:]
-    return float(found.loss[0]), gradient, information[2:, 2:] - cross.T @ by_theta @ cross
-
+MIN_UNCENSORED = 8
+"""Minimum number of uncensored measurements, for two coordinates and five parameters."""
 
 GRID = 41
 """Positions along each side of the grid."""
@@ -184,7 +75,7 @@ GRID_MARGIN = 0.5
 """The grid reaches beyond the measurements by this share of their extent."""
 
 MARGIN = 2.0
-"""The climbs may go so far: from there all distances are the same within a factor of 2."""
+"""The climbs reach so far: from there all distances are the same within a factor of 2."""
 
 STARTS = 4
 """Minima of the grid that are climbed from."""
@@ -192,177 +83,15 @@ STARTS = 4
 TOLERANCE = 1e-6
 """A climb ends when a step promises less than this, in units of log-likelihood."""
 
-
-@dataclass(frozen=True)
-class Box:
-    """The box that the station is searched in."""
-
-    low_m: NDArray[np.float64]  # (2,) corners
-    high_m: NDArray[np.float64]
-
-
-def box_about(positions_m: NDArray[np.float64], margin: float) -> Box:
-    """The box about measured positions (n, 2), and beyond by `margin` times their extent."""
-    low, high = positions_m.min(axis=0), positions_m.max(axis=0)
-    reach = margin * extent_m(positions_m)
-    return Box(low - reach, high + reach)
-
-
-def extent_m(positions_m: NDArray[np.float64]) -> float:
-    """Diagonal of the bounding box of positions (n, 2)."""
-    return float(np.hypot(*np.ptp(positions_m, axis=0)))
-
-
-def grid_starts(surface: StationSurface) -> list[NDArray[np.float64]]:
-    """The best minima of the likelihood on the grid."""
-    box = box_about(surface.positions_m, GRID_MARGIN)
-    iy, ix = np.divmod(np.arange(GRID**2), GRID)
-    grid = box.low_m + np.column_stack([ix, iy]) / (GRID - 1) * (box.high_m - box.low_m)
-    loss = losses(surface, grid).loss.reshape(GRID, GRID)
-    if not np.isfinite(loss).any():
-        raise InputError(
-            "power grows with the distance from every position tried",
-            remedy="give the station's position",
-        )
-    padded = np.pad(loss, 1, constant_values=np.inf)
-    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).min(axis=(2, 3))
-    found = np.flatnonzero((loss <= around) & np.isfinite(loss))
-    best = found[np.argsort(loss.flat[found])][:STARTS]
-    return list(grid[best])
-
-
-def best_climb(surface: StationSurface, starts: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """The best optimum reached from `starts`."""
-    climbs = [climb(surface, start) for start in starts]
-    return min(climbs, key=lambda climb: climb[0])[1]
-
-
-def climb(surface: StationSurface, start: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-    """The loss reached from `start`, and where."""
-    # Lengths in tenths of the extent, so that the minimiser's longest step is of the box's size.
-    unit = 0.1 * extent_m(surface.positions_m)
-    box = box_about(surface.positions_m, MARGIN)
-
-    def objective(
-        moved: NDArray[np.float64],
-    ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-        loss, gradient, curvature = gauss_newton(surface, start + unit * moved)
-        return loss, unit * gradient, unit**2 * curvature
-
-    loss, moved = minimise_damped(
-        objective,
-        np.zeros(2),
-        (box.low_m - start) / unit,
-        (box.high_m - start) / unit,
-        TOLERANCE,
-    )
-    return loss, start + unit * moved
-
-
-StationMethod = Literal["line", "joint"]
-
 SEARCH_MEASUREMENTS = 300
 """The search uses at most this many measurements; its last step at most `MOST_DENSE`."""
 
-JOINT_ROUNDS = 4
-"""Most alternations between covariance and position."""
-
-LINE_ROUNDS = 40
-"""Most completions of censored powers."""
+JOINT_ROUNDS, LINE_ROUNDS = 4, 40
+"""Maximum number of alternations between covariance and position, and of completions of censored
+powers."""
 
 STILL = 0.1
-"""The position stands still when it moves by less than this share of its deviation."""
-
-
-@one_blas_thread()
-def locate(
-    measurements: Measurements,
-    station_method: StationMethod,
-    height_m: float,
-    forgetting_s: float,
-) -> Station:
-    """The most likely position."""
-    sample = measurements.take(thinned(len(measurements), SEARCH_MEASUREMENTS))
-    # Unit weights, and limits taken for powers: good enough to begin with.
-    x, y = (float(value) for value in measurements.positions_m.mean(axis=0))
-    even = ChannelParameters(0.0, 0.0, 0.0, 1.0, 1.0, Station((x, y), height_m))
-    first = replace(sample, censored=np.zeros(len(sample), dtype=np.bool_))
-    line = station_surface(first, even, has_prior=False)
-    station = line.station(best_climb(line, grid_starts(line)))
-    more = measurements.take(thinned(len(measurements), MOST_DENSE))
-    if station_method == "line":
-        station = _settled_line(more, station)
-    else:
-        station = _settled_joint(sample, station, forgetting_s)
-        if len(more) > len(sample):
-            surface = _joint_surface(more, station, forgetting_s)
-            station = surface.station(climb(surface, np.asarray(station.position_m))[1])
-    return _clear_of(measurements, station)
-
-
-def line_surface(measurements: Measurements, station: Station) -> StationSurface:
-    """Independent errors, of the variance that the line to `station` leaves; n_PL has no prior."""
-    model = mean_model(measurements.positions_m, ~measurements.censored, station, True)
-    line = least_squares(model, measurements)
-    k_pl, n_pl = model.theta(line.coefficients)
-    deviation = math.sqrt(max(line.variance_db2, MIN_VARIANCE_DB2))
-    parameters = ChannelParameters(k_pl, n_pl, 0.0, 1.0, deviation, station)
-    return station_surface(measurements, parameters, has_prior=False)
-
-
-def _joint_surface(
-    measurements: Measurements, station: Station, forgetting_s: float
-) -> StationSurface:
-    """Errors of the covariance that REML finds with the station there; n_PL has its prior.
-
-    From outside, a station farther off with a larger n_PL looks much the same.
-    """
-    station = _clear_of(measurements, station)
-    fitted = fit_channel(measurements, station, forgetting_s=forgetting_s).parameters
-    return station_surface(measurements, fitted, has_prior=True)
-
-
-def _settled_line(measurements: Measurements, station: Station) -> Station:
-    """Climb until the completion of censored powers moves the position no more."""
-    for _ in range(LINE_ROUNDS):
-        surface = line_surface(measurements, station)
-        before = np.asarray(station.position_m)
-        _, position = climb(surface, before)
-        station = surface.station(position)
-        if _stands_still(surface, before, position):
-            break
-    return station
-
-
-def _settled_joint(measurements: Measurements, station: Station, forgetting_s: float) -> Station:
-    """Alternate between the covariance and the position, other optima looked at each time."""
-    for _ in range(JOINT_ROUNDS):
-        surface = _joint_surface(measurements, station, forgetting_s)
-        before = np.asarray(station.position_m)
-        position = best_climb(surface, [before, *grid_starts(surface)])
-        station = surface.station(position)
-        if _stands_still(surface, before, position):
-            break
-    return station
-
-
-def _stands_still(
-    surface: StationSurface, before: NDArray[np.float64], after: NDArray[np.float64]
-) -> bool:
-    """Return whether the move is small against the position's deviation."""
-    _, _, information = gauss_newton(surface, after)
-    step = after - before
-    return float(step @ information @ step) < STILL**2
-
-
-def _clear_of(measurements: Measurements, station: Station) -> Station:
-    """The station, moved by `MIN_DISTANCE_M` where it would be exactly at a measurement."""
-    offset = measurements.positions_m - np.asarray(station.position_m)
-    if station.height_m == 0.0 and not offset.any(axis=1).all():
-        x, y = station.position_m
-        return replace(station, position_m=(x + MIN_DISTANCE_M, y))
-    return station
-
+"""The position has converged when it moves by less than this share of its standard deviation."""
 
 REJECTED = 6.9
 """Positions less likely than the best by this many units of log-likelihood are left out: half the
@@ -377,118 +106,6 @@ EDGE_SHARE = 0.05
 
 SINGULAR = 1e12
 """Condition beyond which an information counts as singular."""
-
-
-def position_covariance_m2(
-    measurements: Measurements, parameters: ChannelParameters, method: StationMethod
-) -> NDArray[np.float64] | None:
-    """Covariance of the station's position; ``(2, 2)``, or None where it is not determined."""
-    if _at_edge(measurements, parameters):
-        return None
-    if method == "line":
-        return line_covariance_m2(measurements, parameters)
-    return joint_covariance_m2(measurements, parameters)
-
-
-def line_covariance_m2(
-    measurements: Measurements, parameters: ChannelParameters
-) -> NDArray[np.float64] | None:
-    """The sandwich for the line's position; ``(2, 2)``, or None where it is not determined."""
-    line = line_surface(measurements, parameters.station)
-    fitted = station_surface(measurements, parameters, has_prior=False)
-    whitened = solve_lower(line.lower, _jacobian(measurements, parameters))
-    inverse = _inverse(whitened.T @ whitened)
-    if inverse is None:
-        return None
-    # W^1/2 V W^1/2 = H H'.
-    half = solve_lower(line.lower, np.tril(fitted.lower)).T @ (whitened @ inverse)
-    return (half.T @ half)[2:, 2:]
-
-
-def joint_covariance_m2(
-    measurements: Measurements, parameters: ChannelParameters
-) -> NDArray[np.float64] | None:
-    """The likelihood's moments about the joint estimate; ``(2, 2)``, or None as for the line."""
-    surface = station_surface(measurements, parameters, has_prior=True)
-    estimate = np.asarray(parameters.station.position_m)
-    off, weights, at_edge = _likely(surface, estimate)
-    if float(weights[at_edge].sum()) > EDGE_SHARE:
-        return None
-    return (weights[:, None] * off).T @ off
-
-
-def theta_by_position(
-    measurements: Measurements, parameters: ChannelParameters
-) -> NDArray[np.float64]:
-    """Derivatives (2, 2) of the generalised least squares theta by the station's x and y.
-
-    With S the position's covariance, theta's grows by B S B': an estimate of the position that does
-    not depend on theta is not correlated with theta at the true position.
-    """
-    surface = station_surface(measurements, parameters, has_prior=False)
-    whitened = solve_lower(surface.lower, _jacobian(measurements, parameters))
-    information = whitened.T @ whitened
-    return -np.linalg.pinv(information[:2, :2], hermitian=True) @ information[:2, 2:]
-
-
-def _jacobian(measurements: Measurements, parameters: ChannelParameters) -> NDArray[np.float64]:
-    """J at the estimate; ``(n, 4)``."""
-    return mean_jacobian(measurements.positions_m, parameters.station, parameters.n_pl)
-
-
-def _inverse(information: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """The inverse, or None where there is none; scaled, so that units do not matter."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(np.float64).tiny))
-    scaled = information * np.outer(scale, scale)
-    if np.linalg.cond(scaled) > SINGULAR:
-        return None
-    return scale[:, None] * np.asarray(np.linalg.inv(scaled)) * scale
-
-
-def _at_edge(measurements: Measurements, parameters: ChannelParameters) -> bool:
-    """Return whether the search ended at its edge."""
-    positions = measurements.positions_m
-    box, near = box_about(positions, MARGIN), 1e-6 * extent_m(positions)
-    station = np.asarray(parameters.station.position_m)
-    return bool(((station - box.low_m < near) | (box.high_m - station < near)).any())
-
-
-def _likely(
-    surface: StationSurface, estimate_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Positions about the estimate, their weights, and which are at the edge of the search.
-
-    They stand on a lattice along the axes of the information, as far as `MARGIN` extents; the
-    spacing grows from a fraction of the deviation there in proportion to the distance.
-    """
-    # Shapes: returns (m, 2).
-    extent = extent_m(surface.positions_m)
-    eigenvalues, axes = np.linalg.eigh(gauss_newton(surface, estimate_m)[2])
-    scale = 1.0 / np.sqrt(np.maximum(eigenvalues, extent**-2))
-    share = np.linspace(-1.0, 1.0, LATTICE)[:, None]
-    growth = np.arcsinh(MARGIN * extent / scale)
-    along = scale * np.sinh(growth * share)
-    area = np.prod(_pairs(np.cosh(growth * share)), axis=1)
-    off = _pairs(along) @ axes.T
-    loss = losses(surface, estimate_m + off).loss
-    # The middle of the lattice is the estimate. Student's t: at the fitted total variance its loss
-    # is half the freedom.
-    freedom = 0.5 * (len(surface.whitened_db) - 2)
-    drop = freedom * np.log1p(np.maximum(loss - loss[len(loss) // 2], 0.0) / freedom)
-    kept = drop < REJECTED
-    weights = area[kept] * np.exp(-drop[kept])
-    at_edge = (np.abs(_pairs(np.repeat(share, 2, axis=1))) == 1.0).any(axis=1)
-    return off[kept], weights / weights.sum(), at_edge[kept]
-
-
-def _pairs(columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return all pairs of values of the first and the second of `columns` (k, 2); (k^2, 2)."""
-    count = len(columns)
-    return np.column_stack([np.repeat(columns[:, 0], count), np.tile(columns[:, 1], count)])
-
-
-MIN_UNCENSORED = 8
-"""Two coordinates and five parameters are wanted."""
 
 
 @one_blas_thread()
@@ -509,17 +126,17 @@ def fit_channel_and_station(
         At least `MIN_UNCENSORED` uncensored ones, not on one line (from a line the two sides
         cannot be told apart).
     method
-        Of the final fit, as in :func:`planopt.channel.estimation.fit.fit_channel`.
+        Method of the final fit, as in :func:`planopt.channel.fit_channel`.
     height_m
         Height of the station's antenna above the robots'; not estimated.
     forgetting_s
-        As in :func:`planopt.channel.estimation.fit.fit_channel`.
+        As in :func:`planopt.channel.fit_channel`.
     station_method
         ``joint``: maximum likelihood over position, theta and covariance. ``line``: the position
         from which the path loss line fits best. Of more than `MOST_DENSE` a fixed draw
         serves for the position.
     loss
-        Of the final fit, as in :func:`planopt.channel.estimation.fit.fit_channel`.
+        Loss of the final fit, as in :func:`planopt.channel.fit_channel`.
 
     Returns
     -------
@@ -534,18 +151,28 @@ def fit_channel_and_station(
     ------
     InputError
         The measurements cannot tell where the station is; or the power grows with the distance
-        from every position tried; or there is no such way.
+        from every candidate position; or there is no such method.
     """
     measurements = as_measurements(measurements)
     if station_method not in get_args(StationMethod):
         raise InputError(
-            f"{station_method!r} is no way to find the station",
+            f"{station_method!r} is no method to find the station",
             key="station_method",
             remedy=f"use {', '.join(get_args(StationMethod))}",
         )
     require_usable(measurements, None)
     measurements = measurements.by_place()
-    _require_locating(measurements)
+    remedy = "give the station's position"
+    exact = measurements.positions_m[~measurements.censored]
+    if len(exact) < MIN_UNCENSORED:
+        raise InputError(
+            f"{len(exact)} uncensored measurements cannot tell where the station is", remedy=remedy
+        )
+    spread = np.linalg.svd(exact - exact.mean(axis=0), compute_uv=False)
+    if spread[1] < 1e-3 * spread[0]:
+        raise InputError(
+            "all measurements are on one line: the station may be on either side", remedy=remedy
+        )
     station = locate(measurements, station_method, height_m, forgetting_s)
     found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
     sample = measurements.take(thinned(len(measurements), MOST_DENSE))
@@ -572,16 +199,289 @@ def fit_channel_and_station(
     )
 
 
-def _require_locating(measurements: Measurements) -> None:
-    """Refuse measurements that are too few, or on one line."""
-    remedy = "give the station's position"
-    exact = measurements.positions_m[~measurements.censored]
-    if len(exact) < MIN_UNCENSORED:
+@dataclass(frozen=True, eq=False)
+class StationSurface:
+    """Measurements, whitened by the factor of their covariance, at an antenna's height."""
+
+    positions_m: Array  # (n, 2)
+    height_m: float  # Of the station
+    lower: Array  # (n, n) L with L L' = V
+    whitened_db: Array  # (n,) L^-1 y
+    has_prior: bool  # Whether n_PL has its prior
+
+    def station(self, position_m: Array) -> Station:
+        """Return the station at `position_m` (2,)."""
+        return Station((float(position_m[0]), float(position_m[1])), self.height_m)
+
+    @property
+    def extent_m(self) -> float:
+        """Diagonal of the bounding box of the measurements."""
+        return float(np.hypot(*np.ptp(self.positions_m, axis=0)))
+
+    def box_m(self, margin: float) -> tuple[Array, Array]:
+        """Return corners of the box around the measurements, `margin` extents larger."""
+        low, high = self.positions_m.min(axis=0), self.positions_m.max(axis=0)
+        return low - margin * self.extent_m, high + margin * self.extent_m
+
+
+def gaussian_covariance_db2(
+    measurements: Measurements, parameters: ChannelParameters
+) -> tuple[Array, Array]:
+    """Return measurements as Gaussian ones: values (n,) in dBm and their covariance V (n, n)."""
+    sites = gaussian_sites(parameters, measurements)
+    covariance = own_covariance_db2(measured_origins(measurements, parameters), parameters)
+    noise = sites.noise_variance_db2 + measured_path_loss_variance_db2(measurements, parameters)
+    covariance.flat[:: len(covariance) + 1] += noise
+    return sites.values_db, covariance
+
+
+def station_surface(
+    measurements: Measurements, parameters: ChannelParameters, *, has_prior: bool
+) -> StationSurface:
+    """Return the surface under the covariance, and the sites about the mean, of `parameters`."""
+    values, covariance = gaussian_covariance_db2(measurements, parameters)
+    lower = lower_factor(covariance)
+    whitened = solve_lower(lower, values)
+    height_m = parameters.station.height_m
+    return StationSurface(measurements.positions_m, height_m, lower, whitened, has_prior)
+
+
+def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
+    """Return l, inf where n_PL is less than `MIN_N_PL`, and theta at `places_m` (m, 2).
+
+    ``(m,)`` and ``(m, 2)``.
+    """
+    dx = surface.positions_m[:, None, 0] - places_m[:, 0]
+    dy = surface.positions_m[:, None, 1] - places_m[:, 1]
+    square = np.maximum(dx**2 + dy**2 + surface.height_m**2, MIN_DISTANCE_M**2)
+    slope = solve_lower(surface.lower, (-0.5 * DB_PER_NEPER) * np.log(square))
+    ones = solve_lower(surface.lower, np.ones(len(slope)))
+    weight = float(ones @ ones)
+    mean_slope, mean_power = ones @ slope / weight, float(ones @ surface.whitened_db) / weight
+    slope -= ones[:, None] * mean_slope
+    power = surface.whitened_db - ones * mean_power
+    precision = PRIOR_N_PL_STD**-2 if surface.has_prior else 0.0
+    information = np.einsum("ij,ij->j", slope, slope) + precision
+    score = power @ slope + precision * PRIOR_N_PL
+    n_pl = score / np.maximum(information, np.finfo(np.float64).tiny)
+    loss = 0.5 * (float(power @ power) + precision * PRIOR_N_PL**2 - score * n_pl)
+    theta = np.column_stack([mean_power - mean_slope * n_pl, n_pl])
+    return np.where(n_pl >= MIN_N_PL, loss, np.inf), theta
+
+
+def _mean_jacobian(positions_m: Array, station: Station, n_pl: float) -> Array:
+    """Return J, derivatives of the mean by K_PL, n_PL and the station's x and y; ``(n, 4)``.
+
+    By the position it is ``10 n_PL / ln 10 (p - q) / d^2`` for a measurement at p.
+    """
+    offset = positions_m - np.asarray(station.position_m)
+    square = (offset**2).sum(axis=1) + station.height_m**2
+    # Where the distance is held at its least value the mean does not move.
+    factor = np.where(
+        square > MIN_DISTANCE_M**2, n_pl * DB_PER_NEPER / np.maximum(square, 1e-12), 0
+    )
+    return np.column_stack([regressors(positions_m, station), offset * factor[:, None]])
+
+
+def gauss_newton(surface: StationSurface, position_m: Array) -> tuple[float, Array, Array]:
+    """Return value, gradient (2,) and Gauss-Newton curvature (2, 2) of l at a position (2,).
+
+    The gradient is exact. The curvature is the expected (Fisher) information of the position with
+    theta unknown: its inverse is the position's covariance where l is a paraboloid.
+    """
+    station = surface.station(position_m)
+    (loss,), (theta,) = losses(surface, np.asarray(position_m, dtype=np.float64)[None])
+    jacobian = _mean_jacobian(surface.positions_m, station, float(theta[1]))
+    whitened = solve_lower(surface.lower, jacobian)
+    residual = surface.whitened_db - whitened[:, :2] @ theta
+    gradient = -whitened[:, 2:].T @ residual
+    information = whitened.T @ whitened
+    if surface.has_prior:
+        information[1, 1] += PRIOR_N_PL_STD**-2
+    by_theta = np.linalg.pinv(information[:2, :2], hermitian=True)
+    cross = information[:2, 2:]
+    return float(loss), gradient, information[2:, 2:] - cross.T @ by_theta @ cross
+
+
+def _grid_starts(surface: StationSurface) -> list[Array]:
+    """Return the best minima of the likelihood on the grid."""
+    low, high = surface.box_m(GRID_MARGIN)
+    iy, ix = np.divmod(np.arange(GRID**2), GRID)
+    grid = low + np.column_stack([ix, iy]) / (GRID - 1) * (high - low)
+    loss = losses(surface, grid)[0].reshape(GRID, GRID)
+    if not np.isfinite(loss).any():
         raise InputError(
-            f"{len(exact)} uncensored measurements cannot tell where the station is", remedy=remedy
+            "power grows with the distance from every position on the grid",
+            remedy="give the station's position",
         )
-    spread = np.linalg.svd(exact - exact.mean(axis=0), compute_uv=False)
-    if spread[1] < 1e-3 * spread[0]:
-        raise InputError(
-            "all measurements are on one line: the station may be on either side", remedy=remedy
-        )
+    padded = np.pad(loss, 1, constant_values=np.inf)
+    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).min(axis=(2, 3))
+    found = np.flatnonzero((loss <= around) & np.isfinite(loss))
+    return list(grid[found[np.argsort(loss.flat[found])][:STARTS]])
+
+
+def _climbed(surface: StationSurface, starts: list[Array]) -> Array:
+    """Return the best optimum reached from `starts`."""
+    # Lengths in tenths of the extent, so that the minimiser's longest step is of the box's size.
+    unit = 0.1 * surface.extent_m
+    low, high = surface.box_m(MARGIN)
+
+    def climb(start: Array) -> tuple[float, Array]:
+        def objective(moved: Array) -> tuple[float, Array, Array]:
+            loss, gradient, curvature = gauss_newton(surface, start + unit * moved)
+            return loss, unit * gradient, unit**2 * curvature
+
+        ends = (low - start) / unit, (high - start) / unit
+        loss, moved = minimise_damped(objective, np.zeros(2), *ends, TOLERANCE)
+        return loss, start + unit * moved
+
+    return min((climb(start) for start in starts), key=lambda one: one[0])[1]
+
+
+def locate(
+    measurements: Measurements,
+    station_method: StationMethod,
+    height_m: float,
+    forgetting_s: float,
+) -> Station:
+    """Return the most likely position."""
+    sample = measurements.take(thinned(len(measurements), SEARCH_MEASUREMENTS))
+    more = measurements.take(thinned(len(measurements), MOST_DENSE))
+    # Unit weights, and limits taken for powers: good enough to begin with.
+    x, y = (float(value) for value in measurements.positions_m.mean(axis=0))
+    even = ChannelParameters(0.0, 0.0, 0.0, 1.0, 1.0, Station((x, y), height_m))
+    first = replace(sample, censored=np.zeros(len(sample), dtype=np.bool_))
+    surface = station_surface(first, even, has_prior=False)
+    station = surface.station(_climbed(surface, _grid_starts(surface)))
+    is_joint = station_method == "joint"
+    for _ in range(JOINT_ROUNDS if is_joint else LINE_ROUNDS):
+        before = np.asarray(station.position_m)
+        if is_joint:
+            # Other optima are looked at each time.
+            surface = _joint_surface(sample, station, forgetting_s)
+            position = _climbed(surface, [before, *_grid_starts(surface)])
+        else:
+            surface = _line_surface(more, station)
+            position = _climbed(surface, [before])
+        station = surface.station(position)
+        step, information = position - before, gauss_newton(surface, position)[2]
+        if float(step @ information @ step) < STILL**2:
+            break
+    if is_joint and len(more) > len(sample):
+        surface = _joint_surface(more, station, forgetting_s)
+        station = surface.station(_climbed(surface, [np.asarray(station.position_m)]))
+    return _clear_of(measurements, station)
+
+
+def _line_surface(measurements: Measurements, station: Station) -> StationSurface:
+    """Return the surface of independent errors, of the variance that the line leaves."""
+    model = mean_model(measurements.positions_m, ~measurements.censored, station, True)
+    line = least_squares(model, measurements)
+    k_pl, n_pl = model.theta(line.coefficients)
+    deviation = math.sqrt(max(line.variance_db2, MIN_VARIANCE_DB2))
+    parameters = ChannelParameters(k_pl, n_pl, 0.0, 1.0, deviation, station)
+    return station_surface(measurements, parameters, has_prior=False)
+
+
+def _joint_surface(
+    measurements: Measurements, station: Station, forgetting_s: float
+) -> StationSurface:
+    """Return the surface of errors of the covariance that REML finds with the station there.
+
+    n_PL has its prior: from outside, a station farther off with a larger n_PL looks much the same.
+    """
+    station = _clear_of(measurements, station)
+    fitted = fit_channel(measurements, station, forgetting_s=forgetting_s).parameters
+    return station_surface(measurements, fitted, has_prior=True)
+
+
+def _clear_of(measurements: Measurements, station: Station) -> Station:
+    """Return the station, moved by `MIN_DISTANCE_M` if it is exactly at a measurement."""
+    offset = measurements.positions_m - np.asarray(station.position_m)
+    if station.height_m == 0.0 and not offset.any(axis=1).all():
+        x, y = station.position_m
+        return replace(station, position_m=(x + MIN_DISTANCE_M, y))
+    return station
+
+
+def position_covariance_m2(
+    measurements: Measurements, parameters: ChannelParameters, method: StationMethod
+) -> Array | None:
+    """Return the covariance (2, 2) of the station's position, None if it is not determined."""
+    if method == "line":
+        return line_covariance_m2(measurements, parameters)
+    return joint_covariance_m2(measurements, parameters)
+
+
+def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Array | None:
+    """Return the sandwich for the line's position; ``(2, 2)``, None if it is not determined."""
+    line = _line_surface(measurements, parameters.station)
+    fitted = station_surface(measurements, parameters, has_prior=False)
+    if _is_at_edge(line, parameters.station):
+        return None
+    whitened = _whitened_jacobian(line, parameters)
+    information = whitened.T @ whitened
+    # Scaled, so that units do not matter.
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(np.float64).tiny))
+    scaled = information * np.outer(scale, scale)
+    if np.linalg.cond(scaled) > SINGULAR:
+        return None
+    inverse = scale[:, None] * np.asarray(np.linalg.inv(scaled)) * scale
+    # W^1/2 V W^1/2 = H H'.
+    half = solve_lower(line.lower, np.tril(fitted.lower)).T @ (whitened @ inverse)
+    return (half.T @ half)[2:, 2:]
+
+
+def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Array | None:
+    """Return the likelihood's moments about the joint estimate; None if it is not determined.
+
+    They are sums over a lattice along the axes of the information, as far as `MARGIN` extents; its
+    spacing grows from a fraction of the standard deviation in proportion to the distance.
+    """
+    surface = station_surface(measurements, parameters, has_prior=True)
+    if _is_at_edge(surface, parameters.station):
+        return None
+    estimate = np.asarray(parameters.station.position_m)
+    eigenvalues, axes = np.linalg.eigh(gauss_newton(surface, estimate)[2])
+    scale = 1.0 / np.sqrt(np.maximum(eigenvalues, surface.extent_m**-2))
+    share = np.linspace(-1.0, 1.0, LATTICE)
+    growth = np.arcsinh(MARGIN * surface.extent_m / scale)
+    i, j = np.divmod(np.arange(LATTICE**2), LATTICE)
+    shares = np.column_stack([share[i], share[j]])
+    area = np.prod(np.cosh(growth * shares), axis=1)
+    off = (scale * np.sinh(growth * shares)) @ axes.T
+    loss, _ = losses(surface, estimate + off)
+    # The middle of the lattice is the estimate. Student's t: at the fitted total variance its loss
+    # is half the freedom.
+    freedom = 0.5 * (len(surface.whitened_db) - 2)
+    drop = freedom * np.log1p(np.maximum(loss - loss[len(loss) // 2], 0.0) / freedom)
+    weights = np.where(drop < REJECTED, area * np.exp(-drop), 0.0)
+    weights /= weights.sum()
+    if float(weights[(np.abs(shares) == 1.0).any(axis=1)].sum()) > EDGE_SHARE:
+        return None
+    return (weights[:, None] * off).T @ off
+
+
+def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Array:
+    """Return derivatives (2, 2) of the generalised least squares theta by the station's x and y.
+
+    With S the position's covariance, theta's grows by B S B': an estimate of the position that does
+    not depend on theta is not correlated with theta at the true position.
+    """
+    surface = station_surface(measurements, parameters, has_prior=False)
+    whitened = _whitened_jacobian(surface, parameters)
+    information = whitened.T @ whitened
+    return -np.linalg.pinv(information[:2, :2], hermitian=True) @ information[:2, 2:]
+
+
+def _whitened_jacobian(surface: StationSurface, parameters: ChannelParameters) -> Array:
+    """Return L^-1 J at the estimate; ``(n, 4)``."""
+    jacobian = _mean_jacobian(surface.positions_m, parameters.station, parameters.n_pl)
+    return solve_lower(surface.lower, jacobian)
+
+
+def _is_at_edge(surface: StationSurface, station: Station) -> bool:
+    """Return whether the search ended at its edge."""
+    low, high = surface.box_m(MARGIN)
+    near, position = 1e-6 * surface.extent_m, np.asarray(station.position_m)
+    return bool(((position - low < near) | (high - position < near)).any())

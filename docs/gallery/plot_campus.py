@@ -14,6 +14,7 @@ variable ``PLANOPT_DATA`` of the environment names, and without them this page h
 # %%
 # Positions are GPS, some metres off. Powers have an unknown constant for each receiver, which the
 # fit takes into :math:`K_{PL}`. Powers within 3 dB of the noise floor count as "at most this".
+import csv
 import os
 from functools import partial
 from pathlib import Path
@@ -29,7 +30,7 @@ from planopt.channel import (
 )
 from planopt.channel.channel_map import measured_bounds_m
 from planopt.channel.held_out import channel_predictor, learn_path_loss
-from planopt.channel.power_log import parse_groups, read_columns, read_groups
+from planopt.channel.power_log import parse_groups, read_groups
 from planopt.report import draw_calibration, draw_fit, draw_posterior_map
 
 CAMPUS = Path(os.environ.get("PLANOPT_DATA", "data")) / "campus"
@@ -37,11 +38,11 @@ LOG = LogFormat(censored_column="near_floor")
 
 stations, floors_dbm, logs, fits = {}, {}, {}, {}
 if CAMPUS.is_dir():
-    for _, (name, *numbers) in read_columns(
-        CAMPUS / "stations.csv", ["station", "x_m", "y_m", "noise_floor_dbm"]
-    ):
-        x_m, y_m, floors_dbm[name] = map(float, numbers)
-        stations[name] = Station((x_m, y_m))
+    with (CAMPUS / "stations.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        name, floors_dbm[row["station"]] = row["station"], float(row["noise_floor_dbm"])
+        stations[name] = Station((float(row["x_m"]), float(row["y_m"])))
         logs[name] = read_log(CAMPUS / f"{name}.csv", LOG)
         fits[name] = fit_channel(logs[name], stations[name])
 else:

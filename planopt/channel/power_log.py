@@ -1,13 +1,13 @@
-"""Power logs: CSV files with a header, columns found by name, and errors that say where.
+"""Power logs: CSV files with a header, columns found by name, and errors that name line and column.
 
 Lines that start with ``#`` and empty lines are skipped, other columns are ignored, a byte order
-mark is tolerated. Everything that cannot be used is one error with file, line and column.
+mark is tolerated.
 
 Longitudes and latitudes become metres east and north of an origin: places on the ellipsoid WGS 84
 are projected at right angles onto the tangent plane there. Distances from the origin come out too
 short by their cube over six squared radii of the earth: 4 mm at 10 km, 4 m at 100 km.
 
-Rows belong to one group where all grouping columns agree: ``day`` for whole days, ``day,t_s:600``
+Rows belong to one group if all grouping columns agree: ``day`` for whole days, ``day,t_s:600``
 for blocks of 600 in the column ``t_s`` within each day.
 """
 
@@ -27,17 +27,31 @@ from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Mea
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
 from planopt.files.reading import read_text
-from planopt.keys import LARGEST_COORDINATE_M
+from planopt.world.workspace import LARGEST_COORDINATE_M
 
 DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
 """Names of the columns for x, y and power."""
 
 LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
 
+RANGES_M = ((-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),) * 2
+"""Least and largest x and y in metres."""
+
+RANGES_DEG = (
+    (-LARGEST_LONGITUDE_DEG, LARGEST_LONGITUDE_DEG, "degrees"),
+    (-LARGEST_LATITUDE_DEG, LARGEST_LATITUDE_DEG, "degrees"),
+)
+"""Least and largest longitude and latitude."""
+
+POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
+
+FLAGS = {"1": True, "true": True, "0": False, "false": False}
+"""Values of a column of flags, in any case."""
+
 
 @dataclass(frozen=True)
 class LogFormat:
-    """The format of a log: its columns, units and flags.
+    """Columns, units and flags of a log.
 
     Attributes
     ----------
@@ -54,12 +68,12 @@ class LogFormat:
     resolution_db
         Step that all powers are rounded to; 0 for none.
     position_std_m
-        Deviation of the error of either coordinate, of all positions.
+        Standard deviation of the error of either coordinate, of all positions.
     rows
         Pairs of a column and a text: only rows that have all these texts count, such as those of
         one of several transmitters.
     origin_deg
-        Latitude and longitude of the place (0, 0). Where it is given, the columns for x and y have
+        Latitude and longitude of the place (0, 0). With it, the columns for x and y have
         longitudes and latitudes in degrees (WGS 84), which become metres to the east and north.
     """
 
@@ -87,7 +101,7 @@ def parse_columns(text: str) -> tuple[str, str, str]:
 
 
 def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Read ``COLUMN=TEXT`` of each, into what :class:`LogFormat` calls `rows`."""
+    """Read ``COLUMN=TEXT`` of each, as :class:`LogFormat` has them in `rows`."""
     pairs: list[tuple[str, str]] = []
     for text in texts:
         column, equals, value = (piece.strip() for piece in text.partition("="))
@@ -112,72 +126,11 @@ def parse_origin(text: str) -> tuple[float, float]:
     return latitude, longitude
 
 
-FLAGS = {"1": True, "true": True, "0": False, "false": False}
-"""What a column of flags may contain, in any case."""
-
-
-def read_number(text: str, file: Path, line: int, name: str) -> float:
-    """Return the finite number in a cell; `line` and `name` say in which row and column it is."""
-    cell = read_label(text, file, line, name)
-    try:
-        # Python would read 1_0 as 10.
-        number = math.nan if "_" in cell else float(cell)
-    except ValueError:
-        raise InputError(
-            f"{cell!r} is not a number",
-            file=file,
-            key=name,
-            row=line,
-            remedy="write a number with a decimal point, such as -61.5",
-        ) from None
-    if not math.isfinite(number):
-        raise InputError(
-            f"{cell!r} is not a finite number",
-            file=file,
-            key=name,
-            row=line,
-            remedy="remove the row, or mark it censored at the receiver's floor",
-        )
-    return number
-
-
-def read_flag(text: str, file: Path, line: int, name: str) -> bool:
-    """Return the flag in a cell, as :func:`read_number`."""
-    flag = FLAGS.get(text.strip().lower())
-    if flag is None:
-        raise InputError(
-            f"{text.strip()!r} is not a flag", file=file, key=name, row=line, remedy="use 0 or 1"
-        )
-    return flag
-
-
-def read_label(text: str, file: Path, line: int, name: str) -> str:
-    """Return the text in a cell, as :func:`read_number`; it is not empty and can be printed."""
-    cell = text.strip()
-    if not cell:
-        raise InputError(
-            "the cell is empty",
-            file=file,
-            key=name,
-            row=line,
-            remedy="fill it, or leave the row out",
-        )
-    if not cell.isprintable():
-        raise InputError(
-            f"{cell!a} has a character that cannot be printed",
-            file=file,
-            key=name,
-            row=line,
-            remedy="write letters, digits and signs",
-        )
-    return cell
-
-
 EQUATOR_RADIUS_M = 6_378_137.0
 FLATTENING = 1.0 / 298.257223563
 
 FARTHEST_M = 100_000.0
-"""Distance from the origin up to which the plane is offered."""
+"""Maximum distance from the origin."""
 
 
 def east_north_m(
@@ -206,7 +159,7 @@ def east_north_m(
 def _from_the_centre_m(
     longitude: NDArray[np.float64] | np.float64, latitude: NDArray[np.float64] | np.float64
 ) -> NDArray[np.float64]:
-    """``(..., 3)`` places at height zero, from the centre of the earth."""
+    """Return places at height zero relative to the centre of the earth; ``(..., 3)``."""
     squared_eccentricity = FLATTENING * (2.0 - FLATTENING)
     normal = EQUATOR_RADIUS_M / np.sqrt(1.0 - squared_eccentricity * np.sin(latitude) ** 2)
     return np.stack(
@@ -217,140 +170,6 @@ def _from_the_centre_m(
         ],
         axis=-1,
     )
-
-
-DEFAULT_FORMAT = LogFormat()
-
-RANGES_M = ((-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),) * 2
-"""Least and largest x and y in metres."""
-
-RANGES_DEG = (
-    (-LARGEST_LONGITUDE_DEG, LARGEST_LONGITUDE_DEG, "degrees"),
-    (-LARGEST_LATITUDE_DEG, LARGEST_LATITUDE_DEG, "degrees"),
-)
-"""Least and largest longitude and latitude."""
-
-POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
-
-
-@dataclass(frozen=True)
-class PowerLog:
-    """A log as it was read: places, powers, flags and further columns."""
-
-    measurements: Measurements  # In the order of its rows
-    # Label of each receiver number, the reference first; empty where no column has labels
-    receivers: tuple[str, ...]
-
-
-def read_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> Measurements:
-    """The measurements of :func:`read_power_log`."""
-    return read_power_log(path, log_format).measurements
-
-
-def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
-    """Read a power log."""
-    file = Path(path)
-    rows = _rows(file)
-    header_line, names = _header(rows, file)
-    numbered = [*log_format.columns]
-    if log_format.time_column is not None:
-        numbered.append(log_format.time_column)
-    wanted = [*numbered, log_format.censored_column, log_format.receiver_column]
-    where = {name: _column(names, name, file, header_line) for name in wanted if name is not None}
-    table = _Table([], [], [], [])
-    for line, cells in _chosen(rows, names, file, header_line, log_format):
-        table.lines.append(line)
-        table.numbers.append(
-            [read_number(cells[where[name]], file, line, name) for name in numbered]
-        )
-        if (flag := log_format.censored_column) is not None:
-            table.flags.append(read_flag(cells[where[flag]], file, line, flag))
-        if (label := log_format.receiver_column) is not None:
-            table.labels.append(read_label(cells[where[label]], file, line, label))
-    if not table.numbers:
-        raise _no_rows(file, log_format)
-    return _power_log(table, log_format, file)
-
-
-@dataclass(frozen=True)
-class _Table:
-    """Cells that were read, row by row; no flags and no labels where no column has them."""
-
-    lines: list[int]
-    numbers: list[list[float]]
-    flags: list[bool]
-    labels: list[str]
-
-
-def _power_log(table: _Table, log_format: LogFormat, file: Path) -> PowerLog:
-    """Return a table as measurements, its numbers in range."""
-    numbers = np.array(table.numbers)
-    count = len(numbers)
-    power = numbers[:, 2].copy()
-    censored = np.array(table.flags) if table.flags else np.zeros(count, dtype=np.bool_)
-    if log_format.floor_dbm is not None:
-        censored |= power <= log_format.floor_dbm
-        power = np.maximum(power, log_format.floor_dbm)
-    degrees = log_format.origin_deg is not None
-    ranges = (*(RANGES_DEG if degrees else RANGES_M), POWER_RANGE)
-    for name, values, (least, largest, unit) in zip(
-        log_format.columns, (numbers[:, 0], numbers[:, 1], power), ranges, strict=True
-    ):
-        outside = np.flatnonzero((values < least) | (values > largest)).tolist()
-        if outside:
-            raise InputError(
-                f"{values[outside[0]]:g} {unit} is out of range",
-                file=file,
-                key=name,
-                row=table.lines[outside[0]],
-                remedy=f"from {least:g} to {largest:g} {unit}; correct or remove the row",
-            )
-    positions_m = numbers[:, :2].copy()
-    if log_format.origin_deg is not None:
-        positions_m = east_north_m(numbers[:, 0], numbers[:, 1], log_format.origin_deg)
-        afar = np.flatnonzero(np.isnan(positions_m[:, 0])).tolist()
-        if afar:
-            raise InputError(
-                f"is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
-                file=file,
-                row=table.lines[afar[0]],
-                remedy="give an origin near the log; x is the longitude, y the latitude",
-            )
-    # In the order of first appearance.
-    receivers = tuple(dict.fromkeys(table.labels))
-    number = {label: index for index, label in enumerate(receivers)}
-    measurements = Measurements(
-        positions_m,
-        power,
-        censored,
-        resolution_db=np.full(count, log_format.resolution_db),
-        position_std_m=np.full(count, log_format.position_std_m),
-        time_s=numbers[:, 3].copy() if numbers.shape[1] > 3 else np.zeros(count),
-        receiver=np.array([number[label] for label in table.labels], dtype=np.intp),
-    )
-    return PowerLog(measurements, receivers)
-
-
-def read_columns(
-    path: Path | str, columns: Sequence[str], log_format: LogFormat = DEFAULT_FORMAT
-) -> list[tuple[int, list[str]]]:
-    """Cells of any columns of a log, row by row, each with its line."""
-    file = Path(path)
-    rows = _rows(file)
-    header_line, names = _header(rows, file)
-    where = [_column(names, name, file, header_line) for name in columns]
-    chosen = _chosen(rows, names, file, header_line, log_format)
-    return [(line, [cells[at] for at in where]) for line, cells in chosen]
-
-
-def at_file_line(
-    error: InputError, path: Path | str, log_format: LogFormat = DEFAULT_FORMAT
-) -> InputError:
-    """Turn an error about a measurement of a log into one about the log's line."""
-    line = error.row
-    if line is not None:
-        line = read_columns(path, (), log_format)[line][0]
-    return InputError(error.message, file=path, key=error.key, row=line, remedy=error.remedy)
 
 
 def parse_station(text: str, origin_deg: tuple[float, float] | None = None) -> Station | None:
@@ -377,31 +196,172 @@ def parse_station(text: str, origin_deg: tuple[float, float] | None = None) -> S
     return Station((float(place[0]), float(place[1])), height_m)
 
 
-def _header(rows: Iterator[tuple[int, list[str]]], file: Path) -> tuple[int, list[str]]:
-    """Line of the header, and the columns' names."""
+DEFAULT_FORMAT = LogFormat()
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a log."""
+
+    text: str
+    file: Path
+    line: int
+    column: str  # Name of its column
+
+    def label(self) -> str:
+        """Return the text, which is not empty and can be printed."""
+        cell = self.text.strip()
+        if not cell:
+            raise self._error("the cell is empty", "fill it, or leave the row out")
+        if not cell.isprintable():
+            words = f"{cell!a} has a character that cannot be printed"
+            raise self._error(words, "write letters, digits and signs")
+        return cell
+
+    def number(self) -> float:
+        """Return the finite number."""
+        cell = self.label()
+        try:
+            # Python would read 1_0 as 10.
+            number = math.nan if "_" in cell else float(cell)
+        except ValueError:
+            remedy = "write a number with a decimal point, such as -61.5"
+            raise self._error(f"{cell!r} is not a number", remedy) from None
+        if not math.isfinite(number):
+            remedy = "remove the row, or mark it censored at the receiver's floor"
+            raise self._error(f"{cell!r} is not a finite number", remedy)
+        return number
+
+    def flag(self) -> bool:
+        """Return the flag."""
+        flag = FLAGS.get(self.text.strip().lower())
+        if flag is None:
+            raise self._error(f"{self.text.strip()!r} is not a flag", "use 0 or 1")
+        return flag
+
+    def _error(self, words: str, remedy: str) -> InputError:
+        return InputError(words, file=self.file, key=self.column, row=self.line, remedy=remedy)
+
+
+@dataclass(frozen=True)
+class PowerLog:
+    """The measurements of a log, in the order of its rows."""
+
+    measurements: Measurements
+    # Label of each receiver number, the reference first; empty without a column of labels
+    receivers: tuple[str, ...]
+
+
+def read_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> Measurements:
+    """Return the measurements of :func:`read_power_log`."""
+    return read_power_log(path, log_format).measurements
+
+
+def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
+    """Read a power log."""
+    file = Path(path)
+    numbered = [*log_format.columns]
+    if log_format.time_column is not None:
+        numbered.append(log_format.time_column)
+    flag, label = log_format.censored_column, log_format.receiver_column
+    wanted = [*numbered, *(name for name in (flag, label) if name is not None)]
+    lines: list[int] = []
+    numbers: list[list[float]] = []
+    flags: list[bool] = []
+    labels: list[str] = []
+    for cells in _read_cells(file, wanted, log_format):
+        lines.append(cells[0].line)
+        numbers.append([cell.number() for cell in cells[: len(numbered)]])
+        if flag is not None:
+            flags.append(cells[len(numbered)].flag())
+        if label is not None:
+            labels.append(cells[-1].label())
+    if not numbers:
+        raise _no_rows(file, log_format)
+    table, count = np.array(numbers), len(numbers)
+    power = table[:, 2].copy()
+    censored = np.array(flags) if flags else np.zeros(count, dtype=np.bool_)
+    if log_format.floor_dbm is not None:
+        censored |= power <= log_format.floor_dbm
+        power = np.maximum(power, log_format.floor_dbm)
+    ranges = (*(RANGES_M if log_format.origin_deg is None else RANGES_DEG), POWER_RANGE)
+    for name, values, (least, largest, unit) in zip(
+        log_format.columns, (table[:, 0], table[:, 1], power), ranges, strict=True
+    ):
+        outside = np.flatnonzero((values < least) | (values > largest)).tolist()
+        if outside:
+            raise InputError(
+                f"{values[outside[0]]:g} {unit} is out of range",
+                file=file,
+                key=name,
+                row=lines[outside[0]],
+                remedy=f"from {least:g} to {largest:g} {unit}; correct or remove the row",
+            )
+    positions_m = table[:, :2].copy()
+    if log_format.origin_deg is not None:
+        positions_m = east_north_m(table[:, 0], table[:, 1], log_format.origin_deg)
+        afar = np.flatnonzero(np.isnan(positions_m[:, 0])).tolist()
+        if afar:
+            raise InputError(
+                f"is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
+                file=file,
+                row=lines[afar[0]],
+                remedy="give an origin near the log; x is the longitude, y the latitude",
+            )
+    # In the order of first appearance.
+    number_of = {label: number for number, label in enumerate(dict.fromkeys(labels))}
+    measurements = Measurements(
+        positions_m,
+        power,
+        censored,
+        resolution_db=np.full(count, log_format.resolution_db),
+        position_std_m=np.full(count, log_format.position_std_m),
+        time_s=table[:, 3].copy() if table.shape[1] > 3 else np.zeros(count),
+        receiver=np.array([number_of[each] for each in labels], dtype=np.intp),
+    )
+    return PowerLog(measurements, tuple(number_of))
+
+
+def at_file_line(
+    error: InputError, path: Path | str, log_format: LogFormat = DEFAULT_FORMAT
+) -> InputError:
+    """Turn an error about a measurement of a log into one about the log's line."""
+    line = error.row
+    if line is not None:
+        line = [*_read_cells(Path(path), log_format.columns, log_format)][line][0].line
+    return InputError(error.message, file=path, key=error.key, row=line, remedy=error.remedy)
+
+
+def _read_cells(file: Path, columns: Sequence[str], log_format: LogFormat) -> Iterator[list[Cell]]:
+    """Yield the cells of columns of the rows that count."""
+    rows = _rows(file)
     first = next(rows, None)
     if first is None:
         raise InputError("the file is empty", file=file, remedy="a header and rows are needed")
-    line, header = first
+    header_line, header = first
     if len(header) == 1:
         raise InputError(
             "the first line has one column",
             file=file,
-            row=line,
+            row=header_line,
             remedy="save the log as CSV: names of columns, then rows, separated by commas",
         )
-    return line, [name.strip() for name in header]
+    names = [name.strip() for name in header]
 
+    def index_of(name: str) -> int:
+        if names.count(name) == 1:
+            return names.index(name)
+        problem = "appears twice" if name in names else "is missing"
+        raise InputError(
+            f"column {name!r} {problem}; the file has {listed(names)}",
+            file=file,
+            key=name,
+            row=header_line,
+            remedy="name columns as the header does; x=NAME,y=NAME,power=NAME for the first three",
+        )
 
-def _chosen(
-    rows: Iterator[tuple[int, list[str]]],
-    names: list[str],
-    file: Path,
-    header_line: int,
-    log_format: LogFormat,
-) -> Iterator[tuple[int, list[str]]]:
-    """The rows that count, each of which must have a cell for every column."""
-    asked = [(_column(names, name, file, header_line), text) for name, text in log_format.rows]
+    indices = [index_of(name) for name in columns]
+    required = [(index_of(name), text) for name, text in log_format.rows]
     for line, cells in rows:
         if len(cells) != len(names):
             raise InputError(
@@ -410,8 +370,8 @@ def _chosen(
                 row=line,
                 remedy="give each row as many cells as the header",
             )
-        if all(cells[at].strip() == text for at, text in asked):
-            yield line, cells
+        if all(cells[at].strip() == text for at, text in required):
+            yield [Cell(cells[at], file, line, names[at]) for at in indices]
 
 
 def _no_rows(file: Path, log_format: LogFormat) -> InputError:
@@ -423,10 +383,8 @@ def _no_rows(file: Path, log_format: LogFormat) -> InputError:
             remedy="give a log with at least one measurement",
         )
     columns = [name for name, _ in log_format.rows]
-    found = read_columns(file, columns)
-    texts = [
-        listed(sorted({cells[at].strip() for _, cells in found})) for at in range(len(columns))
-    ]
+    found = list(_read_cells(file, columns, LogFormat()))
+    texts = [listed(sorted({row[at].text.strip() for row in found})) for at in range(len(columns))]
     return InputError(
         "no row has " + " and ".join(f"{name}={text}" for name, text in log_format.rows),
         file=file,
@@ -435,7 +393,7 @@ def _no_rows(file: Path, log_format: LogFormat) -> InputError:
 
 
 def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of the header and of every row."""
+    """Yield line number and cells of the header and of every row."""
     text = read_text(file)
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         stripped = line.strip()
@@ -451,25 +409,11 @@ def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
                 ) from error
 
 
-def _column(names: list[str], name: str, file: Path, line: int) -> int:
-    """Return where the column `name` stands."""
-    if names.count(name) == 1:
-        return names.index(name)
-    problem = "appears twice" if name in names else "is missing"
-    raise InputError(
-        f"column {name!r} {problem}; the file has {listed(names)}",
-        file=file,
-        key=name,
-        row=line,
-        remedy="name columns as the header does; x=NAME,y=NAME,power=NAME for the first three",
-    )
-
-
 @dataclass(frozen=True)
 class GroupColumn:
-    """A column that tells groups apart."""
+    """A grouping column."""
 
-    name: str  # Of the column
+    name: str
     # Numbers within one block of this length, counted from zero, are together; None where each text
     # is a group
     block: float | None = None
@@ -496,21 +440,22 @@ def read_groups(
     path
         The CSV file, as :func:`planopt.channel.power_log.read_log` reads it.
     columns
-        What tells groups apart; at least one.
+        Grouping columns; at least one.
     log_format
         Says which rows count.
 
     Raises
     ------
     InputError
-        The file cannot be read, a column is missing, a cell is empty, or one that should be in a
-        block is not a number.
+        The file cannot be read, a column is missing, a cell is empty, or one to be put in
+        a block is not a number.
     """
     labels: dict[tuple[str | int, ...], int] = {}
     found: list[int] = []
-    for line, cells in read_columns(path, [column.name for column in columns], log_format):
+    names = [column.name for column in columns]
+    for cells in _read_cells(Path(path), names, log_format):
         key = tuple(
-            _label(cell, column, Path(path), line)
+            cell.label() if column.block is None else math.floor(cell.number() / column.block)
             for cell, column in zip(cells, columns, strict=True)
         )
         found.append(labels.setdefault(key, len(labels)))
@@ -533,10 +478,3 @@ def _group_column(text: str) -> GroupColumn:
             remedy="write COLUMN or COLUMN:BLOCK with a block above 0, and commas between",
         )
     return GroupColumn(name, block)
-
-
-def _label(cell: str, column: GroupColumn, file: Path, line: int) -> str | int:
-    """Return the label of the group in a cell."""
-    if column.block is None:
-        return read_label(cell, file, line, column.name)
-    return math.floor(read_number(cell, file, line, column.name) / column.block)

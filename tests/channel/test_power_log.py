@@ -1,4 +1,6 @@
-"""Reading power logs, and what a bad one gets."""
+"""Reading power logs: columns, errors, positions in degrees and groups of rows."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,9 +9,13 @@ from planopt import InputError
 from planopt.channel import LogFormat, Station, read_log
 from planopt.channel.estimation.least_squares import examine
 from planopt.channel.power_log import (
+    FARTHEST_M,
+    GroupColumn,
     at_file_line,
+    east_north_m,
     parse_columns,
     parse_groups,
+    parse_origin,
     parse_rows,
     parse_station,
     read_groups,
@@ -252,3 +258,129 @@ def test_a_label_that_cannot_be_printed(tmp_path) -> None:
     path = written(tmp_path, "x_m,y_m,power_dbm,rx\n1,2,-70,\x1b[2J\n")
     error = refused(path, receiver_column="rx")
     assert (error.row, error.key) == (2, "rx") and str(error).isprintable()
+
+
+ORIGINS = [(48.1374, 11.5755), (0.0, 0.0), (-33.9, 151.2), (78.2, -179.9)]
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_agrees_with_proj(origin: tuple[float, float]) -> None:
+    """PROJ keeps distances (azimuthal equidistant), the plane shortens them by d^3 / 6 R^2.
+
+    So does the direction agree: both have it right at the origin.
+    """
+    warp = pytest.importorskip("rasterio.warp")
+    generator = np.random.default_rng(0)
+    latitude = origin[0] + generator.uniform(-0.08, 0.08, 50)
+    longitude = origin[1] + generator.uniform(-0.08, 0.08, 50)
+    local = f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +ellps=WGS84 +units=m"
+    globe = "+proj=longlat +ellps=WGS84"
+    expected = np.stack(warp.transform(globe, local, longitude, latitude), axis=-1)
+    found = east_north_m(longitude, latitude, origin)
+    distance = np.linalg.norm(expected, axis=-1)
+    assert distance.max() > 5000.0
+    error = np.linalg.norm(found - expected, axis=-1)
+    assert (error <= 1e-4 + 1.1 * distance**3 / (6.0 * 6.33e6**2)).all()
+
+
+def test_across_the_date_line() -> None:
+    """Longitudes of 179.99 and -179.99 degrees are neighbours."""
+    found = east_north_m(np.array([-179.99, 179.99]), np.array([10.0, 10.0]), (10.0, 180.0))
+    assert found[0, 0] == pytest.approx(-found[1, 0]) and 0.0 < found[0, 0] < 1200.0
+
+
+def test_too_far() -> None:
+    """No number where the plane is none; the bound is `FARTHEST_M`."""
+    degree_m = 111_132.0
+    near, far = 0.99 * FARTHEST_M / degree_m, 1.01 * FARTHEST_M / degree_m
+    found = east_north_m(np.zeros(3), np.array([45.0 + near, 45.0 + far, -45.0]), (45.0, 0.0))
+    assert np.isfinite(found[0]).all() and np.isnan(found[1:]).all()
+
+
+def test_a_log_in_degrees(tmp_path: Path) -> None:
+    """The same places in degrees and in metres."""
+    path = tmp_path / "log.csv"
+    path.write_text("lat,lon,power_dbm\n48.1374,11.5755,-60\n48.1383,11.5755,-70\n")
+    form = LogFormat(("lon", "lat", "power_dbm"), origin_deg=parse_origin("48.1374,11.5755"))
+    found = read_log(path, form).positions_m
+    np.testing.assert_allclose(found, [[0.0, 0.0], [0.0, 100.1]], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("row", "words", "key"),
+    [
+        ("91,11,-60", "91 degrees is out of range", "lat"),
+        ("48,190,-60", "190 degrees is out of range", "lon"),
+        ("11.5,48.1,-60", "is more than 100 km from the origin", None),
+    ],
+)
+def test_places_that_cannot_be_meant(row: str, words: str, key: str | None, tmp_path: Path) -> None:
+    """The line is named; so is the column where one is to blame."""
+    path = tmp_path / "log.csv"
+    path.write_text(f"lat,lon,power_dbm\n48.1,11.5,-60\n{row}\n")
+    form = LogFormat(("lon", "lat", "power_dbm"), origin_deg=(48.1, 11.5))
+    with pytest.raises(InputError) as caught:
+        read_log(path, form)
+    assert (caught.value.row, caught.value.key) == (3, key) and words in caught.value.message
+
+
+@pytest.mark.parametrize("text", ["", "48", "48,11,5", "a,b", "nan,0", "90,0", "0,181", "inf,0"])
+def test_origins_that_are_none(text: str) -> None:
+    """Neither is the pole one: it has no east."""
+    with pytest.raises(InputError, match="key --origin"):
+        parse_origin(text)
+
+
+LOG = """x_m,y_m,power_dbm,day,t_s
+0,0,-50,mon,0
+1,0,-50,mon,599.5
+2,0,-50,mon,600
+# a remark
+3,0,-50,tue,10
+
+4,0,-50, mon ,-1
+"""
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Five rows of two days."""
+    path = tmp_path / "log.csv"
+    path.write_text(LOG)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "labels"),
+    [
+        ("day", [0, 0, 0, 1, 0]),
+        ("day,t_s:600", [0, 0, 1, 2, 3]),
+        ("t_s:600", [0, 0, 1, 0, 2]),
+        (" t_s:1e9 , day ", [0, 0, 0, 1, 2]),
+    ],
+)
+def test_groups(log, text, labels):
+    """Rows are together where all columns agree; blocks are counted from zero."""
+    np.testing.assert_array_equal(read_groups(log, parse_groups(text)), labels)
+
+
+def test_parsed():
+    """A block is a number, a name is not."""
+    assert parse_groups("day, t_s:2.5") == (GroupColumn("day"), GroupColumn("t_s", 2.5))
+
+
+@pytest.mark.parametrize("text", ["", "day,", ":600", "t_s:", "t_s:0", "t_s:-1", "t_s:x", "t:inf"])
+def test_unreadable(text):
+    """An error that says how to write it."""
+    with pytest.raises(InputError, match="cannot read") as caught:
+        parse_groups(text)
+    assert caught.value.key == "--hold-out" and "BLOCK" in (caught.value.remedy or "")
+
+
+def test_bad_cells(log):
+    """A text where a block is asked for, and a column that is not there, name line and column."""
+    with pytest.raises(InputError) as caught:
+        read_groups(log, parse_groups("day:2"))
+    assert (caught.value.row, caught.value.key) == (2, "day")
+    with pytest.raises(InputError, match="week"):
+        read_groups(log, parse_groups("week"))

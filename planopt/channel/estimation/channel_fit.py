@@ -1,4 +1,4 @@
-"""An estimated channel: parameters, their errors, and what is in doubt; bounds of all methods."""
+"""An estimated channel with its errors and warnings, and the bounds of all methods."""
 
 from __future__ import annotations
 
@@ -31,14 +31,13 @@ MAX_SHADOW_RATIO = 25.0
 """Largest xi^2 as a multiple of the residual variance; the line absorbs part of slow shadowing, so
 xi^2 may exceed that variance."""
 
-
 BOUND_TOLERANCE = 1e-3
 """A value within this share of a bound counts as at the bound; solvers stop short of them."""
 
 
 @dataclass(frozen=True)
 class CovarianceBounds:
-    """Closed ranges of xi^2 (dB^2), omega^2 (dB^2) and beta (m) within which is searched."""
+    """Closed ranges of xi^2 (dB^2), omega^2 (dB^2) and beta (m)."""
 
     shadow_db2: tuple[float, float]
     multipath_db2: tuple[float, float]
@@ -49,7 +48,7 @@ class CovarianceBounds:
 class CovarianceFit:
     """xi^2, omega^2 and beta."""
 
-    shadow_variance_db2: float  # xi^2, omega^2, beta
+    shadow_variance_db2: float
     multipath_variance_db2: float
     decorrelation_m: float
     # Of xi (dB), omega (dB) and beta (m); math.inf where unknown
@@ -66,7 +65,7 @@ class CovarianceFit:
 def covariance_bounds(
     residual_variance_db2: float, decorrelation_bounds_m: tuple[float, float]
 ) -> CovarianceBounds:
-    """Bounds from the variance alpha-hat left by the least-squares line, and from the positions."""
+    """Return bounds from the residual variance of the least-squares line and from the positions."""
     floor = max(MIN_VARIANCE_DB2, MIN_NUGGET_SHARE * residual_variance_db2)
     high = max(MAX_SHADOW_RATIO * residual_variance_db2, 100.0 * MIN_VARIANCE_DB2)
     return CovarianceBounds((MIN_VARIANCE_DB2, high), (floor, high), decorrelation_bounds_m)
@@ -75,11 +74,7 @@ def covariance_bounds(
 def fallback_fit(
     total_variance_db2: float, decorrelation_bounds_m: tuple[float, float], reason: str
 ) -> CovarianceFit:
-    """A covariance that stands in where none can be estimated.
-
-    `FALLBACK_CORRELATED_SHARE` of `total_variance_db2` is shadowing, and beta is a quarter of the
-    extent (the upper bound).
-    """
+    """Return an assumed covariance, with beta a quarter of the extent (the upper bound)."""
     low, high = decorrelation_bounds_m
     total = max(total_variance_db2, 2.0 * MIN_VARIANCE_DB2)
     return CovarianceFit(
@@ -134,7 +129,7 @@ def from_correlation(
 
 
 def at_bound(name: str, value: float, unit: str) -> str:
-    """The warning that a parameter is at the end of its range."""
+    """Return the warning that a parameter is at the end of its range."""
     return f"{name} is at a bound of its range ({value:.3g} {unit}): it is not determined"
 
 

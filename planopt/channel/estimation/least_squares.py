@@ -1,18 +1,13 @@
-"""The parameters that a set of measurements can identify, asked before any estimation.
+"""Path loss by least squares (equation 2.1), and the parameters that measurements can identify.
 
 Five parameters are wanted (K_PL, n_PL, xi, beta, omega). Which of them the positions allow is a
-question of geometry and counts; the answer decides what is fitted and what is set to a prior, and
-gives the user the reason in words.
+question of geometry and counts, answered before any estimation.
 
-
-Path loss by least squares (equation 2.1), with censored powers completed by expectation.
-
-With no censored measurement this is theta-hat and alpha-hat of Lemma 1 of [GM11]. Censored powers
-are replaced by their expected values given that they are at most the floor, under the line and
-independent normal deviations of variance alpha, and the line is refitted until neither moves: the
-EM algorithm of Tobit regression. It ignores that shadowing is correlated.
-
-Receivers other than number 0 have a column each, so that residuals are free of their offsets.
+With no censored measurement the line is theta-hat and alpha-hat of Lemma 1 of [GM11]. Censored
+powers are replaced by their expected values given that they are at most the floor, under the line
+and independent normal deviations of variance alpha, and the line is refitted until neither moves:
+the EM algorithm of Tobit regression. It ignores that shadowing is correlated. Receivers other than
+number 0 have a column each, so that residuals are free of their offsets.
 """
 
 from __future__ import annotations
@@ -36,7 +31,7 @@ from planopt.channel.parameters import ChannelParameters, MeanModel, Station, re
 from planopt.errors import InputError
 
 MIN_MEASUREMENTS_THETA = 3
-"""Path loss is a line: two points always fit it and say nothing of the error."""
+"""A line through two points has no residuals."""
 
 MIN_MEASUREMENTS_COVARIANCE = 6
 """xi, beta and omega need more values than the five parameters."""
@@ -49,23 +44,23 @@ LEAST_EXTENT_M = 1e-6
 lost to rounding."""
 
 FALLBACK_DECORRELATION_M = 10.0
-"""beta where there is not even a spacing to go by."""
+"""beta of fewer than two positions."""
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """The parameters that the measurements can identify, and why not the others."""
+    """Reasons why parameters cannot be identified, and the scales of the positions."""
 
     n_pl_reason: str | None  # Why n_PL cannot be estimated, or None
     covariance_reason: str | None  # Why xi, beta and omega cannot be estimated, or None
     extent_m: float  # Diagonal of the bounding box of all positions
-    # Shortest and longest beta that these positions could tell from none and from endless: a third
-    # of the smallest useful spacing (where correlation has fallen to 5 %), and the extent
+    # Shortest and longest beta that can be told from 0 and from infinity: a third of the smallest
+    # useful spacing (where correlation has fallen to 5 %), and the extent
     decorrelation_bounds_m: tuple[float, float]
 
 
 def examine(measurements: Measurements, station: Station) -> Identifiability:
-    """Say what `measurements` can tell about the channel to `station`."""
+    """Return which parameters of the channel to `station` the measurements can identify."""
     require_usable(measurements, station)
     exact = ~measurements.censored
     positions = measurements.positions_m[exact]
@@ -122,7 +117,7 @@ def _covariance_reason(positions: NDArray[np.float64], count: int) -> str | None
 
 
 def _decorrelation_bounds_m(distinct: NDArray[np.float64], extent_m: float) -> tuple[float, float]:
-    """Bounds of beta from distinct positions (n, 2)."""
+    """Return bounds of beta from distinct positions (n, 2)."""
     if len(distinct) < 2:
         return FALLBACK_DECORRELATION_M, FALLBACK_DECORRELATION_M
     # Not the least spacing: two fixes a centimetre apart say nothing of the design.
@@ -131,14 +126,14 @@ def _decorrelation_bounds_m(distinct: NDArray[np.float64], extent_m: float) -> t
 
 
 def nearest_distance_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of each of two or more positions (n, 2) to its nearest other one; (n,)."""
+    """Return the distance of each of several positions (n, 2) to the nearest other one; (n,)."""
     return PlaceTree(positions_m).nearest(positions_m, 2)[1][:, 1]
 
 
 MAX_SWEEPS = 500
 OFFSET_RIDGE = 1e-6
-"""Weight of one further measurement of each offset, of zero: it decides only what nothing else
-does, such as the common part of all offsets where receiver 0 measured nothing."""
+"""Weight of a further measurement of each offset, of zero: it determines what nothing else does,
+such as the common part of all offsets where receiver 0 measured nothing."""
 
 TOLERANCE_DB = 1e-6
 """The line has converged when no fitted value moves by more."""
@@ -191,11 +186,10 @@ def least_squares(model: MeanModel, measurements: Measurements) -> LeastSquares:
 def coefficient_covariance(
     model: MeanModel, measurements: Measurements, parameters: ChannelParameters
 ) -> NDArray[np.float64]:
-    """Covariance of the model's least-squares coefficients under correlated shadowing; (p, p).
+    """Return the covariance of the least-squares coefficients under correlated shadowing; (p, p).
 
-    (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance, xi^2 exp(-d / beta) + omega^2 I
-    and what age, position errors, receivers' offsets and rounding do to it; the usual
-    alpha (G'G)^-1 is several times too small where beta spans many measurements.
+    (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance; the usual alpha (G'G)^-1 is
+    several times too small where beta spans many measurements.
     """
     columns = np.column_stack([model.columns, receiver_columns(measurements)])
     count = model.columns.shape[1]
@@ -215,7 +209,7 @@ def coefficient_covariance(
 
 
 def receiver_columns(measurements: Measurements) -> NDArray[np.float64]:
-    """Indicators of all receivers but number 0; ``(n, R)``."""
+    """Return indicators of all receivers but number 0; ``(n, R)``."""
     numbers = np.unique(measurements.receiver)
     return (measurements.receiver[:, None] == numbers[numbers != 0]).astype(np.float64)
 
@@ -232,7 +226,7 @@ def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float
 def _expected_below(
     limit: NDArray[np.float64], mean: NDArray[np.float64], variance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and variance of N(mean, variance) given that the value is at most `limit`; (m,) each."""
+    """Return mean and variance of N(mean, variance) given values of at most `limit`; (m,) each."""
     deviation = np.sqrt(max(variance, 1e-12))
     z = (limit - mean) / deviation
     log_below = np.asarray(log_ndtr(z), dtype=np.float64)

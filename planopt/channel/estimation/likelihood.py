@@ -1,38 +1,29 @@
-"""The restricted likelihood of xi^2, omega^2 and beta, with gradient: of few and of many.
+"""The restricted likelihood of xi^2, omega^2 and beta with gradient, exact or by blocks.
 
-With V = xi^2 exp(-d / beta) + noise and the columns C = [y, X] all that is needed are log |V|,
-C' V^-1 C and their derivatives. X has the columns of the mean, under a flat prior, and the
-indicators of the receivers but number 0, whose coefficients have a normal one. With S the
-covariance of the coefficients, P = V^-1 - V^-1 X S X' V^-1 and y about a fixed line (equations 2.6
-and 2.7):
-
-    log L = -(log |V| - log |S| + y' P y + (n - p) log 2 pi) / 2
-    dlog L = -(tr(P dV) - y' P dV P y) / 2
+With V = xi^2 exp(-d / beta) + noise and the columns C = [y, X], all that is needed are log |V|,
+C' V^-1 C and their derivatives (equations 2.6 and 2.7). X has the columns of the mean, under a flat
+prior, and indicators of the receivers but number 0, whose coefficients have a normal one.
 
 Few measurements are one window, whose inverse covariance gives everything. For many, Vecchia's
-approximation is the product over blocks of the density of a block given measurements next to it
-that come before it (:mod:`planopt.channel.neighbours`). With L the Cholesky factor of a
-window's covariance, those next to the block first, A the last rows of L^-1, the block's,
-D = A dV L'^-1, split into the columns of those next to it and of the block's own, and z = L^-1 C
-split likewise,
+approximation is the product over blocks of the density of a block given nearby measurements that
+come before it (:mod:`planopt.channel.neighbours`). With L the Cholesky factor of a window's
+covariance, the earlier ones first, A the last rows of L^-1, the block's, D = A dV L'^-1, split into
+the columns of the earlier ones and of the block's own, and z = L^-1 C split likewise,
 
     log |V| = sum 2 log diag(L)_own        C' V^-1 C = sum (A C)' (A C)
-    dlog |V| = sum tr D_own        d(C' V^-1 C) = -sum (T + T'), T = z_own' (D_beside z_beside
-                                                                       + D_own z_own / 2)
+    dlog |V| = sum tr D_own    d(C' V^-1 C) = -sum (T + T'), T = z_own' (D_earlier z_earlier
+                                                                      + D_own z_own / 2)
 
-and the expected information is ``sum (<D_own, D_own> / 2 + <D_beside, D_beside>)`` (Guinness,
+and the expected information is ``sum (<D_own, D_own> / 2 + <D_earlier, D_earlier>)`` (Guinness,
 Statistics and Computing 31, 2021).
 
-A measurement that was rounded finely has omega^2 + r^2 / 12 on the diagonal. Censored and coarsely
-rounded ones are Gaussian sites of expectation propagation (EP); log L is then EP's log probability
-of the intervals together with the Gaussian measurements, less log r of each rounded one, so that it
-tends to the density of the exact power. At EP's fixed point the sites do not move the value to
-first order, so the gradient is the one above with sites as measurements, plus the direct effect of
-omega^2 on the intervals. In one window the sites are joint, theta integrated out; in several they
-are matched window by window (:mod:`planopt.channel.window_sites`) about the current mean.
-
-Position errors lengthen the distances, age multiplies the correlation, and errors of path loss add
-to the diagonal (:mod:`planopt.channel.measurement_covariance`): none changes the derivatives' form.
+Censored and coarsely rounded measurements are Gaussian sites of expectation propagation (EP). log L
+is then EP's log probability of the intervals together with the Gaussian measurements, less log r of
+each rounded one, so that it tends to the density of the exact power. At EP's fixed point the sites
+do not move the value to first order, so the gradient is that with sites as measurements, plus the
+direct effect of omega^2 on the intervals. In one window the sites are joint, theta integrated out;
+in several they are matched window by window (:mod:`planopt.channel.window_sites`) about the current
+mean.
 """
 
 from __future__ import annotations
@@ -57,6 +48,7 @@ from planopt.channel.gaussian_sites import (
     Intervals,
     IntervalSites,
     LatentPrior,
+    Sites,
     interval_sites,
     intervals,
     rounded_variance_db2,
@@ -90,7 +82,7 @@ Covariance = tuple[float, float, float]
 """xi^2 (dB^2), omega^2 (dB^2), beta (m)."""
 
 LEAST_FREEDOM = 3
-"""Starts and weights leave offsets out where fewer measurements would be left over."""
+"""Profiled likelihoods leave offsets out where fewer measurements would be left over."""
 
 RANK_TOLERANCE = 1e-9
 """Columns below this share of the largest singular value add nothing."""
@@ -100,9 +92,8 @@ RANK_TOLERANCE = 1e-9
 class LikelihoodData:
     """Measurements in windows: one of all, or blocks from coarse to fine with earlier ones."""
 
-    known: ChannelParameters  # What is not estimated: the forgetting time, and the station
-    # Of n measurements, every receiver's offset known: offsets are coefficients here
-    origins: Origins
+    known: ChannelParameters  # The forgetting time and the station, which are not estimated
+    origins: Origins  # (n) of the measurements; receivers' offsets are coefficients here
     # (n, q): the mean model's p columns, then the indicators of the receivers but number 0
     columns: NDArray[np.float64]
     prior_precision: NDArray[np.float64]  # (q,) of the coefficients: 0, flat, for the first p
@@ -110,11 +101,10 @@ class LikelihoodData:
     values_db: NDArray[np.float64]  # (n,) powers less the mean model's offset and the line
     # (n,) variance beyond omega^2: of rounding, and of path loss by errors of position
     fixed_db2: NDArray[np.float64]
-    # (n,): which are not intervals to the likelihood, and which are not censored
-    gaussian: NDArray[np.bool_]
-    measured: NDArray[np.bool_]
-    intervals: IntervalRows | None  # Those that are; None where there are none
-    log_steps: float  # Sum of the logarithms of the steps that coarse ones were rounded to
+    gaussian: NDArray[np.bool_]  # (n,) which are not intervals
+    measured: NDArray[np.bool_]  # (n,) which are not censored
+    intervals: IntervalRows | None
+    log_steps: float  # Sum of the logarithms of the steps of coarsely rounded ones
     windows: tuple[Window, ...]
     distances_m: tuple[NDArray[np.float64], ...]  # Within each window, position errors included
 
@@ -142,10 +132,9 @@ class LikelihoodData:
         )
 
     def flat_columns(self) -> NDArray[np.float64]:
-        """The mean's columns, and a basis of what receivers' offsets add to them; ``(n, k)``.
+        """Return a basis of the columns, for offsets under a flat prior; ``(n, k)``.
 
-        For offsets under a flat prior. Where too few measurements would be left, or there are no
-        offsets, the mean's alone.
+        If too few measurements would be left over, only the columns of the mean.
         """
         mean = self.columns[:, : len(self.line)]
         if self.columns.shape[1] == len(self.line):
@@ -155,7 +144,7 @@ class LikelihoodData:
         return basis if len(basis) - basis.shape[1] >= LEAST_FREEDOM else mean
 
     def correlation(self, window: int, decorrelation_m: float) -> NDArray[np.float64]:
-        """exp(-d / beta) by the factor of age, within a window."""
+        """Return exp(-d / beta) times the factor of age, within a window."""
         correlation = np.exp(self.distances_m[window] * (-1.0 / decorrelation_m))
         if self.origins.time_s is not None:
             times = self.origins.time_s[self.windows[window].rows]
@@ -222,7 +211,7 @@ def _distances_m(origins: Origins, windows: tuple[Window, ...]) -> tuple[NDArray
 
 
 SITE_TOLERANCE = 1e-4
-"""Of the sites of intervals while climbing: what it costs in log L is far below the accuracy
+"""Tolerance of the sites of intervals while climbing: its error of log L is far below the accuracy
 required of the optimum, and it saves half of the sweeps."""
 
 MEAN_TOLERANCE = 0.03
@@ -231,21 +220,21 @@ MEAN_TOLERANCE = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """The inverse covariance of all measurements, and what the mean takes from it."""
+    """The inverse covariance of all measurements, and the projection off the mean."""
 
     half: NDArray[np.float64]  # (n, n) upper half of V^-1, zeros below
     weights: NDArray[np.float64]  # (n, q) V^-1 X
     spread: NDArray[np.float64]  # (q, q) S
 
     def projection(self) -> NDArray[np.float64]:
-        """P, ``(n, n)``."""
+        """Return P = V^-1 - V^-1 X S X' V^-1, ``(n, n)``."""
         whole = self.half + np.triu(self.half, 1).T
         return whole - self.weights @ self.spread @ self.weights.T
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The restricted likelihood at one point."""
+    """The restricted likelihood at a point."""
 
     log_likelihood: float  # Log L, constants included
     gradient: NDArray[np.float64]  # (3,) by xi^2, omega^2, beta
@@ -255,12 +244,12 @@ class Evaluation:
     information: NDArray[np.float64]
     coefficients: NDArray[np.float64]  # (p,) of the mean, by generalised least squares
     coefficient_covariance: NDArray[np.float64]  # (p, p) theirs
-    precision: Precision | None  # Where one window has all
+    precision: Precision | None  # None for several windows
 
 
 @dataclass(frozen=True, eq=False)
 class _Settled:
-    """Sites and coefficients that were found at a point in logarithms."""
+    """Sites and coefficients at a point, from which the next evaluation starts."""
 
     logs: NDArray[np.float64]
     log_likelihood: float
@@ -321,7 +310,7 @@ class RestrictedLikelihood:
                 site_tolerance,
             )
             log_likelihood = log_gaussian + sites.log_evidence - data.log_steps
-            values, noise = _with_sites(rows, values, noise, *_as_measurements(sites))
+            values, noise = _with_sites(rows, values, noise, sites.as_measurements())
         total.flat[:: len(total) + 1] += noise
         columns = np.column_stack([values, data.columns])
         determinant, half = half_inverse(total)
@@ -389,9 +378,8 @@ class RestrictedLikelihood:
                     sites,
                     SITE_TOLERANCE,
                 )
-                values, noise = _with_sites(
-                    rows, values, noise, sites.values_db, 1.0 / sites.precision
-                )
+                as_measured = Sites(sites.values_db, 1.0 / sites.precision)
+                values, noise = _with_sites(rows, values, noise, as_measured)
             sums = _window_sums(data, covariance, np.column_stack([values, data.columns]), noise)
             before, (coefficients, spread) = coefficients, sums.estimate(data.prior_precision)
             if rows is None:
@@ -419,7 +407,7 @@ class _Sums:
     def estimate(
         self, prior_precision: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Generalised least squares of the coefficients, and their covariance S."""
+        """Return the generalised least squares of the coefficients, and their covariance S."""
         spread = np.asarray(
             np.linalg.inv(self.products[1:, 1:] + np.diag(prior_precision)), dtype=np.float64
         )
@@ -435,7 +423,7 @@ def _evaluation(
     log_factor: float,  # Log of what turns sites as measurements into intervals
     precision: Precision | None,
 ) -> Evaluation:
-    """Put the sums together."""
+    """Return the likelihood that the sums give."""
     coefficients, spread = estimate
     count = len(data.line)
     value = log_likelihood
@@ -466,21 +454,16 @@ def _evaluation(
     )
 
 
-def _as_measurements(sites: IntervalSites) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    found = sites.as_measurements()
-    return found.values_db, found.noise_variance_db2
-
-
 def _with_sites(
     rows: IntervalRows,
     values: NDArray[np.float64],
     noise: NDArray[np.float64],
-    site_values: NDArray[np.float64],
-    site_noise: NDArray[np.float64],
+    sites: Sites,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Values and noise (n,) with the sites in place of the intervals."""
+    """Return values and noise (n,) with the sites in place of the intervals."""
     values, noise = values.copy(), noise.copy()
-    values[rows.rows], noise[rows.rows] = site_values, site_noise + rows.displaced_db2
+    values[rows.rows] = sites.values_db
+    noise[rows.rows] = sites.noise_variance_db2 + rows.displaced_db2
     return values, noise
 
 
@@ -489,10 +472,10 @@ def _interval_prior(
     latent_db2: NDArray[np.float64],  # (n, n) covariance of shadowing
     noise_db2: NDArray[np.float64],  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the intervals and theta given the Gaussian measurements, and their log L.
+    """Return the prior of intervals and theta given the Gaussian measurements, and their log L.
 
-    Where rounded intervals may be needed to determine theta, the log L is at the line: the rest of
-    its integral over theta is in the prior's score and information.
+    If rounded intervals may be needed to determine theta, log L is at the line: the rest of its
+    integral over theta is in the prior's score and information.
     """
     if data.intervals is None:
         raise AssertionError("there are intervals")
@@ -532,7 +515,7 @@ def _window_sums(
     columns: NDArray[np.float64],  # (n, q + 1) C
     noise_db2: NDArray[np.float64],  # (n,), sites as measurements
 ) -> _Sums:
-    """Sum over blocks, each given those next to it."""
+    """Return the sums over blocks, each given its earlier neighbours."""
     shadow, _, beta = covariance
     size = columns.shape[1]
     sums = _Sums(
@@ -576,10 +559,10 @@ def _window_sums(
 def _expected_information(
     data: LikelihoodData, covariance: Covariance, projection: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Expected information of (xi^2, omega^2, beta), tr(P dV_i P dV_j) / 2; (3, 3).
+    """Return the expected information of (xi^2, omega^2, beta), tr(P dV_i P dV_j) / 2; (3, 3).
 
-    Intervals count as the Gaussian sites they are replaced by. A rounded one's variance is taken to
-    grow as omega^2; what censored ones tell of omega^2 is left out, so that its error is not
+    Intervals count as their Gaussian sites. The variance of a rounded one is taken to grow as
+    omega^2; the information of censored ones on omega^2 is left out, so that its error is not
     understated.
     """
     shadow, _, beta = covariance
@@ -592,10 +575,10 @@ def _expected_information(
 def profiled_log_likelihood(
     data: LikelihoodData, correlated_share: float, decorrelation_m: float
 ) -> tuple[float, float]:
-    """Log L with the total variance profiled out, and that variance; of Gaussian measurements.
+    """Return log L of Gaussian measurements with alpha profiled out, and alpha.
 
-    Cheap, for starts. Offsets of receivers have a flat prior here, and errors of path loss are left
-    out: a covariance that does not scale with the total cannot be profiled.
+    Offsets of receivers have a flat prior here, and errors of path loss are left out: a covariance
+    that does not scale with the total cannot be profiled.
     """
     count = len(data.values_db)
     correlation = correlated_share * data.correlation(0, decorrelation_m)

@@ -1,4 +1,4 @@
-"""The robots' belief about the channel: fitted parameters and posterior. Never the truth."""
+"""The robots' belief about the channel: fitted parameters and posterior."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Belief:
     Attributes
     ----------
     fit
-        How the parameters were estimated, from the first measurements.
+        Fit of the parameters to the initial measurements.
     posterior
-        Prediction from all measurements so far.
+        Posterior of all measurements so far.
     further
-        What is known of each further station of the problem, in its order; they have none.
+        Belief about each further station of the problem, in its order, without further ones.
     """
 
     fit: ChannelFit
@@ -32,15 +32,12 @@ class Belief:
 
     @property
     def posteriors(self) -> tuple[ChannelPosterior, ...]:
-        """Return the posterior of each station, the first one's first."""
+        """Return the posterior of each station, in the problem's order."""
         return (self.posterior, *(belief.posterior for belief in self.further))
 
 
 def update(belief: Belief, more: Measurements, *further: Measurements) -> Belief:
-    """Add measurements to the belief (Algorithm 1 of [GM11]); the fit is kept.
-
-    `further` are of further stations, in their order.
-    """
+    """Add measurements of the first and of further stations (Algorithm 1 of [GM11]); no refit."""
     return replace(
         belief,
         posterior=extend(belief.posterior, more),

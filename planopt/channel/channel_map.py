@@ -22,18 +22,18 @@ from planopt.world.raster import Raster, cell_centres_m
 Bounds = tuple[float, float, float, float]
 
 CELLS_ALONG = 200
-"""Cells along the longer side of a map whose cell is not given."""
+"""Default number of cells along the longer side."""
 
 MAX_CELLS = 4_000_000
 
 EXACT_OPERATIONS = 2e11
-"""All measurements are used while their squared number times the cells is below this: seconds."""
+"""All measurements are used while their squared number times the cells is below this."""
 
 NEIGHBOURS = 256
-"""Beyond that each cell uses at least this many of the nearest. On the three campus logs (4,193 to
-5,006 measurements, up to 869 of them censored) the mean is then off by 0.003 dB on average and
-0.25 dB at most, the deviation by 0.06 % at most; without a factor, where theta and sites are from
-neighbours too, by 0.022 dB, 0.26 dB and 0.6 %. The deviation is some 7.5 dB."""
+"""Minimum number of nearest measurements per cell beyond that. On the three campus logs (4,193 to
+5,006 measurements, up to 869 of them censored) the error of the mean is 0.003 dB on average and
+0.25 dB at most, that of the standard deviation (7.5 dB) at most 0.06 %; without a factor, with
+theta and sites from neighbours too, 0.022 dB, 0.26 dB and 0.6 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +45,13 @@ class PosteriorMap:
     mean_db
         Predicted power in dBm.
     deviation_db
-        Its deviation, as in :class:`planopt.channel.prediction.Prediction`.
+        Its standard deviation, as in :class:`planopt.channel.prediction.Prediction`.
     connectivity
         P(power >= `threshold_dbm`).
     threshold_dbm
         Upsilon_TH.
     posterior
-        ``exact``, or ``neighbours:256`` where the nearest measurements were used.
+        ``exact``, or ``neighbours:256`` if only the nearest measurements were used.
     """
 
     mean_db: Raster
@@ -107,7 +107,7 @@ def posterior_map(
     Parameters
     ----------
     posterior
-        The channel given measurements.
+        The channel conditional on measurements.
     bounds_m
         ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left.
     cell_m
@@ -133,8 +133,15 @@ def posterior_map(
     """
     remedy = "give a ChannelPosterior, such as run.belief.posterior"
     part_of("posterior", posterior, ChannelPosterior, remedy)
-    bounds_m = _bounds(bounds_m)
-    x_min, y_min, x_max, y_max = bounds_m
+    try:
+        x_min, y_min, x_max, y_max = np.asarray(bounds_m, dtype=np.float64).tolist()
+    except (TypeError, ValueError):
+        raise InputError(
+            f"is {bounds_m!r}",
+            key="bounds_m",
+            remedy="give (x_min, y_min, x_max, y_max), such as problem.workspace.bounds_m",
+        ) from None
+    bounds_m = x_min, y_min, x_max, y_max
     for key, value in (("cell_m", cell_m), ("threshold_dbm", threshold_dbm)):
         real = isinstance(cast("object", value), int | float | np.integer | np.floating)
         if not real or isinstance(cast("object", value), bool):
@@ -158,48 +165,27 @@ def posterior_map(
     few = count <= NEIGHBOURS or count**2 * x.size * y.size <= EXACT_OPERATIONS
     exact = posterior.has_factor and few
     cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    if exact:
-        prediction = posterior.predict(cells)
-    else:
-        prediction = predict_nearby(posterior, cells, NEIGHBOURS)
+    prediction = posterior.predict(cells) if exact else predict_nearby(posterior, cells, NEIGHBOURS)
     mean = prediction.mean_db.reshape(y.size, x.size)
     deviation = prediction.deviation_db.reshape(y.size, x.size)
+    connected = connection_probability(mean, deviation, threshold_dbm)
     return PosteriorMap(
         Raster(x, y, mean, "predicted received power", "dBm"),
         Raster(x, y, deviation, "standard deviation of the prediction", "dB"),
-        Raster(
-            x,
-            y,
-            connection_probability(mean, deviation, threshold_dbm),
-            "probability of connection",
-            "1",
-        ),
+        Raster(x, y, connected, "probability of connection", "1"),
         threshold_dbm,
         "exact" if exact else f"neighbours:{NEIGHBOURS}",
     )
 
 
-def _bounds(given: object) -> Bounds:
-    """Return bounds as four numbers."""
-    try:
-        x_min, y_min, x_max, y_max = np.asarray(given, dtype=np.float64).tolist()
-    except (TypeError, ValueError):
-        raise InputError(
-            f"is {given!r}",
-            key="bounds_m",
-            remedy="give (x_min, y_min, x_max, y_max), such as problem.workspace.bounds_m",
-        ) from None
-    return x_min, y_min, x_max, y_max
-
-
 def default_cell_m(bounds_m: Bounds) -> float:
-    """Cell side with `CELLS_ALONG` cells along the longer side, of two digits."""
+    """Return the cell side, of two digits, for `CELLS_ALONG` cells along the longer side."""
     x_min, y_min, x_max, y_max = bounds_m
     return float(f"{max(x_max - x_min, y_max - y_min) / CELLS_ALONG:.2g}")
 
 
 def measured_bounds_m(measurements: Measurements) -> Bounds:
-    """The box around the measurements, widened where they stand on a line along an axis."""
+    """Return the bounding box of the measurements, widened if they lie on a line."""
     low, high = measurements.positions_m.min(axis=0), measurements.positions_m.max(axis=0)
     least = 2.0 * (high - low).max() / CELLS_ALONG
     widening = np.maximum(least - (high - low), 0.0) / 2.0

@@ -1,4 +1,4 @@
-"""Power measurements: where, how much, and how much each is worth."""
+"""Power measurements: a table of positions, powers, and their errors."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from planopt.errors import InputError, listed
 from planopt.short_repr import short_repr
 
 MAX_POWER_DB = 1e6
-"""No power is further from 0 dBm: far beyond, its squares overflow."""
+"""Largest magnitude of a power: far beyond, its squares overflow."""
 
 LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
-"""Range of powers that a receiver can report: below the least lies no noise floor of any bandwidth,
+"""Range of powers that a receiver can report: the noise floor of any bandwidth is above the least,
 and 100 dBm are ten megawatts."""
 
 
@@ -42,8 +42,7 @@ Table = Mapping[str, Any] | Frame
 class Measurements:
     """Received power at known positions (Y of equation 1.3).
 
-    Lists, and columns of a DataFrame, are taken as well as arrays; :func:`as_measurements` takes
-    whole tables.
+    Columns may be lists or columns of a DataFrame; :func:`as_measurements` takes whole tables.
 
     Attributes
     ----------
@@ -53,24 +52,24 @@ class Measurements:
         ``(n,)`` received power in dBm.
     censored
         ``(n,)`` true where the power is only known to be *at most* ``power_dbm`` (the receiver's
-        floor). Not given: none is.
+        floor). Default: none is.
     resolution_db
         ``(n,)`` step of the receiver's scale: the power is within half of it of ``power_dbm``;
-        zero for a power that was not rounded. Not given: all zero.
+        zero for a power that was not rounded. Default: all zero.
     position_std_m
-        ``(n,)`` deviation of the error of either coordinate (GPS). Not given: all zero.
+        ``(n,)`` standard deviation of the error of either coordinate (GPS). Default: all zero.
     time_s
-        ``(n,)`` when it was taken, for channels that drift. Not given: all zero.
+        ``(n,)`` time of the measurement, for channels that change. Default: all zero.
     receiver
-        ``(n,)`` number of the receiver; 0 is the one that powers are predicted for, others may
-        have an offset. Not given: all 0.
+        ``(n,)`` number of the receiver; predictions are for number 0, others may have an offset.
+        Default: all 0.
 
     Raises
     ------
     InputError
-        Something is no array of numbers, shapes do not agree, a number is not finite, a coordinate
-        or a power is beyond `MAX_COORDINATE_M` or `MAX_POWER_DB`, or a resolution or deviation is
-        negative.
+        A column is no array of numbers, shapes differ, a number is not finite, a coordinate or a
+        power is beyond `MAX_COORDINATE_M` or `MAX_POWER_DB`, or a resolution or standard deviation
+        is negative.
     """
 
     positions_m: NDArray[np.float64]
@@ -131,16 +130,13 @@ class Measurements:
         return Measurements(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     def by_place(self) -> Measurements:
-        """The same in an order that depends on what they are, not on that of the rows.
-
-        By x, then y; where they agree by power and the rest.
-        """
+        """Return the measurements sorted by x, then y, power and the other columns."""
         others = (getattr(self, part.name) for part in reversed(fields(self)[1:]))
         return self.take(np.lexsort((*others, self.positions_m[:, 1], self.positions_m[:, 0])))
 
 
 def as_measurements(data: Measurements | Table) -> Measurements:
-    """Return measurements as they are, or make them of a table."""
+    """Return measurements as they are, or convert a table."""
     if isinstance(data, Measurements):
         return data
     try:
@@ -171,38 +167,39 @@ def as_measurements(data: Measurements | Table) -> Measurements:
 
 
 def as_received(data: Measurements | Table) -> Measurements:
-    """Return measurements as :func:`as_measurements` does, of powers that a receiver can report."""
-    given = as_measurements(data)
-    within = (given.power_dbm >= LEAST_POWER_DBM) & (given.power_dbm <= LARGEST_POWER_DBM)
+    """Return measurements as :func:`as_measurements` does, if a receiver can report all powers."""
+    received = as_measurements(data)
+    power = received.power_dbm
+    within = (power >= LEAST_POWER_DBM) & (power <= LARGEST_POWER_DBM)
     if not within.all():
         row = int(np.argmin(within))
         raise InputError(
-            f"power {given.power_dbm[row]:g} dBm of measurement {row} is not between "
+            f"power {power[row]:g} dBm of measurement {row} is not between "
             f"{LEAST_POWER_DBM:g} and {LARGEST_POWER_DBM:g}",
             key="measurements.power_dbm",
             remedy="give powers in dBm",
         )
-    return given
+    return received
 
 
 _KINDS: dict[str, tuple[type[np.generic], str]] = {
     "censored": (np.bool_, "true or false"),
     "receiver": (np.intp, "whole numbers"),
 }
-"""Type of a field that is not of floats, and what it is called."""
+"""Type of each field that has no floats, and its name in messages."""
 
 
 def _array(name: str, values: Any) -> NDArray[Any]:
     """Return the values of a field as an array of its type."""
     kind, words = _KINDS.get(name, (np.float64, "numbers"))
     try:
-        given = np.asarray(values)
-        # Text that looks like a number is a slip: a column that was not converted.
-        text = given.dtype.kind == "O" and any(isinstance(value, str) for value in given.flat)
-        if text or given.dtype.kind not in "biufO":
+        array = np.asarray(values)
+        # Text that looks like a number is a column that was not converted.
+        text = array.dtype.kind == "O" and any(isinstance(value, str) for value in array.flat)
+        if text or array.dtype.kind not in "biufO":
             raise ValueError
-        found = given.astype(kind, copy=False)
-        if kind is not np.float64 and not np.array_equal(found, given):
+        found = array.astype(kind, copy=False)
+        if kind is not np.float64 and not np.array_equal(found, array):
             raise ValueError
     except (ValueError, TypeError, OverflowError):
         raise InputError(
@@ -213,7 +210,7 @@ def _array(name: str, values: Any) -> NDArray[Any]:
 
 def join(first: Measurements, second: Measurements) -> Measurements:
     """Join two sets of measurements, `first` before `second`."""
-    # Both have been checked. To check 50,000 again takes longer than a planner's map.
+    # Both have been validated; validating 50,000 again takes longer than a planner's map.
     joined = object.__new__(Measurements)
     for part in fields(Measurements):
         both = (getattr(first, part.name), getattr(second, part.name))

@@ -1,10 +1,8 @@
-"""Checks of what callers give: places and levels that can be computed with.
-
-The parameters of the channel model, and the part of path loss that is estimated.
+"""The parameters of the channel model, path loss, and checks of positions and numbers.
 
 Path loss, the mean of the received power, is linear in theta = (K_PL, n_PL). If the distances to
-the station hardly differ, n_PL is not identifiable. It is then held at a stated prior value, and
-its uncertainty is carried into the covariance of theta.
+the station hardly differ, n_PL is not identifiable: it is fixed at a prior value, whose uncertainty
+is part of the covariance of theta.
 """
 
 from __future__ import annotations
@@ -18,25 +16,30 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.errors import InputError
 
 MAX_COORDINATE_M = 1e12
-"""No coordinate is larger: far beyond, squares of distances overflow."""
+"""Largest coordinate: far beyond, squares of distances overflow."""
+
+MIN_DISTANCE_M = 0.1
+"""Least distance to the station, so that its logarithm is finite."""
+
+PRIOR_N_PL = 3.0
+"""n_PL without information from measurements: between free space and dense streets."""
+
+PRIOR_N_PL_STD = 1.0
+"""Standard deviation of `PRIOR_N_PL`."""
 
 
 def require_places(positions_m: ArrayLike, at_least: int = 1) -> NDArray[np.float64]:
-    """`positions_m` as floats, or an error that says what is wrong with them."""
-    # Shapes: positions_m (h, 2).
+    """Return `positions_m` (h, 2) as floats, or raise an error that names what is wrong."""
+    remedy = f"give (h, 2) metres with h at least {at_least}"
     try:
         places = np.asarray(positions_m, dtype=np.float64)
     except (ValueError, TypeError):
         raise InputError(
-            "positions are no array of numbers",
-            key="positions_m",
-            remedy=f"give (h, 2) metres with h at least {at_least}",
+            "positions are no array of numbers", key="positions_m", remedy=remedy
         ) from None
     if places.ndim != 2 or places.shape[1] != 2 or len(places) < at_least:
         raise InputError(
-            f"positions of shape {places.shape} are no places",
-            key="positions_m",
-            remedy=f"give (h, 2) metres with h at least {at_least}",
+            f"positions of shape {places.shape} are no places", key="positions_m", remedy=remedy
         )
     if not np.isfinite(places).all():
         raise InputError("a position is not finite", key="positions_m", remedy="leave it out")
@@ -50,44 +53,44 @@ def require_places(positions_m: ArrayLike, at_least: int = 1) -> NDArray[np.floa
 
 
 def require_finite(value: float, key: str) -> float:
-    """`value` as a float."""
+    """Return `value` as a float, or raise an error if it is not finite."""
     if not math.isfinite(value):
         raise InputError(f"{value!r} is not finite", key=key, remedy="give a number")
     return float(value)
 
 
 def require_shadowing(shadow_std_db: float, decorrelation_m: float) -> None:
-    """Refuse what is no shadowing."""
+    """Raise an error unless both parameters of shadowing are valid."""
     if not (math.isfinite(shadow_std_db) and shadow_std_db >= 0.0):
         raise InputError(
-            f"{shadow_std_db!r} dB is no deviation",
+            f"{shadow_std_db!r} dB is not a standard deviation",
             key="shadow_std_db",
             remedy="give a value of at least 0, e.g. 8",
         )
     if not (math.isfinite(decorrelation_m) and decorrelation_m > 0.0):
         raise InputError(
-            f"{decorrelation_m!r} m is no distance",
+            f"{decorrelation_m!r} m is not a distance",
             key="decorrelation_m",
             remedy="give a value above 0, e.g. 10",
         )
 
 
 def require_count(count: int, key: str) -> int:
-    """`count` as it is."""
+    """Return `count`, or raise an error if it is below 1."""
     if count < 1:
         raise InputError(f"{count!r} is too few", key=key, remedy="give at least 1")
     return count
 
 
 def leg_lengths_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths of the straight legs between successive places; (h, 2) -> (h - 1,)."""
+    """Return lengths of the straight legs between successive positions; (h, 2) -> (h - 1,)."""
     step = np.diff(positions_m, axis=0)
     return np.hypot(step[:, 0], step[:, 1])
 
 
 @dataclass(frozen=True)
 class Station:
-    """The fixed base station; an access point or gateway as well.
+    """The fixed base station, access point or gateway.
 
     Attributes
     ----------
@@ -99,7 +102,7 @@ class Station:
     Raises
     ------
     InputError
-        A coordinate is not finite, or beyond :data:`planopt.channel.parameters.MAX_COORDINATE_M`.
+        A coordinate is not finite, or beyond `MAX_COORDINATE_M`.
     """
 
     position_m: tuple[float, float]
@@ -120,32 +123,32 @@ class ChannelParameters:
     """Parameters of the received power in dBm (equations 1.1 and 1.2).
 
     ``power(q) = k_pl_db - 10 n_pl log10 d(q) + shadowing(q) + multipath(q)``, with shadowing of
-    covariance ``shadow_std_db**2 exp(-distance / decorrelation_m)`` and multipath white with
+    covariance ``shadow_std_db**2 exp(-distance / decorrelation_m)`` and white multipath of standard
     deviation ``multipath_std_db``.
 
     Attributes
     ----------
     k_pl_db
-        K_PL: received power at one metre, in dBm; transmit power is in it.
+        K_PL: received power at one metre, in dBm; it includes the transmit power.
     n_pl
         n_PL: path loss exponent.
     shadow_std_db
-        xi: deviation of shadowing.
+        xi: standard deviation of shadowing.
     decorrelation_m
         beta: decorrelation distance.
     multipath_std_db
-        omega: deviation of multipath fading in dB.
+        omega: standard deviation of multipath fading in dB.
     station
         The fixed station.
     forgetting_s
-        Time over which shadowing forgets: its covariance also has the factor ``exp(-age /
-        forgetting_s)``. Infinite for a channel that does not drift.
+        Time scale of a channel that changes: the covariance of shadowing also has the factor
+        ``exp(-age / forgetting_s)``. Infinite for a static channel.
 
     Raises
     ------
     InputError
-        A number is NaN, or infinite but for the last; a deviation is negative; or a distance or
-        time that something is forgotten over is not positive.
+        A number is NaN, or infinite except for the last; a standard deviation is negative; or a
+        distance or time scale is not positive.
     """
 
     k_pl_db: float
@@ -158,14 +161,11 @@ class ChannelParameters:
 
     def __post_init__(self) -> None:
         for name in ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db"):
-            if not math.isfinite(getattr(self, name)):
-                raise InputError(
-                    f"{getattr(self, name)!r} is not finite", key=name, remedy="give a number"
-                )
+            require_finite(getattr(self, name), name)
         for name in ("shadow_std_db", "multipath_std_db"):
             if getattr(self, name) < 0.0:
                 raise InputError(
-                    f"{getattr(self, name)!r} dB is no deviation",
+                    f"{getattr(self, name)!r} dB is not a standard deviation",
                     key=name,
                     remedy="give a value of at least 0, e.g. 8",
                 )
@@ -178,12 +178,8 @@ class ChannelParameters:
                 )
 
 
-MIN_DISTANCE_M = 0.1
-"""Distances to the station are not taken below this, so that the logarithm stays finite."""
-
-
 def station_distance_m(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
-    """Three-dimensional distance to the station, at least `MIN_DISTANCE_M`; (n, 2) -> (n,)."""
+    """Return the spatial distance to the station, at least `MIN_DISTANCE_M`; (n, 2) -> (n,)."""
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("...i,...i->...", offset, offset)
     return np.sqrt(np.maximum(square + station.height_m**2, MIN_DISTANCE_M**2))
@@ -194,13 +190,6 @@ def regressors(positions_m: NDArray[np.float64], station: Station) -> NDArray[np
     rows = np.ones(np.shape(positions_m))
     rows[..., 1] = -10.0 * np.log10(station_distance_m(positions_m, station))
     return rows
-
-
-PRIOR_N_PL = 3.0
-"""n_PL where the measurements say nothing: between free space and dense streets."""
-
-PRIOR_N_PL_STD = 1.0
-"""Deviation of `PRIOR_N_PL`."""
 
 
 @dataclass(frozen=True)
@@ -214,13 +203,13 @@ class MeanModel:
     regressor_mean: float
 
     def theta(self, coefficients: NDArray[np.float64]) -> tuple[float, float]:
-        """Coefficients (p,) as (K_PL, n_PL)."""
+        """Return (K_PL, n_PL) of coefficients (p,)."""
         if len(coefficients) == 2:
             return float(coefficients[0]), float(coefficients[1])
         return float(coefficients[0]), PRIOR_N_PL
 
     def theta_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance of the coefficients (p, p) as that of theta (2, 2)."""
+        """Return the covariance of theta (2, 2) from that of the coefficients (p, p)."""
         if len(covariance) == 2:
             return covariance
         slope = PRIOR_N_PL_STD * np.array([-self.regressor_mean, 1.0])
@@ -235,7 +224,7 @@ def mean_model(
     station: Station,
     n_pl_identifiable: bool,
 ) -> MeanModel:
-    """The mean model at `positions_m` (n, 2), of which `exact` (n,) are not censored."""
+    """Return the mean model at `positions_m` (n, 2), of which `exact` (n,) are not censored."""
     gamma = regressors(positions_m, station)
     regressor_mean = float(gamma[exact if exact.any() else slice(None), 1].mean())
     if n_pl_identifiable:

@@ -1,7 +1,4 @@
-"""Predicted power, and the parts that it is combined from once theta is known.
-
-From predicted power to the probability of being connected.
-"""
+"""Predicted power, its terms for a given theta, and the probability of connection."""
 
 from __future__ import annotations
 
@@ -23,8 +20,8 @@ class Prediction:
     mean_db
         ``(n,)`` dBm.
     deviation_db
-        ``(n,)`` of the power that would be measured: shadowing, multipath and the uncertainty of
-        theta.
+        ``(n,)`` standard deviation of the power that would be measured: shadowing, multipath and
+        the uncertainty of theta.
     """
 
     mean_db: NDArray[np.float64]
@@ -71,10 +68,9 @@ def bound_margin_db(
     threshold_dbm: float,
     p_min: float,
 ) -> NDArray[np.float64]:
-    """Return the margin in dB by which P(power >= threshold) >= `p_min` holds (equation 3.2).
+    """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2).
 
-    ``mean - z_p deviation - threshold`` with z_p the `p_min` quantile of the standard normal;
-    negative where the bound is missed, NaN where the prediction is. Shapes as `mean_db`.
+    Negative if P(power >= threshold) >= `p_min` is violated, NaN where the prediction is.
     """
     return mean_db - bound_quantile(p_min) * deviation_db - threshold_dbm
 
@@ -84,7 +80,7 @@ def connection_probability(
 ) -> NDArray[np.float64]:
     """Return P(power >= threshold) = Phi((mean - threshold) / deviation) (equation 3.1).
 
-    NaN where the prediction is; 0 or 1 where the deviation is 0. Shapes as `mean_db`.
+    NaN where the prediction is; 0 or 1 where the standard deviation is 0.
     """
     above = mean_db - threshold_dbm
     certain = np.where(above >= 0.0, np.inf, -np.inf)
@@ -92,7 +88,7 @@ def connection_probability(
 
 
 def score_probability(score: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Phi(score): how probable power above the threshold is, (mean - threshold) / deviation."""
+    """Return Phi(score) with the score (mean - threshold) / deviation."""
     return np.asarray(ndtr(score), dtype=np.float64)
 
 
@@ -101,7 +97,7 @@ CONFIDENCE = 0.95
 
 
 def binomial_interval(successes: float, trials: float) -> tuple[float, float]:
-    """Clopper and Pearson's interval of a probability; neither number need be whole."""
+    """Return Clopper and Pearson's interval of a probability, also of fractional numbers."""
     failures, tail = trials - successes, 0.5 - 0.5 * CONFIDENCE
     low = 0.0 if successes <= 0.0 else float(betaincinv(successes, failures + 1.0, tail))
     high = 1.0 if failures <= 0.0 else float(betaincinv(successes + 1.0, failures, 1.0 - tail))

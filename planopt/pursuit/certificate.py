@@ -1,9 +1,9 @@
 """Verify guarantees of capture and network designs from their numbers, by the definitions alone.
 
-The formulas are those of docs/theory/pursuit.md, written a second time: neither the search of
-designs nor the classes of services and guarantees are used. A guarantee is accepted if its
-inequalities hold, its floor and its time to capture are no smaller than found here, and the logged
-stages and captures keep what it promises.
+The formulas of docs/theory/pursuit.md are written a second time, independent of the search of
+designs and of the classes of services and guarantees. A guarantee is accepted if its inequalities
+hold, its floor and its time to capture are no smaller than the values found here, and the logged
+stages and captures keep its bounds.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from planopt.pursuit.verify import PursuitData, PursuitLog, Violation
 Floats = NDArray[np.float64]
 
 ROUNDING = 1e-9
-"""Share by which a requirement that is met exactly may be missed through rounding."""
+"""Relative tolerance of requirements that are met exactly, for rounding."""
 
 SLACK = 1e-6
-"""Share by which a claimed number may be off."""
+"""Relative tolerance of claimed numbers."""
 
 INTERVALS = 1000
 """Intervals of the integral that bounds the time to capture from above."""
@@ -45,7 +45,7 @@ class Requirement:
     """An inequality that a design must meet."""
 
     inequality: Inequality
-    strict: bool = True  # Whether equality is a failure. Loads and margins may be met exactly.
+    strict: bool = True  # Whether equality is a failure; loads and margins may be met exactly
 
     @property
     def holds(self) -> bool:
@@ -188,11 +188,6 @@ def capture_time_s(theorem: Theorem, case: Case, distance_m: float, radius_m: fl
     return float((pace * np.diff(grid)).sum() + pace[0] * last)
 
 
-# ---------------------------------------------------------------------------------------------
-# Designs
-# ---------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class DesignData:
     """A network design and the pursuit that it serves."""
@@ -261,11 +256,6 @@ def certify(
     return tuple(found)
 
 
-# ---------------------------------------------------------------------------------------------
-# Guarantees of logged pursuits
-# ---------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Claim:
     """Claims of a saved run under one theorem for its first pursuer and evader."""
@@ -280,7 +270,7 @@ class Claim:
 def verify_guarantees(
     data: PursuitData, log: PursuitLog, claims: tuple[Claim, ...], detour: float
 ) -> list[Violation]:
-    """Return the claims that do not follow, and the promises that the logged pursuit broke."""
+    """Return the claims that do not follow, and the bounds that the logged pursuit exceeds."""
     found: list[Violation] = []
     least = _least_detour(data)
     if not least <= detour * (1.0 + SLACK):

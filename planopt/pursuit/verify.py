@@ -1,7 +1,7 @@
-"""Verify a logged pursuit against its problem, without anything of the simulator.
+"""Verify a logged pursuit against its problem, without code of the simulator.
 
-Motions are reconstructed from states at both ends of a step: a single integrator drives straight,
-a unicycle turns on the spot and drives straight, or drives an arc, each as fast as its limits
+Motions are reconstructed from the states at both ends of a step: a single integrator drives
+straight, a unicycle turns on the spot and drives straight, or drives an arc, as fast as its limits
 allow. Reports are compared with the rounds of the service, captures with distances along the steps.
 """
 
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 PLACE_M, TIME_S = 1e-6, 1e-6
-"""Positions and times may be off by so much through rounding."""
+"""Tolerances of positions and times for rounding."""
 
 ARC_PIECES = 16
 """Chords of an arc, a driven arc of less than half a turn in a step."""
 
 CAPTURE_PIECES = 4
-"""Captures are resolved by chords of so many equal parts of a step."""
+"""Equal parts of a step whose chords resolve captures."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Violation:
 
 
 def verify_pursuit(data: PursuitData, log: PursuitLog) -> list[Violation]:
-    """Return everything that a logged pursuit violates; nothing if it holds."""
+    """Return all violations of a logged pursuit."""
     numbers = (log.times_s, *log.states, log.aims_m, log.evaders_m)
     if not all(np.isfinite(each).all() for each in numbers):
         return [Violation("motion", "a position, a heading, an aim or a time is not finite")]
@@ -140,11 +140,6 @@ def verify_pursuit(data: PursuitData, log: PursuitLog) -> list[Violation]:
     return found
 
 
-# ---------------------------------------------------------------------------------------------
-# Motion
-# ---------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Drives:
     """The steps of a pursuer as straight pieces between k knots."""
@@ -157,7 +152,7 @@ class Drives:
 def _reconstructed(
     robot: Robot, states: Floats, aims_m: Floats, step_s: float, found: list[Violation]
 ) -> Drives:
-    """Return how a pursuer drives between logged states; add what it violates to `found`."""
+    """Return the drives of a pursuer between logged states; add their violations to `found`."""
     here, there = states[:-1, :2], states[1:, :2]
     move = there - here
     length = np.linalg.norm(move, axis=1)
@@ -273,13 +268,8 @@ def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Itera
             )
 
 
-# ---------------------------------------------------------------------------------------------
-# Reports
-# ---------------------------------------------------------------------------------------------
-
-
 def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield reports that no mote could have given there and then, or that rule R forbids."""
+    """Yield reports that no mote could have given, or that rule R forbids."""
     service, reports = data.service, log.reports
     if not len(reports.time_s):
         return
@@ -299,16 +289,16 @@ def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
         seen = _mote(service, log.evader_at(evader, sampled_s[row]))
         apart = (mote >> level[:, None]) - (seen >> level[:, None])
         shows = np.abs(apart).max(axis=1) <= 1
-        told_m = ((seen >> fine[:, None]) + 0.5) * side_m[:, None]
+        report_m = ((seen >> fine[:, None]) + 0.5) * side_m[:, None]
         agrees = (
             shows
             & (np.abs(sampled_s[row] - reports.sampled_s[row]) <= TIME_S)
-            & (np.abs(told_m - reports.reported_m[row]).max(axis=1) <= PLACE_M)
+            & (np.abs(report_m - reports.reported_m[row]).max(axis=1) <= PLACE_M)
             & (np.abs(math.sqrt(0.5) * side_m - reports.error_m[row]) <= PLACE_M)
         )
         who = f"the report {row} of {data.evaders[evader].name} to {data.pursuers[pursuer].name}"
         if not agrees.any():
-            yield Violation("report", f"{who}: no mote could have told it")
+            yield Violation("report", f"{who}: no mote could have given it")
         elif service.loss_probability == 0.0 and not agrees[shows.argmax()]:
             yield Violation("report", f"{who}: a finer level shows the evader, and none is lost")
         last_s, last_m = held.get((pursuer, evader), (-math.inf, math.inf))
@@ -346,11 +336,6 @@ def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
         if len(off_m) and off_m.max() > PLACE_M:
             step = int(off_m.argmax())
             yield Violation("aim", f"{robot.name} aims at no reported position at step {step}")
-
-
-# ---------------------------------------------------------------------------------------------
-# Captures
-# ---------------------------------------------------------------------------------------------
 
 
 def _capture_faults(
@@ -402,11 +387,9 @@ def _capture_faults(
             if step >= steps:
                 continue
             knots = np.minimum(each.shares[step], share)
-            way_m = _interpolated(knots, each.shares[step], each.places_m[step])
-            there_m = places_m[step] + (knots / max(share, 1e-12))[:, None] * (
-                places_m[step + 1] - places_m[step]
-            )
-            apart_m = way_m - there_m
+            own_m = _interpolated(knots, each.shares[step], each.places_m[step])
+            along = (knots / max(share, 1e-12))[:, None]
+            apart_m = own_m - places_m[step] - along * (places_m[step + 1] - places_m[step])
             before_m = float(_segments_from_origin_m(apart_m[:-1], apart_m[1:]).min())
             end_m = float(np.linalg.norm(apart_m[-1]))
             if before_m < radius_m - slack_m[step] and before_m < end_m - PLACE_M:

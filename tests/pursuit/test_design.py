@@ -141,38 +141,6 @@ def test_disciplined_quasiconvex_programme(task, bits):
     assert cost_w == pytest.approx(cheapest_design(fixed(task, bits)).cost_w, rel=1e-6)
 
 
-@pytest.mark.parametrize("bits", [4, 7])
-@pytest.mark.filterwarnings("ignore:Solver failed:RuntimeWarning", "ignore:Solution may be")
-def test_quasiconvex_programmes_of_the_other_designs(bits):
-    """Bisection over levels finds slow rounds and half of the limit too.
-
-    Power is sent bits over a length; energy is one over a product of two lengths.
-    """
-    task = fixed(replace(OTHER, network=replace(OTHER.network, idle_w=0.0)), bits)
-    # In slots at which ages use up all that is left.
-    unit_s = (task.room(bits) + task.margin) / task.staleness_per_slot
-    room = widest_s(task, bits) / unit_s
-    least = task.network.least_slot_s(bits) / unit_s
-    slot, length, left, one = (cp.Variable(pos=True) for _ in range(4))
-
-    def solved(objective, low, high, *limits):
-        # Clarabel stops early at some levels where nothing bounds the variables.
-        within = [least <= slot, slot <= 10.0, length <= 10.0, left <= 10.0, one == 1.0]
-        programme = cp.Problem(objective, [*within, *limits])
-        assert programme.is_dqcp() and not programme.is_dcp()
-        programme.solve(qcp=True, solver=cp.CLARABEL, low=low, high=high, eps=1e-7)
-
-    solved(cp.Minimize(one / length), 0.1, 2.0, 0.5 * (slot + length) <= room, slot <= length)
-    rated = relaxed_design(task, rated=True, bits_per_axis=bits)
-    found_s = rated.slot_width_s * rated.rate_divisor
-    assert unit_s * length.value == pytest.approx(found_s, rel=1e-6)
-    assert length.value == pytest.approx(2.0 * room - least, rel=1e-6)
-
-    solved(cp.Maximize(slot * left), 0.01, 1.0, left + slot <= 1.0, slot <= room)
-    share = least_energy_design(replace(task, deadline_s=None)).slot_width_s / unit_s
-    assert slot.value * left.value == pytest.approx(share * (1.0 - share), rel=1e-6)
-
-
 @pytest.mark.parametrize("task", TASKS)
 def test_slow_rounds(task):
     """Short slots and slow rounds cost less, never less than the relaxation or half as much."""
@@ -197,19 +165,6 @@ def test_slow_rounds(task):
         assert solved.rate_divisor == pytest.approx(y_s / least_s, rel=1e-6)
         cost = task.network.power_w(least_s, bits, y_s / least_s)
         assert solved.cost_w == pytest.approx(cost, rel=1e-6)
-
-
-def test_energy_at_half_of_the_limit():
-    """Least energy per capture is at exactly half of the Lemma's slot width."""
-    task = replace(TASK, first_distance_m=30.0)
-    for bits in range(3, 10):
-        found = least_energy_design(fixed(task, bits))
-        assert found.slot_width_s == 0.5 * widest_s(task, bits)
-        assert found.binding == ()
-    best = least_energy_design(task)
-    energies = [least_energy_design(fixed(task, c)).energy_per_capture_j for c in range(3, 10)]
-    assert best.energy_per_capture_j == min(energies)
-    assert cheapest_design(task).energy_per_capture_j > 1e12
 
 
 @pytest.mark.parametrize("idle_w", [0.0, 1e-4, 1e-2])
@@ -337,19 +292,6 @@ def test_impossible_designs(solve, change, words):
         solve(task)
     with pytest.raises(NoPlanError):
         relaxed_design(task, bits_per_axis=task.bits_per_axis or 6)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"capture_radius_m": 5.0}, "floor below the capture radius: .* < 5 m fails by"),
-        ({"deadline_s": 50.0}, "time to capture below the deadline: .* < 50 s fails by"),
-    ],
-)
-def test_impossible_captures(change, words):
-    """A radius under the floor and a deadline before any bound."""
-    with pytest.raises(NoDesignError, match=words):
-        sharp_design(replace(OTHER, **change))
 
 
 def test_a_payload_too_large_for_a_sharp_design():

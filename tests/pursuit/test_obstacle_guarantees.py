@@ -61,12 +61,6 @@ def test_no_detour_is_longer(polygons):
     assert 1.3 < max(shares) <= free.detour + 1e-9
 
 
-def test_open_space_has_no_detour():
-    """Straight lines are paths in a room without obstacles, and round none in their way."""
-    assert arena().detour == 1.0
-    assert arena_of(Workspace((0.0, 0.0, 9.0, 9.0), ()), 1.0).corners == 0
-
-
 def test_too_many_corners():
     """Paths would lead through obstacles: refused, with the number."""
     posts = [shapely.box(x, y, x + 1, y + 1) for x in range(2, 58, 4) for y in range(2, 58, 4)]

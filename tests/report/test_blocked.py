@@ -161,26 +161,3 @@ def test_no_plan_without_a_refusal_is_violated(problem, tmp_path: Path, capsys) 
     file.write_text(json.dumps(data))
     assert main(["check", str(tmp_path)]) != 0
     assert "neither its task nor a standstill" in capsys.readouterr().out
-
-
-def test_a_run_is_drawn_without_its_truth(problem) -> None:
-    """A truth from Python is in no file."""
-    run = replace(simulate(problem, seed=1), truths=())
-    axes = drawn(run.plot()).axes
-    assert len(axes) == 1
-    labels = [artist.get_label() for artist in axes[0].get_lines()]
-    assert "crosses a coverage hole" in labels
-
-
-def test_a_team_that_drives_no_step_has_no_separation(problem) -> None:
-    """Its metric is missing, as others of steps are."""
-    (robot,) = problem.robots
-    x, y = robot.start_m
-    goal_x, goal_y = problem.goal_m
-    other = replace(
-        robot, name="other", start_m=(x + 10.0, y), goal_m=(float(goal_x), float(goal_y) + 10.0)
-    )
-    apart = replace(problem.constraints, separation_m=2.0)
-    run = simulate(replace(problem, robots=(robot, other), constraints=apart), seed=1)
-    assert run.outcome.value == "no_plan" and len(run.runs[0].log.t_s) == 1
-    assert np.isnan(run.metrics["min_separation_m"])

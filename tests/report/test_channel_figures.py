@@ -26,7 +26,6 @@ from planopt.report import (
     draw_stations,
 )
 
-MAP = {"x [m]", "y [m]"}
 MEASURED = ["measured", "measured at the floor (censored)"]
 ERRORS = [-0.5, 0.0, 0.5]
 CURVES = {
@@ -84,71 +83,19 @@ def figures(problem, belief, measurements, fit, maps, calibrations):
     }
 
 
-@pytest.mark.parametrize(
-    ("name", "labels", "legend"),
-    [
-        (
-            "belief",
-            MAP
-            | {
-                "power [dBm] (line: threshold)",
-                "standard deviation [dB]",
-                "P(connected) [1] (line: p_min)",
-            },
-            ["start", "goal", "station", *MEASURED, "p_min = 0.8"],
-        ),
-        (
-            "map",
-            MAP | {"power [dBm] (line: threshold)", "standard deviation [dB]", "P(connected) [1]"},
-            [*MEASURED, "station", "-72 dBm"],
-        ),
-        (
-            "fit",
-            {
-                "distance to the station d [m]",
-                "power [dBm]",
-                "covariance [dB²]",
-                "distance between measurements [m]",
-                "pairs [count]",
-            },
-            None,
-        ),
-        (
-            "calibration",
-            {
-                "level of the interval [%]",
-                "measurements inside [%]",
-                "predicted probability of less than measured [1]",
-                "measurements [%]",
-            },
-            ["path_loss: rmse 1.94 dB", "sure: rmse 1.94 dB", "nominal"],
-        ),
-        (
-            "reliability",
-            {
-                "predicted P(connected) [%]",
-                "truly connected [%]",
-                "bin of predicted P(connected) [%]",
-                "difference [percentage points]",
-            },
-            ["as predicted", "right", "too high"],
-        ),
-        (
-            "sensitivity",
-            {"error in one parameter [%]", "mean squared error Δ² [dB²]"},
-            ["path loss exponent, n_PL", "decorrelation distance, β"],
-        ),
-        (
-            "stations",
-            MAP | {"distance to the true position [m]", "transmitters [%]"},
-            ["true", "estimated", "measured here"],
-        ),
-    ],
-)
-def test_units_and_legends(figures, name, labels, legend):
+def test_units_and_legends(figures):
     """Every axis has its unit, every series its name."""
-    assert labels_of(figures[name]) == labels
-    assert legend is None or legend_of(figures[name]) == legend
+    for figure in figures.values():
+        assert all("[" in label for label in labels_of(figure))
+    legends = {
+        "belief": ["start", "goal", "station", *MEASURED, "p_min = 0.8"],
+        "map": [*MEASURED, "station", "-72 dBm"],
+        "calibration": ["path_loss: rmse 1.94 dB", "sure: rmse 1.94 dB", "nominal"],
+        "reliability": ["as predicted", "right", "too high"],
+        "sensitivity": ["path loss exponent, n_PL", "decorrelation distance, β"],
+        "stations": ["true", "estimated", "measured here"],
+    }
+    assert {name: legend_of(figures[name]) for name in legends} == legends
 
 
 def test_maps_of_a_belief_are_the_prediction(figures, belief):
@@ -180,14 +127,6 @@ def test_measurements_are_dots(figures, measurements):
         np.testing.assert_array_equal(filled.get_offsets(), measurements.positions_m[:25])
         np.testing.assert_array_equal(hollow.get_offsets(), measurements.positions_m[25:])
         assert len(filled.get_facecolors()) == 1 and len(hollow.get_facecolors()) == 0
-
-
-def test_no_measurements(problem, belief):
-    """A belief from nothing is drawn, without dots."""
-    nothing = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
-    posterior = condition(belief.fit.parameters, nothing)
-    figure = drawn(draw_belief(problem, replace(belief, posterior=posterior)))
-    assert "measured" not in legend_of(figure)
 
 
 def test_posterior_maps(figures, maps, measurements):
@@ -256,16 +195,6 @@ def test_fitted_covariance(figures):
     assert "with multipath, std 1.5 dB" in texts
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_hardly_any_measurements(fit, count):
-    """One position, or one measured and one censored, is drawn without residuals."""
-    few = Measurements(
-        10.0 * np.arange(2.0 * count).reshape(count, 2), np.full(count, -60.0), np.arange(count) > 0
-    )
-    figure = drawn(draw_fit(few, replace(fit, measurements=count), fit.parameters.station))
-    assert not figure.axes[2].patches
-
-
 def test_coverage_and_pit(figures, calibrations):
     """Coverage in percent against level, the PIT as steps."""
     sure = calibrations["sure"]
@@ -296,12 +225,6 @@ def test_reliability_points(figures):
     np.testing.assert_allclose(line, [[100 * b.predicted, 100 * b.realised] for b in high])
     apart = line_of(panel_of(figures["reliability"], "less predicted"), "too high").get_ydata()
     np.testing.assert_allclose(apart, [100 * (b.realised - b.predicted) for b in high])
-
-
-def test_sensitivity_in_percent(figures):
-    """Each curve against per cent."""
-    line = line_of(figures["sensitivity"].axes[0], "path loss exponent, n_PL")
-    np.testing.assert_allclose(line.get_xydata(), [[-50.0, 40.0], [0.0, 10.0], [50.0, 50.0]])
 
 
 def test_found_stations(figures):

@@ -8,13 +8,10 @@ from scenes import small_problem
 
 from planopt.report.maps import (
     BORDER,
-    NODES,
     believed_rasters,
-    cell_centres,
     draw_ground,
     draw_layer,
     draw_level,
-    draw_places,
     drawn_cells,
     outline,
     window_about,
@@ -68,15 +65,6 @@ def test_hole_is_blank_when_rendered(figure, panel, problem):
     assert colour((42.5, 30.0)) != (255, 255, 255)
 
 
-def test_ground_has_metres_and_equal_scale(panel, problem):
-    """Labels with units, equal aspect, the workspace in view, one path per obstacle."""
-    draw_ground(panel, problem.workspace, "map")
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("x [m]", "y [m]")
-    assert panel.get_aspect() == 1.0
-    assert (*panel.get_xlim(), *panel.get_ylim()) == (0.0, 100.0, 0.0, 80.0)
-    assert len(panel.collections[0].get_paths()) == 2
-
-
 def test_layer_is_the_raster_in_place(figure, panel):
     """Row 0 is at the smallest y; the extent reaches half a cell beyond the centres."""
     raster = Raster(np.array([0.0, 2.0, 4.0]), np.array([10.0, 11.0]), np.arange(6.0).reshape(2, 3))
@@ -97,23 +85,6 @@ def test_level_only_where_crossed(panel, level, crossed):
     values = np.array([[0.0, 1.0], [0.0, np.nan], [0.0, 1.0]])
     draw_level(panel, Raster(np.arange(2.0), np.arange(3.0), values), level, "black")
     assert bool(panel.collections) is crossed
-
-
-def test_places(panel, problem):
-    """Start, goal and station are where the problem has them."""
-    start, goal, station = draw_places(panel, problem)
-    np.testing.assert_array_equal(start.get_offsets(), [[10.0, 10.0]])
-    np.testing.assert_array_equal(goal.get_offsets(), [[90.0, 75.0]])
-    np.testing.assert_array_equal(station.get_offsets(), [[50.0, 60.0]])
-    assert [part.get_label() for part in (start, goal, station)] == ["start", "goal", "station"]
-
-
-def test_cells_fill_the_bounds():
-    """Square cells, the chosen number along the long side, half a cell inside the bounds."""
-    x, y = cell_centres((-10.0, 5.0, 290.0, 105.0))
-    assert len(x) == NODES and len(y) == NODES // 3
-    assert x[0] == pytest.approx(-9.0) and x[-1] == pytest.approx(289.0)
-    assert y[0] == pytest.approx(6.0) and y[-1] == pytest.approx(104.0)
 
 
 def test_drawn_cells_against_shapely(problem):

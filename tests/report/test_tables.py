@@ -41,19 +41,6 @@ def test_lines_fit_a_terminal(comparison):
     assert max(map(len, text.splitlines())) <= 100
 
 
-def test_columns_line_up_under_the_header(comparison):
-    """Each number ends where the last line of its heading ends, and the whole heading is there."""
-    _, first, second, _ = blocks_of(comparison)
-    for block, words, value in (
-        (first, ["cost", "ratio"], "-"),
-        (second, ["step", "p95", "[ms]"], "40.0"),
-    ):
-        lines = block[-4 - len(words) :]
-        assert [line.split()[-1] for line in lines[: len(words)]] == words
-        assert len({len(line) for line in lines}) == 1
-        assert all(line.endswith(value) for line in lines[-4:])
-
-
 def test_mean_without_interval(comparison):
     """One run has a mean and no interval, and the title says so."""
     row = replace(comparison.rows[0], seeds=1, mean=61.25, ci_low=None, ci_high=None)

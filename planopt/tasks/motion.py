@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planopt.errors import NoPlanError
 from planopt.planning.certificate import BlockedError
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, save_no_plan
-from planopt.planning.results import RunSummary, Solution, summary_of
+from planopt.planning.results import Run, RunSummary, Solution, summary_of
 from planopt.problems.load import problem_to_dict
 from planopt.problems.overrides import with_overrides
 from planopt.problems.planner_kinds import planner_kind
@@ -21,103 +22,66 @@ from planopt.tasks.task import ANIMATION, NO_PLAN, Action, Task
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from planopt.planning.results import Run
-
 
 @dataclass(frozen=True, eq=False)
 class MotionReport:
-    """A solution or run as the command line shows, saves and draws it."""
+    """A solution, a run or a refusal as the command line shows, saves and draws it."""
 
-    value: Solution | Run
+    problem: Problem
+    words: Sequence[str]
+    exit_code: int
+    make_data: Callable[[], Mapping[str, Any]]
+    save: Callable[[Path], None]
+    figures: Callable[[], Mapping[str, Figure]]
+    run: Run | None = None  # For an animation
 
     files = PLAN_OR_RUN
 
     @property
     def data(self) -> Mapping[str, Any]:
         """Return the JSON object."""
-        from planopt.planning.files.result_json import run_json, solution_json
-
-        value = self.value
-        return solution_json(value) if isinstance(value, Solution) else run_json(value)
-
-    @property
-    def words(self) -> Sequence[str]:
-        """Return lines of text."""
-        from planopt.report.motion_words import run_in_words, solution_in_words
-
-        value = self.value
-        return solution_in_words(value) if isinstance(value, Solution) else run_in_words(value)
-
-    @property
-    def exit_code(self) -> int:
-        """Return 0 if verified, 3 if not, 4 if there is no plan or the run did not arrive."""
-        return self.value.exit_code
-
-    def save(self, folder: Path) -> None:
-        """Save the solution or run."""
-        self.value.save(folder)
+        return self.make_data()
 
     def draw(self, folder: Path, *, animation: bool = False) -> None:
         """Draw the figures that the problem asks for, and an animation on request."""
         from planopt.report import save_figure
 
-        if self.value.problem.report.figures:
-            for name, figure in self._figures().items():
-                save_figure(figure, folder / name)
-        if animation and not isinstance(self.value, Solution):
-            _animate(self.value, folder / ANIMATION)
-
-    def _figures(self) -> Mapping[str, Figure]:
-        """Return the map and, on the way to a goal, the belief and one robot's time series."""
-        from planopt.report import draw_belief, draw_run_series
-
-        value, plan = self.value, isinstance(self.value, Solution)
-        figures = {"plan.png" if plan else "run.png": value.plot()}
-        if value.problem.task != "reach":
-            return figures
-        if not isinstance(value, Solution) and len(value.runs) == 1:
-            figures["series.png"] = draw_run_series(value)
-        belief = value.belief if isinstance(value, Solution) else value.beliefs[0]
-        return {**figures, "belief.png": draw_belief(value.problem, belief)}
-
-
-@dataclass(frozen=True, eq=False)
-class NoMotionReport:
-    """The refusal of a problem: why there is no plan, and what would help."""
-
-    action: Action
-    problem: Problem
-    seed: int
-    error: NoPlanError
-    data: Mapping[str, Any]
-    help: Sequence[str] = ()
-
-    files = PLAN_OR_RUN
-    exit_code = NO_PLAN
-
-    @property
-    def words(self) -> Sequence[str]:
-        """Return why there is no plan, and what would help."""
-        return (f"{self.problem.name}: no plan: {self.error}", *(f"  {each}" for each in self.help))
-
-    def save(self, folder: Path) -> None:
-        """Save that there is no plan."""
-        more: dict[str, Any] = {} if self.action == "solve" else {"plans": []}
-        name = PLAN_FILE if self.action == "solve" else RUN_FILE
-        save_no_plan({**self.data, **more}, self.problem, folder, name)
-
-    def draw(self, folder: Path, *, animation: bool = False) -> None:
-        """Draw the paths that a hard constraint forbids, if there are any."""
-        error = self.error
-        if self.action == "simulate" or not isinstance(error, BlockedError) or not error.blocked:
-            return
         if self.problem.report.figures:
-            from planopt.planning.initial_data import prepare
-            from planopt.report import draw_no_plan, save_figure
+            for name, figure in self.figures().items():
+                save_figure(figure, folder / name)
+        if animation and self.run is not None:
+            _animate(self.run, folder / ANIMATION)
 
-            belief = prepare(self.problem, self.seed).belief
-            figure = draw_no_plan(self.problem, belief, str(error), error.blocked)
-            save_figure(figure, folder / "plan.png")
+
+def _animate(run: Run, path: Path) -> None:
+    from planopt.report import save_animation
+
+    save_animation(run, path)
+
+
+def _figures(value: Solution | Run) -> Mapping[str, Figure]:
+    """Return the map and, for a goal, the belief and the time series of a single robot."""
+    from planopt.report import draw_belief, draw_run_series
+
+    plan = isinstance(value, Solution)
+    figures = {"plan.png" if plan else "run.png": value.plot()}
+    if value.problem.task != "reach":
+        return figures
+    if not isinstance(value, Solution) and len(value.runs) == 1:
+        figures["series.png"] = draw_run_series(value)
+    belief = value.belief if isinstance(value, Solution) else value.beliefs[0]
+    return {**figures, "belief.png": draw_belief(value.problem, belief)}
+
+
+def _blocked_figures(problem: Problem, seed: int, error: NoPlanError) -> Mapping[str, Figure]:
+    """Return the paths that a hard constraint forbids, if there are any."""
+    if not isinstance(error, BlockedError) or not error.blocked:
+        return {}
+    from planopt.planning.initial_data import prepare
+    from planopt.report import draw_no_plan
+
+    belief = prepare(problem, seed).belief
+    return {"plan.png": draw_no_plan(problem, belief, str(error), error.blocked)}
 
 
 class MotionTask(Task):
@@ -205,35 +169,44 @@ class MotionTask(Task):
 
     def report(self, result: Solution | Run) -> MotionReport:
         """Explain a solution that is not verified or crosses coverage holes, and report it."""
-        if isinstance(result, Solution):
+        from planopt.planning.files.result_json import run_json, solution_json
+        from planopt.report.motion_words import run_in_words, solution_in_words
+
+        figures = partial(_figures, result)
+        if not isinstance(result, Solution):
+            words, data = run_in_words(result), partial(run_json, result)
+            code, save = result.exit_code, result.save
+            return MotionReport(result.problem, words, code, data, save, figures, result)
+        if result.exit_code != 0 or any(plan.holes for plan in result.plans):
             from planopt.planning.explain.explain import explain
 
-            if result.exit_code != 0 or any(plan.holes for plan in result.plans):
-                result = replace(result, explanation=explain(result))
-        return MotionReport(result)
+            result = replace(result, explanation=explain(result))
+        words, data = solution_in_words(result), partial(solution_json, result)
+        return MotionReport(result.problem, words, result.exit_code, data, result.save, figures)
 
     def no_plan(
         self, action: Action, problem: Problem, seed: int, error: NoPlanError
-    ) -> NoMotionReport:
+    ) -> MotionReport:
         """Report a refusal; where a plan was asked for, find changes that would help."""
         from planopt.planning.explain.explain import explain_no_plan
         from planopt.planning.files.result_json import no_plan_json, no_run_json
 
+        words, more = [f"{problem.name}: no plan: {error}"], dict[str, list[Any]]()
+        figures: Callable[[], Mapping[str, Figure]] = dict
         if action == "simulate":
-            data = no_run_json(problem, seed, str(error))
-            return NoMotionReport(action, problem, seed, error, data)
-        helpful = explain_no_plan(problem, seed)
-        blocked = error.blocked if isinstance(error, BlockedError) else ()
-        data = no_plan_json(problem, seed, str(error), helpful, blocked)
-        words = [str(each) for each in helpful]
-        nothing = ["no change of a single key or obstacle that was tried helps"]
-        return NoMotionReport(action, problem, seed, error, data, words or nothing)
+            name, data, more["plans"] = RUN_FILE, no_run_json(problem, seed, str(error)), []
+        else:
+            helpful = explain_no_plan(problem, seed)
+            blocked = error.blocked if isinstance(error, BlockedError) else ()
+            name, data = PLAN_FILE, no_plan_json(problem, seed, str(error), helpful, blocked)
+            nothing = ["no change of a single key or obstacle that was tried helps"]
+            words += [f"  {each}" for each in helpful or nothing]
+            figures = partial(_blocked_figures, problem, seed, error)
 
+        def save(folder: Path) -> None:
+            save_no_plan({**data, **more}, problem, folder, name)
 
-def _animate(run: Run, path: Path) -> None:
-    from planopt.report import save_animation
-
-    save_animation(run, path)
+        return MotionReport(problem, words, NO_PLAN, lambda: data, save, figures)
 
 
 TASK = MotionTask(

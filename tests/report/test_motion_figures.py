@@ -14,12 +14,11 @@ from teams import team_problem, team_run
 from planopt import ConnectivityRule, MovingObstacle, Solution, Verdict, load, simulate, solve
 from planopt.planning.certificate import RuleResult
 from planopt.planning.values.context import Aim
-from planopt.problems import GivenParameters
 from planopt.report import draw_run, draw_run_series, draw_solution
 from planopt.report.motion_figures import WORDS_LINES
 from planopt.report.motion_words import certificate_in_words
 from planopt.report.panel import BAND_Z
-from planopt.tasks.motion import MotionReport
+from planopt.tasks.motion import TASK
 from planopt.world.moving_discs import centres_at
 
 MAP, POWER, CHANCE = {"x [m]", "y [m]"}, "power [dBm]", "P [1]"
@@ -34,20 +33,6 @@ def test_units_of_plan_run_and_series(solution, simulation):
     assert labels_of(drawn(draw_run_series(simulation))) == {
         "time [s]", POWER, CHANCE, "step time [ms]"
     }  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("task", "more"),
-    [
-        ("track", {CHANCE, "P(connected) [1]", "trace P [m²]"}),
-        ("learn", {POWER, "trace M / |θ|² [dB]"}),
-        ("map", {POWER, "standard deviation [dB]", "trace M / |θ|² [dB]"}),
-    ],
-)
-def test_units_of_a_team(simulation, task, more):
-    """Every task has its own maps and curves, and no others."""
-    labels = labels_of(drawn(draw_run(team_run(simulation, task))))
-    assert labels == MAP | {"RMS error [dB]", "time [s]"} | more
 
 
 def test_map_of_a_plan(solution, plan, problem):
@@ -196,19 +181,6 @@ def test_run_without_steps(simulation, log):
     assert set(legend_of(drawn(draw_run(ended)))) == {"start", "station", "robot_0, driven"}
 
 
-def test_known_path_loss_has_no_panel(simulation):
-    """Known path loss has no uncertainty to draw."""
-    run = team_run(simulation, "map")
-    known = GivenParameters(
-        shadow_std_db=4.0, decorrelation_m=10.0, multipath_std_db=1.0, k_pl_db=-10.0, n_pl=2.0
-    )
-    labels = []
-    for given in (known, replace(known, k_pl_db=None, n_pl=None)):
-        problem = replace(run.problem, channel=replace(run.problem.channel, given=given))
-        labels.append(labels_of(drawn(draw_run(replace(run, problem=problem)))))
-    assert labels[1] - labels[0] == {"trace M / |θ|² [dB]"}
-
-
 @pytest.mark.parametrize("robots", [1, 3])
 def test_robots_of_a_team(simulation, robots):
     """Tracks and plans are the data's; no two robots look the same."""
@@ -238,19 +210,6 @@ def test_target_and_its_estimates(simulation):
     lost = collection_of(curve, "none arrived").get_offsets()
     np.testing.assert_allclose(lost, [[4.0, run.target.station_variance_m2[2]]])
     assert len(collection_of(curve, "packets arrived").get_offsets()) == 5
-
-
-def test_connections_and_bound_of_a_team(simulation):
-    """A curve and a row for each robot; the bound where there is one."""
-    figure = drawn(draw_run(team_run(simulation, "track", p_min=0.8)))
-    curves = panel_of(figure, "one step ahead")
-    names = ["robot_0", "robot_1", "robot_2"]
-    assert [line.get_label() for line in curves.lines] == [*names, "p_min = 0.8"]
-    rows = panel_of(figure, "truly connected")
-    assert [text.get_text() for text in rows.get_yticklabels()] == names
-    lost = [each.get_offsets() for each in rows.collections if len(each.get_offsets()) == 1]
-    np.testing.assert_array_equal(np.concatenate(lost), [[4.0, 0.0], [4.0, 1.0], [4.0, 2.0]])
-    assert "P(connected) [1] (line: p_min)" in labels_of(figure)
 
 
 def test_fallbacks_and_verdicts(simulation):
@@ -288,7 +247,7 @@ def test_plans_of_a_team(simulation, belief, plan, task):
 def test_pictures_are_written(simulation, solution, tmp_path):
     """A run and a solution are saved under the same names for every number of robots."""
     for value in (team_run(simulation, "map", 1), solution):
-        MotionReport(value).draw(tmp_path)
+        TASK.report(value).draw(tmp_path)
     names = {"plan.png", "run.png", "belief.png"}
     assert {file.name for file in tmp_path.iterdir()} == names
     assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in names)

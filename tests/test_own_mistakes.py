@@ -152,7 +152,7 @@ def test_wrong_expressions(base, expression, words) -> None:
 
 def tried(value):
     """Methods of a term that tries places."""
-    return {"tries_places": True, "tried_values": lambda self, at, ways, chance: value(ways)}
+    return {"probes_end": True, "probe_values": lambda self, at, ways, chance: value(ways)}
 
 
 ONES = {"value": lambda self, at, path_m: 1.0, "values": lambda self, at: np.ones(at.shape[0])}
@@ -167,13 +167,13 @@ ONES = {"value": lambda self, at, path_m: 1.0, "values": lambda self, at: np.one
         ({"value": lambda self, at, path_m: None}, "value returned a NoneType"),
         ({"value": lambda self, at, path_m: np.nan}, "value returned numbers that are not finite"),
         ({"node_reward": lambda self, at: None}, "node_reward failed: TypeError"),
-        ({"tries_places": True}, "Mine has no method tried_values"),
-        (tried(lambda ways: 1 / 0), "tried_values failed: ZeroDivisionError"),
-        (tried(lambda ways: np.ones(3)), r"tried_values returned shape \(3,\), should return"),
-        (tried(lambda ways: ways[:, 0, 0] * np.nan), "tried_values returned .* not finite"),
+        ({"probes_end": True}, "Mine has no method probe_values"),
+        (tried(lambda ways: 1 / 0), "probe_values failed: ZeroDivisionError"),
+        (tried(lambda ways: np.ones(3)), r"probe_values returned shape \(3,\), should return"),
+        (tried(lambda ways: ways[:, 0, 0] * np.nan), "probe_values returned .* not finite"),
         (
             tried(lambda ways: None),
-            r"tried_values returned a NoneType.*\(return one finite number for each path",
+            r"probe_values returned a NoneType.*\(return one finite number for each path",
         ),
     ],
 )

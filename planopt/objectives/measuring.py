@@ -75,9 +75,9 @@ class MeasuringRule:
         """Return the distance from which on gates are fully open."""
         return OPEN_SPACINGS * self.spacing_m
 
-    def near(self, ways_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
-        """The same rule for places no farther than `beyond_m` from some of `ways_m` (..., 2)."""
-        places = ways_m.reshape(-1, 2)
+    def near(self, paths_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
+        """The same rule for places no farther than `beyond_m` from some of `paths_m` (..., 2)."""
+        places = paths_m.reshape(-1, 2)
         if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
             return self
         room = beyond_m + self.open_m
@@ -96,20 +96,20 @@ class MeasuringRule:
             found |= ~(distance[:, 0] < self.spacing_m)
         return found
 
-    def takes(self, ways_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def takes(self, paths_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which places bring a measurement when they are visited in turn."""
-        # Shapes: ways_m (..., N, 2); returns (..., N).
-        if not ways_m.size:
-            return np.zeros(ways_m.shape[:-1], dtype=np.bool_)
-        if ways_m.ndim == 2 and len(ways_m) > LONGEST_PATH:
-            return self._takes_of_log(ways_m)
-        ways = ways_m.reshape(-1, *ways_m.shape[-2:])
+        # Shapes: paths_m (..., N, 2); returns (..., N).
+        if not paths_m.size:
+            return np.zeros(paths_m.shape[:-1], dtype=np.bool_)
+        if paths_m.ndim == 2 and len(paths_m) > LONGEST_PATH:
+            return self._takes_of_log(paths_m)
+        ways = paths_m.reshape(-1, *paths_m.shape[-2:])
         taken = self.is_open(ways.reshape(-1, 2)).reshape(ways.shape[:2])
         close = _squared_between_m2(ways) < self.spacing_m**2
         if close.any():
             for k in range(1, ways.shape[1]):
                 taken[:, k] &= ~(close[:, k, :k] & taken[:, :k]).any(axis=1)
-        return taken.reshape(ways_m.shape[:-1])
+        return taken.reshape(paths_m.shape[:-1])
 
     def _takes_of_log(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return :meth:`takes` of a long list of places (n, 2), in memory linear in n."""
@@ -121,16 +121,16 @@ class MeasuringRule:
             taken = np.concatenate([taken, block[earlier.takes(places_m[block])]])
         return np.isin(np.arange(len(places_m)), taken)
 
-    def gates(self, ways_m: NDArray[np.float64]) -> Gates | None:
+    def gates(self, paths_m: NDArray[np.float64]) -> Gates | None:
         """Smooth amplitudes of ways (c, N, 2); None where all are one and stay so nearby."""
-        count, steps = ways_m.shape[:2]
-        places = ways_m.reshape(-1, 2)
+        count, steps = paths_m.shape[:2]
+        places = paths_m.reshape(-1, 2)
         distance, offset = self._beside(places)
-        squared = _squared_between_m2(ways_m)
+        squared = _squared_between_m2(paths_m)
         beside = distance < self.open_m
         if not beside.any() and not (squared < self.open_m**2).any():
             return None
-        taken = self.takes(ways_m)
+        taken = self.takes(paths_m)
         # Earlier places of the way that were measured count like earlier measurements.
         squared = np.where(taken[:, None], squared, np.inf)
         known_log = _log_gate((distance * distance).reshape(count, steps, -1), self)
@@ -138,7 +138,7 @@ class MeasuringRule:
         value = np.exp(known_log[0].sum(axis=2) + own_log[0].sum(axis=2))
         return Gates(
             value,
-            ways_m,
+            paths_m,
             offset.reshape(count, steps, -1, 2),
             known_log,
             own_log,
@@ -263,10 +263,10 @@ def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[n
     return found
 
 
-def _squared_between_m2(ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _squared_between_m2(paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared distances of places from the earlier ones of their way, else inf; (c, N, N)."""
-    steps = ways_m.shape[1]
-    x, y = ways_m[..., 0], ways_m[..., 1]
+    steps = paths_m.shape[1]
+    x, y = paths_m[..., 0], paths_m[..., 1]
     found = (x[:, :, None] - x[:, None]) ** 2
     found += (y[:, :, None] - y[:, None]) ** 2
     found[:, np.triu(np.ones((steps, steps), dtype=np.bool_))] = np.inf

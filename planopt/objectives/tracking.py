@@ -237,7 +237,7 @@ def retreats_of(
 
 
 def recourse_costs(
-    ways_m: NDArray[np.float64],  # (c, N, 2)
+    paths_m: NDArray[np.float64],  # (c, N, 2)
     chance: NDArray[np.float64],  # (c, N) chance of connection after every step
     retreats: Retreats,
     others: NDArray[np.float64],  # (k,) expected information of the other robots' packets, per m^2
@@ -248,33 +248,33 @@ def recourse_costs(
     Equation 4.22 has what they remove: this is less than what is left without them.
     """
     steps, tracking = chance.shape[1], settings.tracking
-    arrivals = last_arrivals(ways_m)
+    arrivals = last_arrivals(paths_m)
     at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
     told = np.zeros(at_stop.shape)
     told[:, :steps] = chance * sensing_information(
-        tracking.sensor, ways_m, tracking.target_m[:steps]
+        tracking.sensor, paths_m, tracking.target_m[:steps]
     )
-    ends = np.where(at_stop, at_ends(ways_m, arrivals, retreats, settings), told)
+    ends = np.where(at_stop, at_ends(paths_m, arrivals, retreats, settings), told)
     # The filter of a coordinate is told half of the information of a packet.
     costs = left(0.5 * (ends + others), settings)
-    tried = chance[:, -1]
-    return tried * costs[0] + (1.0 - tried) * costs[1]
+    probed = chance[:, -1]
+    return probed * costs[0] + (1.0 - probed) * costs[1]
 
 
-def last_arrivals(ways_m: NDArray[np.float64]) -> NDArray[np.intp]:
+def last_arrivals(paths_m: NDArray[np.float64]) -> NDArray[np.intp]:
     """Return the step, from 0 on, at whose end paths (c, N, 2) come to where they end; ``(c,)``."""
-    count, steps, _ = ways_m.shape
-    moving = np.linalg.norm(ways_m - ways_m[:, -1:], axis=2) > SAME_PLACE_M
+    count, steps, _ = paths_m.shape
+    moving = np.linalg.norm(paths_m - paths_m[:, -1:], axis=2) > SAME_PLACE_M
     return steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
 
 
-def stayed_steps(ways_m: NDArray[np.float64]) -> int:
+def stayed_steps(paths_m: NDArray[np.float64]) -> int:
     """Return M of equation 4.21, for how many steps of paths (c, N, 2) ends are stayed at."""
-    return min(ways_m.shape[1], STAYED_STEPS)
+    return min(paths_m.shape[1], STAYED_STEPS)
 
 
 def at_ends(
-    ways_m: NDArray[np.float64],  # (c, N, 2)
+    paths_m: NDArray[np.float64],  # (c, N, 2)
     arrivals: NDArray[np.intp],
     retreats: Retreats,
     settings: FilteredTracking,
@@ -286,9 +286,9 @@ def at_ends(
     drives: the model lets it leave at any step, without the obstacles and robots that real paths
     keep from.
     """
-    tracking, stops = settings.tracking, ways_m[:, -1]
+    tracking, stops = settings.tracking, paths_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
-    later = np.arange(len(tracking.target_m)) >= stayed_steps(ways_m)
+    later = np.arange(len(tracking.target_m)) >= stayed_steps(paths_m)
     failed = np.where(later | (arrivals > 0)[:, None], retreats.best(stops, arrivals), 0.0)
     return np.stack([np.where(later, np.maximum(staying, failed), staying), failed])
 
@@ -299,8 +299,8 @@ def discounted(settings: FilteredTracking) -> FilteredTracking:
     return settings.weighted(weight * DISCOUNT ** np.arange(len(weight)))
 
 
-def told_later_costs(
-    ways_m: NDArray[np.float64],
+def delayed_costs(
+    paths_m: NDArray[np.float64],
     chance: NDArray[np.float64],
     retreats: Retreats,
     others: NDArray[np.float64],
@@ -314,13 +314,13 @@ def told_later_costs(
     if held is None:
         raise AssertionError("packets have measurements")
     count, length, total = len(chance), chance.shape[1], len(tracking.target_m)
-    arrivals, stops = last_arrivals(ways_m), ways_m[:, -1]
-    ends = at_ends(ways_m, arrivals, retreats, settings)
+    arrivals, stops = last_arrivals(paths_m), paths_m[:, -1]
+    ends = at_ends(paths_m, arrivals, retreats, settings)
     # Who stands, or stops with the first step, tries nothing, and stays for a while.
-    leaving = np.where(arrivals > 0, arrivals, stayed_steps(ways_m) - 1)
+    leaving = np.where(arrivals > 0, arrivals, stayed_steps(paths_m) - 1)
     back_m, home = _ways_back(stops, leaving, retreats, total)
     returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
-    sensed = sensing_information(tracking.sensor, ways_m, tracking.target_m[:length])
+    sensed = sensing_information(tracking.sensor, paths_m, tracking.target_m[:length])
     stage = np.arange(total)
     # What is known in the end: if the try succeeds, and once the robot is back.
     told = ends.copy()
@@ -336,7 +336,7 @@ def told_later_costs(
     for known, sent in zip(held.known, held.sent, strict=True):
         axis.predict(full)
         axis.update(full, known + sent)
-    costs, tried = np.zeros(count), chance[:, -1]
+    costs, probed = np.zeros(count), chance[:, -1]
     for k in range(total):
         if 0 < k < length:
             arrived = arrivals == k
@@ -347,14 +347,14 @@ def told_later_costs(
         axis.update(less, known_before[:, k])
         failed: NDArray[np.float64] = full[0, 1]
         failed = np.where(k < home, less[0], failed)
-        variance: NDArray[np.float64] = tried * full[0, 0] + (1.0 - tried) * failed
+        variance: NDArray[np.float64] = probed * full[0, 0] + (1.0 - probed) * failed
         if k < length:
             variance = np.where(on_way[:, k], before[0, k], variance)
         costs += tracking.weight[k] * criterion_of(variance, settings.criterion)
     return costs
 
 
-def chance_told(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
+def arrival_chance(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
     """Return the chance that step s is known at step k, by packets of the way; (N, M + N, c).
 
     The largest chance of the packets since: as shadowing has it, they arrive or are lost together.
@@ -381,7 +381,7 @@ def _known_on_way(
     if held is None:
         raise AssertionError("packets have measurements")
     axis, told = Axis.of(replace(settings, information=held.information)), held.steps
-    known = chance_told(chance, told)
+    known = arrival_chance(chance, told)
     variance = np.empty((3, chance.shape[1], len(chance)))
     variance[:] = axis.start[:, None, None]
     for s in range(known.shape[1]):

@@ -38,13 +38,13 @@ WAITING = 0.1
 """What a metre counts that a step could be longer. Were it nothing, a robot could as well wait as
 drive: it would put off its first step again and again."""
 
-NOT_TRIED_DB = 1e3
+NOT_PROBED_DB = 1e3
 """So far below the threshold the searches' formula takes places that are no tries."""
 
 LEAST_CHANCE = 1e-12
 """Of a place that is tried."""
 
-TRY_SHARE = 1.0 / 3.0
+PROBE_SHARE = 1.0 / 3.0
 """How far apart tries are expected to be, as a share of the decorrelation distance. From 1/6 to 2/3
 searches from 40 starts on one map were within a tenth of the best; as tries that all begin where
 the robot is, D / P + L (1 - P) / P with the whole decorrelation distance, they drove a tenth
@@ -72,7 +72,7 @@ def charged_distance_m(
     posteriors: Sequence[ChannelPosterior],
     path_m: NDArray[np.float64],  # (h, 2)
     settings: Search,
-    tried: NDArray[np.bool_] | None = None,  # (h,) which places are probed; None: all
+    probed: NDArray[np.bool_] | None = None,  # (h,) which places are probed; None: all
 ) -> float:
     """Return E[D] + beyond_m P(not connected at q_1 .. q_h), by the exact posteriors.
 
@@ -81,7 +81,7 @@ def charged_distance_m(
     them multiply.
     """
     places = require_places(path_m)
-    missing_db = 0.0 if tried is None else np.where(tried, 0.0, NOT_TRIED_DB)
+    missing_db = 0.0 if probed is None else np.where(probed, 0.0, NOT_PROBED_DB)
     powers = [joint_prediction(factored_near(each, places), places) for each in posteriors]
     stations = [
         ((power.mean_db - threshold - missing_db)[None], power.covariance_db2[None])
@@ -142,12 +142,12 @@ def search_length_m(
 ) -> NDArray[np.float64]:
     """Return the expected length of a search that begins at a place, R = D + L (1 - P) / P.
 
-    The first try costs the way to its place, D, and each further one L, `TRY_SHARE` of the
+    The first try costs the way to its place, D, and each further one L, `PROBE_SHARE` of the
     decorrelation distance: it is as likely to succeed as the first, and near it.
     """
     # Shapes: distance_m, chance (k,).
     odds_against = (1.0 - chance) / np.maximum(chance, LEAST_CHANCE)
-    return distance_m + TRY_SHARE * decorrelation_m * odds_against
+    return distance_m + PROBE_SHARE * decorrelation_m * odds_against
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def charged_distance_derivatives(
     settings: Search,
     width_m: float,
     beyond: Derivatives | None = None,  # Cost of ending without connection, by the last place
-    tried: NDArray[np.bool_] | None = None,  # (h,)
+    probed: NDArray[np.bool_] | None = None,  # (h,)
 ) -> PathDerivatives:
     """:func:`planopt.objectives.until_connected.charged_distance_m`, filtered, with derivatives."""
     stations = [LocalPath(channel, path_m) for channel in channels]
@@ -226,7 +226,7 @@ def charged_distance_derivatives(
         legs = Derivatives(counted, driven * legs.gradient, driven * legs.hessian)
     if beyond is None:
         beyond = Derivatives(np.array([settings.beyond_m]), np.zeros((1, 2)), np.zeros((1, 3)))
-    missing_db = 0.0 if tried is None else np.where(tried, 0.0, NOT_TRIED_DB)
+    missing_db = 0.0 if probed is None else np.where(probed, 0.0, NOT_PROBED_DB)
     z: list[NDArray[np.float64]] = []
     # Derivatives of z by the coordinates.
     jacobian: list[NDArray[np.float64]] = []

@@ -59,7 +59,7 @@ class OneStepPlanner:
         self._measures = learns(problem)
         # An expression is for a whole path: it is valued as if the robot then stood.
         self._whole = any(
-            term.structure == "full" and not (term.is_measured or term.steers or term.tries_places)
+            term.structure == "full" and not (term.is_measured or term.steers or term.probes_end)
             for term in problem.terms
         )
         radius = (problem.step_length_m - STEP_PAD_M) * np.arange(1, RINGS + 1) / RINGS

@@ -196,7 +196,7 @@ class Problem:
         if any(type(term).derivatives is Term.derivatives for term in self.terms):
             return False
         has_dynamics = not all(robot.moves_freely for robot in self.robots)
-        return has_dynamics or not any(term.tries_places for term in self.terms)
+        return has_dynamics or not any(term.probes_end for term in self.terms)
 
     @property
     def term_setting(self) -> TermSetting:

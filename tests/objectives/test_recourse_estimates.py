@@ -24,11 +24,11 @@ from planopt.objectives.tracking import (
     DISCOUNT,
     Held,
     Retreats,
-    chance_told,
+    arrival_chance,
+    delayed_costs,
     discounted,
     recourse_costs,
     retreats_of,
-    told_later_costs,
 )
 from planopt.targets.information_filter import predicted_information
 from planopt.targets.sensor import sensing_information
@@ -48,7 +48,7 @@ def home_at(place_m, information=0.0):
 def test_an_excursion_is_told_of_on_return(home_m, steps_back):
     """Out of contact from the second step on; back home all is known, and nothing new is sensed."""
     chance = np.array([[1.0, 0.0, 0.0, 0.0]])
-    found = told_later_costs(OUT[None], chance, home_at(home_m), ALONE, FIRST)
+    found = delayed_costs(OUT[None], chance, home_at(home_m), ALONE, FIRST)
     # It is at the stop at the end of step 3, counted from 0.
     share = np.minimum(np.arange(1, BEYOND + 1) / steps_back, 1.0)
     back = OUT[-1] + share[:, None] * (np.array(home_m) - OUT[-1])
@@ -68,7 +68,7 @@ def test_where_every_place_is_connected_packets_of_both_kinds_tell_the_same():
     """With others' packets, and places to go to."""
     retreats = retreats_of(np.array([[9.0, 3.0], [4.0, 0.0]]), np.ones(TOTAL), SETTINGS, LONGEST_M)
     others, chance = np.linspace(0.0, 2.0, TOTAL), np.ones((3, STEPS))
-    found = told_later_costs(WAYS, chance, retreats, others, FIRST)
+    found = delayed_costs(WAYS, chance, retreats, others, FIRST)
     raw = recourse_costs(WAYS, chance, retreats, others, SETTINGS)
     np.testing.assert_allclose(found, raw, rtol=1e-12)
 
@@ -76,7 +76,7 @@ def test_where_every_place_is_connected_packets_of_both_kinds_tell_the_same():
 def test_who_never_is_connected_tells_nothing():
     """Without a chance and without a way back what is sensed is lost, as that of measurements."""
     chance = np.zeros((3, STEPS))
-    found = told_later_costs(WAYS, chance, NOWHERE, ALONE, FIRST)
+    found = delayed_costs(WAYS, chance, NOWHERE, ALONE, FIRST)
     raw = recourse_costs(WAYS, chance, NOWHERE, ALONE, SETTINGS)
     np.testing.assert_allclose(found, raw, rtol=1e-12)
 
@@ -89,8 +89,7 @@ def test_telling_later_never_costs_more_than_losing_and_more_the_later():
         chance = chances[number : number + 1]
         near, far = (home_at(away[number] + [0.0, further], 50.0) for further in (0.0, 6.0))
         costs = [
-            told_later_costs(way[None], chance, home, ALONE, FIRST)[0]
-            for home in (near, far, NOWHERE)
+            delayed_costs(way[None], chance, home, ALONE, FIRST)[0] for home in (near, far, NOWHERE)
         ]
         lost = recourse_costs(way[None], chance, NOWHERE, ALONE, SETTINGS)[0]
         assert costs[0] < costs[1] < costs[2] <= lost
@@ -109,7 +108,7 @@ def test_what_is_held_comes_with_the_first_packet():
     settings = replace(SETTINGS, information=states[0], held=held)
     for certain, start in enumerate(states):
         chance = np.full((1, STEPS), float(certain))
-        found = told_later_costs(OUT[None], chance, NOWHERE, ALONE, settings)
+        found = delayed_costs(OUT[None], chance, NOWHERE, ALONE, settings)
         raw = recourse_costs(
             OUT[None], chance, NOWHERE, ALONE, replace(SETTINGS, information=start)
         )
@@ -124,7 +123,7 @@ def test_a_step_is_told_of_by_the_best_packet_since():
         for s in range(k + 1):
             expected[k, 2 + s] = chance[:, s : k + 1].max(axis=1)
         expected[k, :2] = chance[:, : k + 1].max(axis=1)
-    np.testing.assert_array_equal(chance_told(chance, 2), expected)
+    np.testing.assert_array_equal(arrival_chance(chance, 2), expected)
 
 
 def test_later_steps_are_discounted():
@@ -139,16 +138,14 @@ def test_later_steps_are_discounted():
     sent = replace(raw, held=Held(raw.information, np.zeros(0), np.zeros(0)))
     (term,) = problem.terms
     way, chance = np.tile(raw.position_m, (1, 3, 1)), np.ones((1, 3))
-    values = [term.tried_values(each, way, chance)[0] for each in (raw, sent)]
+    values = [term.probe_values(each, way, chance)[0] for each in (raw, sent)]
     assert 0.0 < values[1] < values[0]
 
 
 def test_who_stands_sets_out_when_the_plan_ends():
     """Out of contact throughout: all is known four steps after the plan, and nothing before."""
     standing = np.tile(OUT[-1], (STEPS, 1))
-    found = told_later_costs(
-        standing[None], np.zeros((1, STEPS)), home_at((0.0, 0.0)), ALONE, FIRST
-    )
+    found = delayed_costs(standing[None], np.zeros((1, STEPS)), home_at((0.0, 0.0)), ALONE, FIRST)
     share = np.minimum(np.arange(1, BEYOND + 1) / 4.0, 1.0)
     places = np.vstack([standing, OUT[-1] * (1.0 - share[:, None])])
     at_home = STEPS - 1 + 4

@@ -51,7 +51,9 @@ def test_values_of_many_paths_are_sums_of_stage_rewards():
     plain = dataclasses.replace(TERM, step_weights=())
     each = [plain.stage_reward(at, PATH, k, chance) for k in range(5)]
     np.testing.assert_allclose(rewards, np.array(WEIGHT)[:, None] * np.array(each))
-    paths = SimpleNamespace(at=at, ways_m=np.stack([PATH, PATH]), chance=np.stack([chance, chance]))
+    paths = SimpleNamespace(
+        at=at, paths_m=np.stack([PATH, PATH]), chance=np.stack([chance, chance])
+    )
     np.testing.assert_allclose(TERM.values(paths), np.trace(rewards))
 
 

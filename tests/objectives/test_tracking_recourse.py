@@ -161,9 +161,9 @@ def test_the_terminal_weight_is_of_one_step():
     alone = replace(term, terminal_weight=1.0)
     way = np.tile(situation.position_m, (1, 3, 1))
     chance = np.full((1, 3), 0.5)
-    heavy, light = (each.tried_values(situation, way, chance)[0] for each in (term, alone))
+    heavy, light = (each.probe_values(situation, way, chance)[0] for each in (term, alone))
     far = replace(term, terminal_weight=1.0, step_weights=(1.0, 1.0, 5.0, 1.0))
-    assert light < heavy == pytest.approx(far.tried_values(situation, way, chance)[0], rel=1e-12)
+    assert light < heavy == pytest.approx(far.probe_values(situation, way, chance)[0], rel=1e-12)
 
 
 def test_who_stands_is_taken_for_standing_until_the_plan_ends():

@@ -37,15 +37,15 @@ def test_charged_distance_by_driving_through_sampled_channels():
 def test_places_that_are_no_tries_are_driven_past():
     """As if the path had only the others, with the same legs."""
     search = Search(START, (THRESHOLD,), beyond_m=50.0)
-    tried = np.arange(len(PATH)) % 2 == 1
-    found = charged_distance_m([POSTERIOR], PATH, search, tried=tried)
-    power = joint_prediction(POSTERIOR, PATH[tried])
+    probed = np.arange(len(PATH)) % 2 == 1
+    found = charged_distance_m([POSTERIOR], PATH, search, probed=probed)
+    power = joint_prediction(POSTERIOR, PATH[probed])
     failing = np.ones(len(PATH) + 1)
     above = (power.mean_db - THRESHOLD)[None]
     some = filtered_failing(above, power.covariance_db2[None])[0]
     failing[1:] = np.concatenate([[1.0], np.repeat(some, 2)])[: len(PATH)]
     assert found == pytest.approx(LEGS @ failing[:-1] + 50.0 * failing[-1], rel=1e-12)
-    none = charged_distance_m([POSTERIOR], PATH, search, tried=np.zeros(len(PATH), dtype=bool))
+    none = charged_distance_m([POSTERIOR], PATH, search, probed=np.zeros(len(PATH), dtype=bool))
     assert none == pytest.approx(LEGS.sum() + 50.0, rel=1e-12)
 
 

@@ -65,7 +65,7 @@ class SteeredPath(Protocol):
         """Return the length of the path from each place (n, 2) to the end; (n,)."""
         ...
 
-    def gained_m(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gained_m(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return by how much the places of paths (..., N, 2) are nearer than the start, summed."""
         ...
 
@@ -164,8 +164,8 @@ class TermContext(Protocol):
         ...
 
     @property
-    def tries(self) -> MeasuringRule:
-        """Return the rule by which places of a path are tried for connection."""
+    def probing(self) -> MeasuringRule:
+        """Return the rule by which places of a path are probed for connection."""
         ...
 
     @property
@@ -205,7 +205,7 @@ class Paths:
     """Many paths of one step, with predictions along them."""
 
     at: TermContext  # What is known
-    ways_m: NDArray[np.float64]  # (c, N, 2) places after each step
+    paths_m: NDArray[np.float64]  # (c, N, 2) places after each step
     stations: Sequence[LocalPaths]  # Each station's power along all of them
     moments: Sequence[Moments]  # Of measuring each station's anticipated channel along them
 
@@ -235,12 +235,12 @@ class Paths:
     @cached_property
     def legs_m(self) -> NDArray[np.float64]:
         """Lengths of the steps of every path, ``(c, N)``."""
-        return legs_m(self.at, self.ways_m)
+        return legs_m(self.at, self.paths_m)
 
 
-def legs_m(at: TermContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def legs_m(at: TermContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the lengths of the steps of paths ``(c, N, 2)`` from where the robot is; (c, N)."""
-    ends = np.concatenate([np.broadcast_to(at.position_m, (len(ways_m), 1, 2)), ways_m], axis=1)
+    ends = np.concatenate([np.broadcast_to(at.position_m, (len(paths_m), 1, 2)), paths_m], axis=1)
     return np.linalg.norm(np.diff(ends, axis=1), axis=2)
 
 
@@ -259,7 +259,7 @@ class NearPath:
     # (N,) number of the turn of the steered path that each place goes to; None if nothing steers
     ahead: NDArray[np.intp] | None
     # (N,) which places are tries for connection; None where no term tries
-    tried: NDArray[np.bool_] | None
+    probed: NDArray[np.bool_] | None
 
     @cached_property
     def stage_power(self) -> StagePower:

@@ -33,7 +33,7 @@ class SteeredTerm(Term):
         """Return the same of many paths."""
         if paths.at.steering is None:
             return np.zeros(paths.shape[0])
-        return paths.at.steering.gained_m(paths.ways_m)
+        return paths.at.steering.gained_m(paths.paths_m)
 
     def derivatives(self, path: NearPath) -> Part:
         """Return minus the distance of every place to the next turn of the steered path."""
@@ -46,7 +46,7 @@ class SteeredTerm(Term):
 
     def slope(self, paths: Paths, number: int) -> Pull:
         """Return derivatives of :meth:`values` by the places of paths."""
-        steering, ways = paths.at.steering, paths.ways_m
+        steering, ways = paths.at.steering, paths.paths_m
         if steering is None:
             return Pull()
         turns = steering.next_turns(ways.reshape(-1, 2))
@@ -116,7 +116,7 @@ class MotionEnergyTerm(Term):
     def slope(self, paths: Paths, number: int) -> Pull:
         """Return derivatives by the lengths of the steps."""
         by_length = np.full(paths.shape, -self.per_metre_j_m)
-        return pull_of_lengths(paths.at.position_m, paths.ways_m, by_length)
+        return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
 
     def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
         """Return minus the energy of each move."""

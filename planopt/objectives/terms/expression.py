@@ -126,7 +126,7 @@ class CasadiTerm(Term):
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the expression of many paths; those without a finite value come last."""
         count, steps = paths.shape
-        given = {"positions_m": paths.ways_m} | {
+        given = {"positions_m": paths.paths_m} | {
             name: np.broadcast_to(values, (count, *values.shape))
             for name, values in self.known(paths.at, steps).items()
         }

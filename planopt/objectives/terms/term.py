@@ -96,8 +96,8 @@ class Term:
         return "full"
 
     @property
-    def tries_places(self) -> bool:
-        """Return whether the end of a path is a place that is tried: :meth:`tried_values` is there.
+    def probes_end(self) -> bool:
+        """Return whether the end of a path is a place that is tried: :meth:`probe_values` is there.
 
         Such values are not smooth where paths end.
         """
@@ -153,14 +153,14 @@ class Term:
         """Return the values of many paths at once, ``(c,)``: what searches compare."""
         raise self._without("values")
 
-    def tried_values(
-        self, at: TermContext, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+    def probe_values(
+        self, at: TermContext, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the values of paths (c, N, 2) by guessed chances of connection (c, N); ``(c,)``.
 
         Of terms that try places: searches rank hundreds of ways by it.
         """
-        raise self._without("tried_values")
+        raise self._without("probe_values")
 
     def derivatives(self, path: NearPath) -> Part:
         """Return the value of one path with its derivatives, as a solver asks for it."""

@@ -21,11 +21,11 @@ from planopt.objectives.tracking import (
     FilteredTracking,
     Retreats,
     Tracking,
+    delayed_costs,
     discounted,
     left,
     recourse_costs,
     retreats_of,
-    told_later_costs,
 )
 from planopt.plain_values import make_plain
 from planopt.targets.rounding import Derivatives, add_products
@@ -119,10 +119,10 @@ class TrackingTerm(Term):
     @property
     def structure(self) -> Structure:
         """Steps add up in the additive form only."""
-        return "full" if self.tries_places else "stagewise"
+        return "full" if self.probes_end else "stagewise"
 
     @property
-    def tries_places(self) -> bool:
+    def probes_end(self) -> bool:
         """Return whether the end of a path is a try."""
         return self.form == "recourse"
 
@@ -170,22 +170,22 @@ class TrackingTerm(Term):
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return the information, or the covariance removed, of one path's packets."""
         chance = _chance(at, path_m)
-        if self.tries_places:
-            return float(self.tried_values(at, path_m[None], chance[None])[0])
+        if self.probes_end:
+            return float(self.probe_values(at, path_m[None], chance[None])[0])
         settings = self.settings(at)
         sensing = sensing_information(settings.sensor, path_m, settings.target_m)
         return float(settings.weight @ (chance * sensing))
 
-    def tried_values(
-        self, at: TermContext, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+    def probe_values(
+        self, at: TermContext, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the values of the form ``recourse`` for predicted probabilities (c, N)."""
         settings, retreats, others, idle = at.once(
             (TrackingTerm, "tried", self), lambda: self._tries(at)
         )
-        known = at.links.chances(ways_m, chance)
-        costs = recourse_costs if settings.held is None else told_later_costs
-        return idle - costs(ways_m, known, retreats, others, settings)
+        known = at.links.chances(paths_m, chance)
+        costs = recourse_costs if settings.held is None else delayed_costs
+        return idle - costs(paths_m, known, retreats, others, settings)
 
     def _tries(
         self, at: TermContext
@@ -221,12 +221,12 @@ class TrackingTerm(Term):
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the same of many paths."""
-        if self.tries_places:
-            return self.tried_values(paths.at, paths.ways_m, paths.chance)
+        if self.probes_end:
+            return self.probe_values(paths.at, paths.paths_m, paths.chance)
         settings = self.settings(paths.at)
         # Paths of fewer steps than the horizon come from planners that add step to step.
-        steps = int(paths.ways_m.shape[1])
-        sensing = sensing_information(settings.sensor, paths.ways_m, settings.target_m[:steps])
+        steps = int(paths.paths_m.shape[1])
+        sensing = sensing_information(settings.sensor, paths.paths_m, settings.target_m[:steps])
         return (paths.chance * sensing) @ settings.weight[:steps]
 
     def derivatives(self, path: NearPath) -> Derivatives:

@@ -13,7 +13,7 @@ from planopt.objectives.path_derivatives import PathDerivatives
 from planopt.objectives.terms.context import NearPath, Paths, TermContext
 from planopt.objectives.terms.term import Steers, Term
 from planopt.objectives.until_connected import (
-    NOT_TRIED_DB,
+    NOT_PROBED_DB,
     Search,
     charged_distance_derivatives,
     charged_distance_m,
@@ -52,7 +52,7 @@ class UntilConnectedTerm(Term):
     def search(self, at: TermContext) -> Search:
         """Return the settings of a search that ends where a try at the path's end failed.
 
-        Where the robot is is no try (`at.tries`), and needs no condition.
+        Where the robot is is no try (`at.probing`), and needs no condition.
         """
         x, y = at.position_m
         return Search(
@@ -102,14 +102,14 @@ class UntilConnectedTerm(Term):
         def charged_m() -> float:
             beyond = float(self.charged_beyond_m(at, path_m[-1:])[0])
             settings = replace(self.search(at), beyond_m=beyond)
-            return charged_distance_m(at.stations, path_m, settings, at.tries.takes(path_m))
+            return charged_distance_m(at.stations, path_m, settings, at.probing.takes(path_m))
 
         return -at.once((UntilConnectedTerm, "charged", self, path_m.tobytes()), charged_m)
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the same of many paths, by recursive filtering."""
         settings = self.search(paths.at)
-        missing_db = np.where(paths.at.tries.takes(paths.ways_m), 0.0, NOT_TRIED_DB)
+        missing_db = np.where(paths.at.probing.takes(paths.paths_m), 0.0, NOT_PROBED_DB)
         powers = [
             (
                 power.mean_db.reshape(paths.shape) - threshold - missing_db,
@@ -119,7 +119,7 @@ class UntilConnectedTerm(Term):
                 paths.each, paths.stations, settings.thresholds_dbm, strict=True
             )
         ]
-        beyond = self.charged_beyond_m(paths.at, paths.ways_m[:, -1])
+        beyond = self.charged_beyond_m(paths.at, paths.paths_m[:, -1])
         legs = counted_legs_m(paths.legs_m, settings.step_m)
         return -charged_distances_m(powers, legs, beyond)
 
@@ -132,7 +132,7 @@ class UntilConnectedTerm(Term):
             search,
             path.rounding_m,
             _beyond(path, search),
-            path.tried,
+            path.probed,
         )
         return PathDerivatives(-found.value, -found.gradient, -found.hessian)
 

@@ -192,7 +192,7 @@ class GuessSearch:
         self._may_bend = bends_guesses(problem, steered=False)
         # Built on first use: its raster of distances is expensive.
         self._fan: FanGuesses | None = None
-        tries = any(term.tries_places for term in problem.terms)
+        tries = any(term.probes_end for term in problem.terms)
         self._probed = ProbedPlaces(problem, ground) if tries else None
 
     def find_guesses(

@@ -159,7 +159,7 @@ class LocalRanking:
 
     def _value(self, ways: Paths) -> NDArray[np.float64]:
         at = self._situation
-        worth = np.zeros(len(ways.ways_m))
+        worth = np.zeros(len(ways.paths_m))
         for term in at.problem.terms:
             with calling(term, "values", key="objective.terms"):
                 found = term.values(ways)

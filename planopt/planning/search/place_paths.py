@@ -106,7 +106,7 @@ class ProbedPlaces:
         """Return which of the paths (c, N, 2) are best if packets arrive by `chance` (c, N)."""
         value = np.zeros(len(paths))
         for number, term in enumerate(situation.problem.terms):
-            if term.tries_places:
+            if term.probes_end:
                 value += tried_worth(situation, number, paths, chance)
         missing = np.zeros(len(paths))
         if self._problem.constraints.asks_connection:

@@ -78,7 +78,7 @@ def places_of_others(driven_m: Sequence[NDArray[np.float64]], number: int) -> ND
 def counts_others(problem: Problem) -> bool:
     """Return whether a term counts the measurements of other robots of the team."""
     return problem.planner.coordination == "joint" and any(
-        explores(term) or term.tries_places for term in problem.terms
+        explores(term) or term.probes_end for term in problem.terms
     )
 
 
@@ -105,7 +105,7 @@ def bends_guesses(problem: Problem, *, steered: bool = True) -> bool:
     places tried, or along the path that the robot is `steered` along.
     """
     return any(
-        term.structure == "full" and not term.tries_places and not (steered and term.steers)
+        term.structure == "full" and not term.probes_end and not (steered and term.steers)
         for term in problem.terms
     )
 
@@ -263,7 +263,7 @@ class StepContext(VerifierContext):
         )
 
     @cached_property
-    def tries(self) -> MeasuringRule:
+    def probing(self) -> MeasuringRule:
         """Return the rule that decides which places are probed for connection.
 
         None near measurements without connection: multipath is known there. Nor where the robot

@@ -62,7 +62,7 @@ def local_value(
     ahead = None if steering is None else steering.next_turns(path_m)
     tried = None
     if any(term.steers == "connection" for term in problem.terms):
-        tried = situation.tries.takes(path_m)
+        tried = situation.probing.takes(path_m)
     rows = rows if rows is not None else rule_rows(situation, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)

@@ -55,7 +55,7 @@ class ObjectiveValue:
     def _of_term(self, number: int, paths_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """Return the contribution of a term to several paths; ``(c,)``."""
         term, at = self._terms[number], self.situation
-        if not term.tries_places or not paths_m:
+        if not term.probes_end or not paths_m:
             return np.array([self._contributed(number, path) for path in paths_m])
         ways = np.array(paths_m)
         power = at.power(ways.reshape(-1, 2))
@@ -80,11 +80,11 @@ def tried_worth(
 ) -> NDArray[np.float64]:
     """Return what a term that tries places contributes to paths, its weight included; ``(c,)``."""
     # Shapes: ways_m (c, N, 2); chance (c, N).
-    term, method = at.problem.terms[number], "tried_values"
+    term, method = at.problem.terms[number], "probe_values"
     words = "one finite number for each path"
     with _named(at, number):
         with calling(term, method, key=method):
-            found = term.tried_values(at, ways_m, chance)
+            found = term.probe_values(at, ways_m, chance)
         return term.weight * returned(term, method, found, (len(ways_m),), words=words, key=method)
 
 

@@ -102,9 +102,9 @@ class SteeringWay:
         found += [here] * (steps - len(found))
         return np.array(found[:steps])
 
-    def gained_m(self, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gained_m(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the metres by which places (..., N, 2) are nearer to the end, summed."""
-        distance = self.distance_m(ways_m.reshape(-1, 2)).reshape(ways_m.shape[:-1])
+        distance = self.distance_m(paths_m.reshape(-1, 2)).reshape(paths_m.shape[:-1])
         return (self.rest_m[0] - distance).sum(axis=-1)
 
 

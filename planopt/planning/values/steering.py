@@ -7,7 +7,7 @@ a map that follows the belief, so that the cost does not grow with the measureme
 To connect, a search that begins with a try at the place z is expected to take R(z) metres
 (:func:`planopt.objectives.until_connected.search_length_m`), which is short where z is near and
 where it is likely to be connected. The robot is steered to the place of the shortest search, of
-those that are tries (:attr:`planopt.planning.values.context.StepContext.tries`).
+those that are tries (:attr:`planopt.planning.values.context.StepContext.probing`).
 
 On the way to a goal a sum of terms does not leave contact at a price, so the way leaves it only
 where every way does, and as little as can be. It turns where it must, for an obstacle or for a
@@ -128,7 +128,7 @@ class ConnectionSteering:
         """Return the way to the place of the shortest search; None if no place can be tried."""
         road_map, here = self._ground.road_map, situation.position_m
         widest = situation.workspace_diagonal_m
-        rule = situation.tries
+        rule = situation.probing
         rule = replace(rule, spacing_m=OPEN_SPACINGS * rule.spacing_m)
         while True:
             radius = self._radius_m

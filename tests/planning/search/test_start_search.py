@@ -49,11 +49,11 @@ def test_places_missed_beside_connected_measurements_are_tried_once() -> None:
     beside = connected + 0.1
     apart = np.linalg.norm(beside[:, None] - below, axis=2).min(axis=1)
     place = beside[apart > problem.channel.measure_spacing_m][:1]
-    assert len(place) == 1 and situation.tries.is_open(place).all()
+    assert len(place) == 1 and situation.probing.is_open(place).all()
     track = np.vstack([situation.position_m, place, situation.position_m, situation.position_m])
     for last, tried in (([False, False, False], False), ([True, False, False], True)):
         history = history_of(problem, track, np.array(last))
         after = replace(situation, history=history)
-        assert after.tries.is_open(place).all() == tried
+        assert after.probing.is_open(place).all() == tried
     far = situation.position_m + 12.0
-    assert after.tries.is_open(far[None]) == situation.tries.is_open(far[None])
+    assert after.probing.is_open(far[None]) == situation.probing.is_open(far[None])

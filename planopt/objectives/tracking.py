@@ -33,7 +33,8 @@ from planopt.targets.information_filter import TargetModel, covariance_of, requi
 from planopt.targets.sensor import Sensor, sensing_information
 
 Criterion = Literal["trace", "determinant", "norm"]
-"""Of the covariance of the target's position: m^2, m^4, and its largest eigenvalue in m^2."""
+"""Criteria of the covariance of the target's position: trace (m^2), determinant (m^4), largest
+eigenvalue (m^2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +62,7 @@ class Held:
     # (4, 4) J of the station M steps ago, from when on something is missing
     information: NDArray[np.float64]
     known: NDArray[np.float64]  # (M,) information per axis that the station has, per m^2
-    sent: NDArray[np.float64]  # (M,) the same of what the robot holds and the station does not
+    sent: NDArray[np.float64]  # (M,) information per axis that only the robot has
 
     @property
     def steps(self) -> int:
@@ -166,21 +167,21 @@ STAYED_STEPS = 10
 """Maximum number of steps that a stationary robot, or one after a successful probe, stays."""
 
 MOST_CONNECTED = 80
-"""Of the places known to be connected so many are retreats, those that sense the target best."""
+"""Maximum number of places known to be connected that are retreats, those with the best sensing."""
 
 WHOLE_STEPS = 1e-9
-"""A distance that is longer than whole steps by less than this share of one takes no further."""
+"""A distance longer than whole steps by less than this share of one takes no further step."""
 
 DISCOUNT = 0.8
 """Factor of the weight of each step to that of the step before it."""
 
 STEPS_OF_ESTIMATES = 10
-"""Steps beyond the horizon that a try is valued over: later ones hardly count."""
+"""Steps beyond the horizon over which a probe is valued if packets have estimates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Retreats:
-    """Places where a robot may be instead of where its path ends (equation 4.21)."""
+    """Places where a robot may be instead of the end of its path (equation 4.21)."""
 
     places_m: NDArray[np.float64]  # (m, 2)
     # (m, k) expected information of a packet from there at every step, per m^2
@@ -191,9 +192,9 @@ class Retreats:
     def nearest_connected(
         self, stops_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the nearest other place known to be connected, and how many steps it is away.
+        """Return the nearest other place known to be connected (c, 2), and its distance in steps.
 
-        ``(c, 2)`` and ``(c,)`` for stops (c, 2); the stop itself, infinitely far, if there is none.
+        The stop itself, infinitely far, if there is none.
         """
         if not self.connected:
             return stops_m, np.full(len(stops_m), np.inf)
@@ -205,7 +206,7 @@ class Retreats:
         return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
     def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the largest information that can be had at every step, ``(c, k)``."""
+        """Return the largest information that can be reached at every step, ``(c, k)``."""
         # Shapes: stops_m (c, 2); arrivals (c,).
         found = np.zeros((len(stops_m), self.information.shape[1]))
         away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
@@ -226,13 +227,13 @@ def retreats_of(
     """Return the places known to be connected, and those where the target is expected."""
     tracking = settings.tracking
     target = tracking.target_m
-    told = sensing_information(tracking.sensor, connected_m[:, None], target)
-    if len(told) > MOST_CONNECTED:
-        kept = np.sort(np.argsort(-told.sum(axis=1), kind="stable")[:MOST_CONNECTED])
-        connected_m, told = connected_m[kept], told[kept]
-    beside = target_chance[:, None] * sensing_information(tracking.sensor, target[:, None], target)
+    certain = sensing_information(tracking.sensor, connected_m[:, None], target)
+    if len(certain) > MOST_CONNECTED:
+        kept = np.sort(np.argsort(-certain.sum(axis=1), kind="stable")[:MOST_CONNECTED])
+        connected_m, certain = connected_m[kept], certain[kept]
+    near = target_chance[:, None] * sensing_information(tracking.sensor, target[:, None], target)
     return Retreats(
-        np.vstack([connected_m, target]), np.vstack([told, beside]), longest_m, len(connected_m)
+        np.vstack([connected_m, target]), np.vstack([certain, near]), longest_m, len(connected_m)
     )
 
 
@@ -243,33 +244,30 @@ def recourse_costs(
     others: NDArray[np.float64],  # (k,) expected information of the other robots' packets, per m^2
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return what tries of the ends of paths leave of the covariance, m^2; ``(c,)``.
-
-    Equation 4.22 has what they remove: this is less than what is left without them.
-    """
+    """Return the expected criterion after probes of the ends of paths (equation 4.22); ``(c,)``."""
     steps, tracking = chance.shape[1], settings.tracking
     arrivals = last_arrivals(paths_m)
     at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
-    told = np.zeros(at_stop.shape)
-    told[:, :steps] = chance * sensing_information(
+    sent = np.zeros(at_stop.shape)
+    sent[:, :steps] = chance * sensing_information(
         tracking.sensor, paths_m, tracking.target_m[:steps]
     )
-    ends = np.where(at_stop, at_ends(paths_m, arrivals, retreats, settings), told)
-    # The filter of a coordinate is told half of the information of a packet.
+    ends = np.where(at_stop, at_ends(paths_m, arrivals, retreats, settings), sent)
+    # The filter of a coordinate receives half of the information of a packet.
     costs = left(0.5 * (ends + others), settings)
     probed = chance[:, -1]
     return probed * costs[0] + (1.0 - probed) * costs[1]
 
 
 def last_arrivals(paths_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the step, from 0 on, at whose end paths (c, N, 2) come to where they end; ``(c,)``."""
+    """Return the step, from 0 on, after which paths (c, N, 2) are at their ends; ``(c,)``."""
     count, steps, _ = paths_m.shape
     moving = np.linalg.norm(paths_m - paths_m[:, -1:], axis=2) > SAME_PLACE_M
     return steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
 
 
 def stayed_steps(paths_m: NDArray[np.float64]) -> int:
-    """Return M of equation 4.21, for how many steps of paths (c, N, 2) ends are stayed at."""
+    """Return M of equation 4.21, the steps for which robots stay at the ends of paths (c, N, 2)."""
     return min(paths_m.shape[1], STAYED_STEPS)
 
 
@@ -281,10 +279,9 @@ def at_ends(
 ) -> NDArray[np.float64]:
     """Return s_k and e_k of equation 4.21, from the ends of paths on; ``(2, c, k)``.
 
-    In the first `STAYED_STEPS` steps a try that succeeds is stayed at, and a path that ends with
-    its first step tries nothing. Otherwise a robot that stands would be worth as much as one that
-    drives: the model lets it leave at any step, without the obstacles and robots that real paths
-    keep from.
+    In the first `STAYED_STEPS` steps the robot stays after a successful probe, and a path that ends
+    with its first step probes nothing. Otherwise a stationary robot would be valued like a moving
+    one: the model lets it leave at any step, without obstacles and other robots.
     """
     tracking, stops = settings.tracking, paths_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
@@ -306,30 +303,27 @@ def delayed_costs(
     others: NDArray[np.float64],
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return what tries of the ends of paths leave of the covariance, m^2; ``(c,)``.
-
-    As :func:`recourse_costs`, by equation 4.23; `settings` say what the robot holds.
-    """
+    """Return :func:`recourse_costs` if packets have estimates (equation 4.23); ``(c,)``."""
     held, tracking = settings.held, settings.tracking
     if held is None:
         raise AssertionError("packets have measurements")
     count, length, total = len(chance), chance.shape[1], len(tracking.target_m)
     arrivals, stops = last_arrivals(paths_m), paths_m[:, -1]
     ends = at_ends(paths_m, arrivals, retreats, settings)
-    # Who stands, or stops with the first step, tries nothing, and stays for a while.
+    # A robot that is stationary, or stops with the first step, probes nothing, and stays.
     leaving = np.where(arrivals > 0, arrivals, stayed_steps(paths_m) - 1)
-    back_m, home = _ways_back(stops, leaving, retreats, total)
+    back_m, home = _return_paths(stops, leaving, retreats, total)
     returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
     sensed = sensing_information(tracking.sensor, paths_m, tracking.target_m[:length])
     stage = np.arange(total)
-    # What is known in the end: if the try succeeds, and once the robot is back.
-    told = ends.copy()
-    told[1] = np.where(stage < home[:, None], np.maximum(returning, ends[1]), ends[1])
-    on_way = stage[:length] < arrivals[:, None]
-    told[..., :length] = np.where(on_way, sensed, told[..., :length])
-    # The filter of a coordinate is told half of the information of a packet.
-    known_then, known_before = 0.5 * (told + others), 0.5 * (ends[1] + others)
-    before = _known_on_way(0.5 * sensed, chance, 0.5 * others, settings)
+    # The information in the end: if the probe succeeds, and once the robot is back.
+    sent = ends.copy()
+    sent[1] = np.where(stage < home[:, None], np.maximum(returning, ends[1]), ends[1])
+    on_path = stage[:length] < arrivals[:, None]
+    sent[..., :length] = np.where(on_path, sensed, sent[..., :length])
+    # The filter of a coordinate receives half of the information of a packet.
+    known_then, known_before = 0.5 * (sent + others), 0.5 * (ends[1] + others)
+    before = _variance_on_path(0.5 * sensed, chance, 0.5 * others, settings)
     axis, full = Axis.of(settings), np.empty((3, 2, count))
     full[:] = Axis.of(replace(settings, information=held.information)).start[:, None, None]
     less = np.repeat(axis.start[:, None], count, axis=1)
@@ -349,16 +343,16 @@ def delayed_costs(
         failed = np.where(k < home, less[0], failed)
         variance: NDArray[np.float64] = probed * full[0, 0] + (1.0 - probed) * failed
         if k < length:
-            variance = np.where(on_way[:, k], before[0, k], variance)
+            variance = np.where(on_path[:, k], before[0, k], variance)
         costs += tracking.weight[k] * criterion_of(variance, settings.criterion)
     return costs
 
 
 def arrival_chance(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
-    """Return the chance that step s is known at step k, by packets of the way; (N, M + N, c).
+    """Return the probability that step s is known at step k, by packets of the path; (N, M + N, c).
 
-    The largest chance of the packets since: as shadowing has it, they arrive or are lost together.
-    Zero for steps after k.
+    The largest probability of the packets since: because of shadowing they arrive or are lost
+    together. Zero for steps after k.
     """
     # Shapes: chance (c, N).
     count, length = chance.shape
@@ -370,42 +364,42 @@ def arrival_chance(chance: NDArray[np.float64], held: int) -> NDArray[np.float64
     return found
 
 
-def _known_on_way(
+def _variance_on_path(
     sensed: NDArray[np.float64],  # (c, N) information per axis of each step's measurement, per m^2
     chance: NDArray[np.float64],
     others: NDArray[np.float64],  # (k,) of the others' packets
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """(a, b, c) of the station's filter after each step of the ways; ``(3, N, c)``."""
+    """Return (a, b, c) of the station's filter after each step of the paths; ``(3, N, c)``."""
     held = settings.held
     if held is None:
         raise AssertionError("packets have measurements")
-    axis, told = Axis.of(replace(settings, information=held.information)), held.steps
-    known = arrival_chance(chance, told)
+    axis, missing = Axis.of(replace(settings, information=held.information)), held.steps
+    known = arrival_chance(chance, missing)
     variance = np.empty((3, chance.shape[1], len(chance)))
     variance[:] = axis.start[:, None, None]
     for s in range(known.shape[1]):
         # Filters of earlier steps are at their end.
-        first = max(s - told, 0)
+        first = max(s - missing, 0)
         now = variance[:, first:]
         axis.predict(now)
-        if s < told:
+        if s < missing:
             axis.update(now, held.known[s] + held.sent[s] * known[:, s])
         else:
             axis.update(now, known[first:, s] * sensed[:, first] + others[first])
     return variance
 
 
-def _ways_back(
+def _return_paths(
     stops_m: NDArray[np.float64], leaving: NDArray[np.intp], retreats: Retreats, total: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Straight ways to the nearest place known to be connected ``(c, k, 2)``, and the step of it.
+    """Return straight paths to the nearest connected place ``(c, k, 2)``, and the step of arrival.
 
-    Until the end of step `leaving` (c,) a robot is taken for standing at its stop. The step is
-    infinite where no such place is known.
+    Until the end of step `leaving` (c,) a robot stays at its stop. The step is infinite if no such
+    place is known.
     """
     home_m, steps = retreats.nearest_connected(stops_m)
     driven = np.maximum(np.arange(total) - leaving[:, None], 0.0)
     share = np.where(np.isfinite(steps)[:, None], driven / np.maximum(steps, 1.0)[:, None], 0.0)
-    ways = stops_m[:, None] + np.minimum(share, 1.0)[..., None] * (home_m - stops_m)[:, None]
-    return ways, leaving + steps
+    paths = stops_m[:, None] + np.minimum(share, 1.0)[..., None] * (home_m - stops_m)[:, None]
+    return paths, leaving + steps

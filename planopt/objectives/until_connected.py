@@ -35,26 +35,24 @@ from planopt.objectives.path_derivatives import (
 from planopt.targets.rounding import Derivatives, rounded_length
 
 WAITING = 0.1
-"""What a metre counts that a step could be longer. Were it nothing, a robot could as well wait as
-drive: it would put off its first step again and again."""
+"""Cost of each metre by which a step is shorter than the longest. Without it, waiting would cost
+nothing, and the robot would put off its first step again and again."""
 
 NOT_PROBED_DB = 1e3
-"""So far below the threshold the searches' formula takes places that are no tries."""
+"""Places that are not probed are taken to be so far below the threshold."""
 
 LEAST_CHANCE = 1e-12
-"""Of a place that is tried."""
+"""Minimum probability of connection of a probed place."""
 
 PROBE_SHARE = 1.0 / 3.0
-"""How far apart tries are expected to be, as a share of the decorrelation distance. From 1/6 to 2/3
-searches from 40 starts on one map were within a tenth of the best; as tries that all begin where
-the robot is, D / P + L (1 - P) / P with the whole decorrelation distance, they drove a tenth
-farther."""
+"""Expected distance between probes as a share of the decorrelation distance. From 1/6 to 2/3
+searches from 40 starts on one map were within a tenth of the best."""
 
 LEAST_VARIANCE_DB2 = 1e-12
-"""Of a place whose power is known exactly."""
+"""Minimum variance, for places whose power is known exactly."""
 
 LEAST_SCORE = -5.0
-"""A place that misses connection with a smaller chance than Q(5), 3e-7, counts as one with that."""
+"""Minimum score: no place misses connection with a smaller probability than Q(5), 3e-7."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +62,7 @@ class Search:
     start_m: tuple[float, float]  # Where the robot is
     thresholds_dbm: tuple[float, ...]  # Power from which on a place is connected to each station
     beyond_m: float = 0.0  # Metres added for a path that ends without connection
-    # Longest step, for what :func:`counted_legs_m` adds for waiting; None where it is free
-    step_m: float | None = None
+    step_m: float | None = None  # Longest step, for the cost of waiting; None if it is free
 
 
 def charged_distance_m(
@@ -93,7 +90,7 @@ def charged_distance_m(
 
 
 def counted_legs_m(legs_m: NDArray[np.float64], step_m: float | None) -> NDArray[np.float64]:
-    """Return legs with `WAITING` times what each is shorter than the longest step, `step_m`."""
+    """Return legs plus `WAITING` times their difference from the longest step, `step_m`."""
     return legs_m if step_m is None else (1.0 - WAITING) * legs_m + WAITING * step_m
 
 
@@ -102,7 +99,7 @@ def charged_distances_m(
     legs_m: NDArray[np.float64],  # (c, h) what the steps count
     beyond_m: NDArray[np.float64] | float,
 ) -> NDArray[np.float64]:
-    """Return what c paths of h places are charged, as :func:`charged_distance_m`; ``(c,)``."""
+    """Return the costs of c paths of h places, as :func:`charged_distance_m`; ``(c,)``."""
     failing = np.ones_like(legs_m)
     for above_db, covariance_db2 in stations:
         failing *= filtered_failing(above_db, covariance_db2)
@@ -116,7 +113,7 @@ def charged_distances_m(
 def filtered_failing(
     above_db: NDArray[np.float64], covariance_db2: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Chance of no connection up to each place of c paths, by filtering (equation 4.15); (c, h)."""
+    """Return P(no connection up to each place) of c paths by filtering (equation 4.15); (c, h)."""
     # Shapes: above_db, covariance_db2 (c, h).
     mean, covariance = above_db.copy(), covariance_db2.copy()
     below = np.empty_like(mean)
@@ -142,7 +139,7 @@ def search_length_m(
 ) -> NDArray[np.float64]:
     """Return the expected length of a search that begins at a place, R = D + L (1 - P) / P.
 
-    The first try costs the way to its place, D, and each further one L, `PROBE_SHARE` of the
+    The first probe costs the path to its place, D, and each further one L, `PROBE_SHARE` of the
     decorrelation distance: it is as likely to succeed as the first, and near it.
     """
     # Shapes: distance_m, chance (k,).

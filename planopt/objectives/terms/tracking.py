@@ -1,4 +1,4 @@
-"""The term ``tracking``: what the packets of a path tell the station of a target."""
+"""The term ``tracking``: information on a target that the packets of a path bring."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class TrackingTerm(Term):
 
     @property
     def probes_end(self) -> bool:
-        """Return whether the end of a path is a try."""
+        """Return whether the end of a path is probed."""
         return self.form == "recourse"
 
     @property
@@ -181,32 +181,32 @@ class TrackingTerm(Term):
     ) -> NDArray[np.float64]:
         """Return the values of the form ``recourse`` for predicted probabilities (c, N)."""
         settings, retreats, others, idle = at.once(
-            (TrackingTerm, "tried", self), lambda: self._tries(at)
+            (TrackingTerm, "probes", self), lambda: self._probing(at)
         )
         known = at.links.chances(paths_m, chance)
         costs = recourse_costs if settings.held is None else delayed_costs
         return idle - costs(paths_m, known, retreats, others, settings)
 
-    def _tries(
+    def _probing(
         self, at: TermContext
     ) -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
-        """The filter, retreats, the others' packets, and the cost without own packets."""
+        """Return the filter, retreats, the others' packets, and the cost without own packets."""
         own = self._filtered(at)
         target_m = own.tracking.target_m
         places = np.vstack([target_m, *at.others_m])
         arrives = at.links.chances(places, _chance(at, places))
         ends = np.cumsum([len(target_m), *map(len, at.others_m)])
-        beside, *told = np.split(arrives, ends[:-1])
-        retreats = retreats_of(at.links.connected_m, beside, own, at.step_length_m)
+        at_target, *along = np.split(arrives, ends[:-1])
+        retreats = retreats_of(at.links.connected_m, at_target, own, at.step_length_m)
         others = np.zeros(len(target_m))
-        for path, chance in zip(at.others_m, told, strict=True):
+        for path, chance in zip(at.others_m, along, strict=True):
             at_last = np.minimum(np.arange(len(target_m)), len(path) - 1)
             sensing = sensing_information(own.tracking.sensor, path[at_last], target_m)
             others += chance[at_last] * sensing
         return own, retreats, others, float(left(0.5 * others, own))
 
     def _filtered(self, at: TermContext) -> FilteredTracking:
-        """The station's filter over the horizon and the steps beyond it."""
+        """Return the station's filter over the horizon and the steps beyond it."""
         if at.information is None:
             raise AssertionError("this form of tracking needs the station's filter")
         settings = self.settings(at)
@@ -230,7 +230,7 @@ class TrackingTerm(Term):
         return (paths.chance * sensing) @ settings.weight[:steps]
 
     def derivatives(self, path: NearPath) -> Derivatives:
-        """Return the additive value by stages, which also refines drives to places tried."""
+        """Return the additive value by stages, which also refines paths to probed places."""
         settings = self.settings(path.at)
         chance = connectivity_derivatives(*path.stage_power, settings.threshold_dbm)
         sensing = sensing_derivatives(settings.sensor, path.places_m, settings.target_m)
@@ -262,6 +262,6 @@ class TrackingTerm(Term):
 
 
 def _chance(at: TermContext, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Predicted chance of connection at places (n, 2)."""
+    """Return the predicted probability of connection at places (n, 2)."""
     power = at.power(places_m)
     return connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])

@@ -50,10 +50,7 @@ class UntilConnectedTerm(Term):
         return "connection"
 
     def search(self, at: TermContext) -> Search:
-        """Return the settings of a search that ends where a try at the path's end failed.
-
-        Where the robot is is no try (`at.probing`), and needs no condition.
-        """
+        """Return the settings of a search; the robot's own position is no probe."""
         x, y = at.position_m
         return Search(
             (float(x), float(y)),
@@ -63,24 +60,24 @@ class UntilConnectedTerm(Term):
         )
 
     def _after_try_m(self, at: TermContext) -> float:
-        """Expected metres beyond the end of the path that the robot is steered along.
+        """Return the expected metres beyond the end of the steered path.
 
         R - D of :func:`planopt.objectives.until_connected.search_length_m`, from that path alone,
         so that a saved plan has the same.
         """
-        way = at.steering
-        if way is None:
+        steered = at.steering
+        if steered is None:
             return at.workspace_diagonal_m if self.beyond_m is None else self.beyond_m
-        chance = np.array([at.chance(way.end_m)])
-        after = self.search_length_m(at, way.rest_m[:1], chance) - way.rest_m[0]
-        # A plan is not charged more: what it tells of chances of a thousandth is not believed.
+        chance = np.array([at.chance(steered.end_m)])
+        after = self.search_length_m(at, steered.rest_m[:1], chance) - steered.rest_m[0]
+        # A plan is not charged more: probabilities of a thousandth are not believed.
         most_m = at.workspace_diagonal_m if self.beyond_m is None else np.inf
         return max(min(float(after[0]), most_m), 0.0)
 
     def search_length_m(
         self, at: TermContext, length_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the expected length of a search by tries at places so far away; ``(k,)``.
+        """Return the expected length of a search by probes at these distances; ``(k,)``.
 
         :func:`planopt.objectives.until_connected.search_length_m`, or D + (1 - P) `beyond_m`.
         """
@@ -89,15 +86,15 @@ class UntilConnectedTerm(Term):
         return search_length_m(length_m, chance, at.decorrelation_m)
 
     def charged_beyond_m(self, at: TermContext, ends_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what a plan that ends at each place (n, 2) without connection is charged; (n,).
+        """Return the cost of a plan that ends at each place (n, 2) without connection; (n,).
 
-        The way that is left to where the robot is steered to, and what is expected from there.
+        The rest of the steered path, and the expected length of the search from there.
         """
         after = np.full(len(ends_m), self.search(at).beyond_m)
         return after if at.steering is None else after + at.steering.distance_m(ends_m)
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return minus the metres that a search along one path is charged."""
+        """Return minus the expected metres of a search along one path."""
 
         def charged_m() -> float:
             beyond = float(self.charged_beyond_m(at, path_m[-1:])[0])
@@ -143,7 +140,7 @@ class UntilConnectedTerm(Term):
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return the distance that connection at each place saves if it is the only try."""
+        """Return the distance that connection at each place saves if it is the only probe."""
         return self.search(at).beyond_m * chance
 
     def largest_stage_reward(self, at: TermContext) -> float:
@@ -152,7 +149,7 @@ class UntilConnectedTerm(Term):
 
 
 def _beyond(path: NearPath, search: Search) -> Derivatives | None:
-    """Return what is charged beyond the last place, by that place; None if nothing steers."""
+    """Return the cost beyond the last place, with derivatives by it; None if nothing steers."""
     steering = path.at.steering
     if path.ahead is None or steering is None:
         return None

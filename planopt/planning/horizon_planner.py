@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from planopt.planning.candidates import Budget, Candidate, Judge, best_of, budget_from, verified_of
 from planopt.planning.driven import driven_starts
-from planopt.planning.guess_refinement import GuessRefinement
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.path_nlp import METHODS
+from planopt.planning.refinement import GuessRefinement
 from planopt.planning.scene import Ground
 from planopt.planning.search.guess_search import COUPLED_GUESSES, Guess, GuessSearch
 from planopt.planning.search.local_ranking import can_climb

@@ -53,7 +53,7 @@ from planopt.planning.programme.path_rows import PathShape
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.proof.searches import build_goal_grid
-from planopt.planning.refine import Refiner
+from planopt.planning.refinement import GoalRefinement
 from planopt.planning.reservations import reserved_path
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
@@ -251,7 +251,7 @@ class ReachPlanner:
         if self._nlp is not None and _moves(judge, start.path_m):
             plain = self.problem.constraints.rule.is_plain
             rows_of = None if plain else partial(step_rows, step)
-            refiner = Refiner(
+            refiner = GoalRefinement(
                 self._nlp,
                 self.scene,
                 judge,

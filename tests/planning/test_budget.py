@@ -11,8 +11,8 @@ from scenes import WALL, belief_of, small_problem
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
 import planopt.planning.candidates as judge_module
-import planopt.planning.guess_refinement as polish_module
 import planopt.planning.proof.verify as steps_module
+import planopt.planning.refinement as polish_module
 import planopt.planning.search.guess_search as search_module
 from planopt import check
 from planopt.errors import InputError

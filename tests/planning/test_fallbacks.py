@@ -18,7 +18,7 @@ from scenes import (
     small_problem,
 )
 
-import planopt.planning.refine as refine_module
+import planopt.planning.refinement as refine_module
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Termination, Verdict

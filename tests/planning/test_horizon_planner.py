@@ -22,7 +22,7 @@ from planopt.channel.ground_truth import measure
 from planopt.channel.posterior import condition, predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.errors import InputError
-from planopt.planning import guess_refinement
+from planopt.planning import refinement
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.initial_data import free_places, prepare
 from planopt.planning.plan import Rung, Termination, Verdict
@@ -236,7 +236,7 @@ def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):
         returned.append((task, point))
         return point
 
-    monkeypatch.setattr(guess_refinement, "polish_path", remembered)
+    monkeypatch.setattr(refinement, "polish_path", remembered)
     errors = []
     for threshold in (-39.5, -38.5, -38.0):
         radio = replace(problem.stations[0], threshold_dbm=threshold)

@@ -19,7 +19,7 @@ from scenes import (
     small_problem,
 )
 
-import planopt.planning.refine as refine
+import planopt.planning.refinement as refine
 from planopt.planning.candidates import Budget, Judge
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.context import VerifierContext
@@ -39,7 +39,7 @@ def refiner_of(problem, power_at=good_everywhere, lines=4):
     judge = Judge(VerifierContext(problem, scene.index, belief.posteriors, at), reach_cost)
     nlp = goal_nlp(problem.planner.horizon, lines)
     cost = judge.objective(start.path_m)
-    refiner = refine.Refiner(nlp, scene, judge, reach_cost, start, ahead, cost, Budget())
+    refiner = refine.GoalRefinement(nlp, scene, judge, reach_cost, start, ahead, cost, Budget())
     return refiner, judge, start
 
 

@@ -9,7 +9,7 @@ import pytest
 import shapely
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-import planopt.planning.guess_refinement as polish_module
+import planopt.planning.refinement as polish_module
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme import path_nlp

@@ -1,7 +1,5 @@
 """Joint prediction and conditional samples against dense formulas, predict and conditioning."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from simulated_channel import simulated
@@ -17,42 +15,12 @@ from planopt.channel import (
     sample_power,
 )
 from planopt.channel.kriging import predict
-from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.parameters import regressors
 from planopt.channel.posterior import extend
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 DATA = simulated(CHANNEL, 0, 60, 200.0)
 NOTHING = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
 PATH = np.column_stack([np.linspace(20.0, 150.0, 14), 60.0 + 30.0 * np.sin(np.arange(14.0))])
-
-
-def dense(data, positions):
-    """Equations 1.11 and 1.12 by dense inverses."""
-    inverse = np.linalg.inv(
-        shadow_covariance_db2(data.positions_m, data.positions_m, CHANNEL) + 4.0 * np.eye(len(data))
-    )
-    phi = shadow_covariance_db2(data.positions_m, positions, CHANNEL)
-    gamma = regressors(data.positions_m, CHANNEL.station)
-    spread = np.linalg.inv(gamma.T @ inverse @ gamma)
-    theta = spread @ gamma.T @ inverse @ data.power_dbm
-    trend = regressors(positions, CHANNEL.station) - phi.T @ inverse @ gamma
-    covariance = (
-        shadow_covariance_db2(positions, positions, CHANNEL)
-        + 4.0 * np.eye(len(positions))
-        - phi.T @ inverse @ phi
-        + trend @ spread @ trend.T
-    )
-    return trend @ theta + phi.T @ inverse @ data.power_dbm, covariance
-
-
-def test_equals_dense_formulas():
-    """S + B M B' and mu to 1e-9."""
-    found = joint_prediction(condition(CHANNEL, DATA), PATH)
-    mean, covariance = dense(DATA, PATH)
-    np.testing.assert_allclose(found.mean_db, mean, atol=1e-9)
-    np.testing.assert_allclose(found.covariance_db2, covariance, atol=1e-9)
-    np.testing.assert_array_equal(found.covariance_db2, found.covariance_db2.T)
 
 
 @pytest.mark.parametrize("theta", ["estimated", "known"])
@@ -99,14 +67,6 @@ def test_repeated_places():
     np.testing.assert_allclose(latent[:, :3], latent[:, 3:], atol=1e-3)
     power = sample_power(posterior, twice, 50, np.random.default_rng(2))
     assert np.abs(power[:, :3] - power[:, 3:]).min() > 0.0
-
-
-def test_no_randomness_left():
-    """A channel without shadowing and multipath, theta known: the path loss, exactly."""
-    flat = dataclasses.replace(CHANNEL, shadow_std_db=0.0, multipath_std_db=0.0)
-    power = sample_power(condition(flat, NOTHING, theta="known"), PATH, 3, np.random.default_rng(0))
-    expected = regressors(PATH, CHANNEL.station) @ [-40.0, 3.0]
-    np.testing.assert_allclose(power, np.tile(expected, (3, 1)), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition
 from planopt.channel.kriging import predict
@@ -118,20 +119,6 @@ def test_more_measurements_never_raise_the_deviation():
     assert (many.predict(places()).deviation_db <= few.predict(places()).deviation_db).all()
 
 
-def test_duplicates_keep_their_nugget():
-    """The same place measured twice equals one measurement of the mean with half the noise."""
-    data = measured(10)
-    twice = join(data, part(data, slice(0, 1)))
-    posterior = condition(PARAMETERS, twice, theta="known")
-    noise = np.full(10, 4.0)
-    noise[0] = 2.0
-    covariance = shadow_covariance_db2(data.positions_m, data.positions_m, PARAMETERS)
-    inverse = np.linalg.inv(covariance + np.diag(noise))
-    across = shadow_covariance_db2(places(), data.positions_m, PARAMETERS)
-    variance = 40.0 - np.einsum("ij,jk,ik->i", across, inverse, across)
-    np.testing.assert_allclose(posterior.predict(places()).deviation_db ** 2, variance, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     "parameters",
     [
@@ -221,25 +208,25 @@ def test_deviation_is_the_simulated_error():
     np.testing.assert_allclose(ratio, 1.0, atol=4.0 * np.sqrt(2.0 / 400.0))
 
 
-def test_censored_measurement_matches_the_truncated_moments():
-    """Predicting the power of a new limit's place: mean and variance of the truncated normal."""
-    data = measured(15)
-    posterior = condition(PARAMETERS, data, theta="known")
+@pytest.mark.parametrize("resolution", [None, 5.0, 12.0])
+def test_an_interval_matches_the_truncated_moments(resolution):
+    """Extending by a limit or a coarse power: mean and variance of the truncated prediction."""
+    posterior = condition(PARAMETERS, measured(15), theta="known")
     spot = np.array([[20.0, 30.0]])
     before = posterior.predict(spot)
-    limit = before.mean_db - 3.0
-    after = posterior.extend(Measurements(spot, limit, np.array([True]))).predict(spot)
-    latent_variance = before.deviation_db[0] ** 2 - 4.0
-    latent = before.mean_db[0] + np.sqrt(latent_variance) * np.linspace(-12.0, 12.0, 200_001)
-    from scipy.stats import norm
-
-    density = norm.pdf(latent, before.mean_db[0], np.sqrt(latent_variance)) * norm.cdf(
-        (limit[0] - latent) / 2.0
-    )
+    power = before.mean_db + (2.0 if resolution else -3.0)
+    step = np.array([resolution or 0.0])
+    after = posterior.extend(Measurements(spot, power, step == 0.0, step)).predict(spot)
+    deviation = np.sqrt(before.deviation_db[0] ** 2 - 4.0)
+    latent = before.mean_db[0] + deviation * np.linspace(-12.0, 12.0, 200_001)
+    inside = norm.cdf((power[0] + 0.5 * step - latent) / 2.0)
+    if resolution:
+        inside -= norm.cdf((power[0] - 0.5 * step - latent) / 2.0)
+    density = norm.pdf(latent, before.mean_db[0], deviation) * inside
     density /= density.sum()
     mean = density @ latent
-    variance = density @ (latent - mean) ** 2
     assert after.mean_db[0] == pytest.approx(mean, abs=1e-6)
+    variance = density @ (latent - mean) ** 2
     assert after.deviation_db[0] ** 2 - 4.0 == pytest.approx(variance, abs=1e-5)
 
 
@@ -258,29 +245,6 @@ def test_censored_measurements_mix_with_others():
     np.testing.assert_array_equal(grown.measurements.power_dbm, data.power_dbm)
 
 
-@pytest.mark.parametrize("resolution", [5.0, 12.0])
-def test_coarse_power_matches_the_truncated_moments(resolution):
-    """Extending by a power in coarse steps: mean and variance of the prediction truncated to it."""
-    posterior = condition(PARAMETERS, measured(15), theta="known")
-    spot = np.array([[20.0, 30.0]])
-    before = posterior.predict(spot)
-    middle = before.mean_db + 2.0
-    given = Measurements(spot, middle, np.array([False]), np.array([resolution]))
-    after = posterior.extend(given).predict(spot)
-    latent_variance = before.deviation_db[0] ** 2 - 4.0
-    latent = before.mean_db[0] + np.sqrt(latent_variance) * np.linspace(-12.0, 12.0, 200_001)
-    from scipy.stats import norm
-
-    ends = middle[0] + np.array([-0.5, 0.5]) * resolution
-    low, high = (norm.cdf((end - latent) / 2.0) for end in ends)
-    density = norm.pdf(latent, before.mean_db[0], np.sqrt(latent_variance)) * (high - low)
-    density /= density.sum()
-    mean = density @ latent
-    variance = density @ (latent - mean) ** 2
-    assert after.mean_db[0] == pytest.approx(mean, abs=1e-6)
-    assert after.deviation_db[0] ** 2 - 4.0 == pytest.approx(variance, abs=1e-5)
-
-
 def test_fine_steps_widen_the_noise_in_a_batch_and_in_extensions():
     """Steps up to twice omega: value kept, omega^2 + r^2 / 12; batch and sequence agree."""
     data = dataclasses.replace(measured(20), resolution_db=np.repeat([0.0, 3.0], 10))
@@ -292,16 +256,6 @@ def test_fine_steps_widen_the_noise_in_a_batch_and_in_extensions():
     np.testing.assert_allclose(
         grown.predict(places()).mean_db, batch.predict(places()).mean_db, rtol=1e-10
     )
-
-
-def test_connectivity_falls_with_the_threshold():
-    """P(connected) is one half at the predicted mean and monotone about it."""
-    posterior = condition(PARAMETERS, measured(20))
-    spot = places(1)
-    mean = posterior.predict(spot).mean_db[0]
-    assert posterior.connectivity(spot, mean)[0] == pytest.approx(0.5)
-    assert posterior.connectivity(spot, mean - 5.0)[0] > 0.5
-    assert posterior.connectivity(spot, mean + 5.0)[0] < 0.5
 
 
 @pytest.mark.parametrize("count", [0, 1, 150])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import binomtest
 from simulated_channel import simulated
 
 from planopt import InputError
@@ -20,7 +21,7 @@ from planopt.channel import (
     joint_prediction,
     longest_outage,
 )
-from planopt.channel.outage import longest_runs
+from planopt.channel.outage import SampledDistribution, longest_runs, sent_and_lost
 from planopt.channel.path_connectivity import prefix_probabilities
 from planopt.planning.loop.metrics import longest_outage_m
 
@@ -139,3 +140,86 @@ def test_deadline_off_the_path(deadline):
     """What happens after the path's end is not guessed."""
     with pytest.raises(InputError, match="deadline_s"):
         delivered_data(independent()[0], PATH, TIMES, THRESHOLD, Traffic(1.0), deadline, 10, rng())
+
+
+def by_small_steps(durations, drive, traffic, step=1e-3):
+    """The fluid followed in time."""
+    waiting, delivered = traffic.waiting_bits, 0.0
+    for duration, now in zip(durations, drive[1:], strict=True):
+        for _ in range(round(duration / step)):
+            waiting += traffic.source_bps * step
+            sent = min(waiting, traffic.link_bps * step) if now else 0.0
+            delivered += sent
+            waiting = min(waiting - sent, traffic.buffer_bits)
+    return delivered, waiting
+
+
+@pytest.mark.parametrize(
+    "traffic",
+    [
+        Traffic(3.0, waiting_bits=2.0, source_bps=1.0, buffer_bits=4.0),
+        Traffic(1.0, source_bps=2.0, buffer_bits=3.0),
+        Traffic(5.0, waiting_bits=20.0),
+        Traffic(2.0, source_bps=2.0, buffer_bits=0.0),
+    ],
+)
+def test_fluid_against_small_steps(traffic):
+    """Links faster and slower than the source, with and without a buffer."""
+    drives = np.random.default_rng(0).random((4, len(TIMES))) < 0.5
+    delivered, lost, waiting = sent_and_lost(np.diff(TIMES), drives, traffic)
+    for number, drive in enumerate(drives):
+        expected = by_small_steps(np.diff(TIMES), drive, traffic)
+        assert delivered[number] == pytest.approx(expected[0], abs=0.02)
+        assert waiting[number] == pytest.approx(expected[1], abs=0.02)
+    total = traffic.waiting_bits + traffic.source_bps * 9.0
+    np.testing.assert_allclose(delivered + lost + waiting, total)
+    assert (lost >= 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "named"),
+    [
+        ((0.0,), "link_bps"),
+        ((1.0, -1.0), "waiting_bits"),
+        ((1.0, 0.0, -1.0), "source_bps"),
+        ((1.0, 5.0, 0.0, 4.0), "waiting_bits"),
+        ((1.0, 0.0, 0.0, np.nan), "waiting_bits"),
+    ],
+)
+def test_bad_traffic(numbers, named):
+    """Rates and sizes out of range."""
+    with pytest.raises(InputError, match=named):
+        Traffic(*numbers)
+
+
+def test_intervals_cover():
+    """Of 400 samples of an exponential law at least 92 % of each interval hold the truth."""
+    generator = np.random.default_rng(0)
+    held = np.zeros(3)
+    for _ in range(400):
+        sample = SampledDistribution(generator.exponential(1.0, 300))
+        found = (sample.mean(), sample.quantile(0.9), sample.exceedance(2.0))
+        truth = (1.0, np.log(10.0), np.exp(-2.0))
+        held += [part.low <= true <= part.high for part, true in zip(found, truth, strict=True)]
+        assert all(part.low <= part.value <= part.high for part in found)
+    assert (held >= 0.92 * 400).all()
+    assert (held <= 0.99 * 400).all()
+
+
+@pytest.mark.parametrize("limit", [-1.0, 3.5, 8.9, 20.0])
+def test_exceedance_is_scipys(limit):
+    """Clopper and Pearson's interval, at the ends too."""
+    sample = SampledDistribution(np.arange(10.0))
+    above = int((sample.draws > limit).sum())
+    expected = binomtest(above, 10).proportion_ci(0.95, method="exact")
+    found = sample.exceedance(limit)
+    assert found.value == above / 10
+    assert found.low == pytest.approx(expected.low, abs=1e-12)
+    assert found.high == pytest.approx(expected.high, abs=1e-12)
+
+
+@pytest.mark.parametrize("draws", [np.zeros(1), np.zeros((3, 2))])
+def test_no_distribution(draws):
+    """At least two draws of one number."""
+    with pytest.raises(InputError, match="at least 2"):
+        SampledDistribution(draws)

@@ -38,7 +38,7 @@ class Hole:
         x, y = self.from_m
         return (
             f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "
-            f"connected with probability {self.least_connectivity:.2f} at least"
+            f"least P(connected) {self.least_connectivity:.2f}"
         )
 
 
@@ -130,8 +130,8 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
     price, p_min = problem.reach.outage_price, problem.constraints.p_min
     return [
         *lines,
-        f"in all {sum(hole.length_m for hole in holes):.0f} m below constraints.p_min {p_min:g}, "
-        f"each metre at objective.outage_price {price:g}",
+        f"in all {sum(hole.length_m for hole in holes):.0f} m with P(connected) below {p_min:g}; "
+        f"each metre out of contact costs {price:g} m more",
     ]
 
 
@@ -140,8 +140,8 @@ def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
     if not holes or not holes[-1].to_end:
         return []
     return [
-        f"the goal {list(problem.goal_m)} is itself below constraints.p_min "
-        f"{problem.constraints.p_min:g}, by what is measured so far"
+        f"P(connected) at the goal {list(problem.goal_m)} is below {problem.constraints.p_min:g} "
+        "according to the measurements so far"
     ]
 
 
@@ -277,9 +277,9 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
             )
         else:
             parts.append(
-                f"steps {steps} miss the connectivity bound by up to {worst:.2f} dB: with them the "
-                f"way to the goal costs {path_m:.1f} m, metres out of contact at their price, the "
-                f"cheapest found {best_m:.1f} m"
+                f"steps {steps} miss p_min by up to {worst:.2f} dB: the route to the goal costs "
+                f"{path_m:.1f} m, the price of metres out of contact included, and the cheapest "
+                f"found costs {best_m:.1f} m"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")
@@ -305,7 +305,7 @@ class Excused:
         why = "nothing excuses it"
         if self.excuse == "price":
             why = (
-                f"the way costs {self.path_cost_m:.1f} m, the cheapest that the verifier found "
+                f"the route costs {self.path_cost_m:.1f} m, the cheapest that the verifier found "
                 f"{self.best_cost_m:.1f} m"
             )
         elif self.excuse == "slack":

@@ -43,7 +43,7 @@ def solution_in_words(solution: Solution) -> list[str]:
     ]
     if len(plans) > 1:
         total = sum(plan.objective for plan in plans)
-        lines.append(f"  {_value(problem, total)} of {len(plans)} plans")
+        lines.append(f"  {_value(problem, total)}, the total of {len(plans)} plans")
     for number, plan in enumerate(plans):
         lines += [f"  {line}" for line in plan_in_words(problem_of_robot(problem, number), plan)]
         own = [one for one in solution.explanation if one.robot == plan.robot]
@@ -53,9 +53,9 @@ def solution_in_words(solution: Solution) -> list[str]:
 
 
 def _value(problem: Problem, objective: float) -> str:
-    """Return an objective value with its unit: a cost in seconds where there is a goal."""
+    """Return an objective value; with a goal it is a cost in seconds, which is no travel time."""
     if problem.task == "reach":
-        return f"cost {shown_number(objective, ' s')}"
+        return f"cost of time, effort and outage {shown_number(objective, ' s')}"
     return f"value {shown_number(objective)}"
 
 
@@ -64,8 +64,8 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
     lines = [
         f"{plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
-        f"{_value(problem, plan.objective)}, of the lattice path "
-        f"{shown_number(plan.lattice_objective, unit)}; {plan.iterations} iterations, "
+        f"{_value(problem, plan.objective)} (lattice path "
+        f"{shown_number(plan.lattice_objective, unit)}); {plan.iterations} iterations, planned in "
         f"{shown_number(plan.wall_s, ' s', 2)}",
         f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)} ({proof.posterior})",
         *apart_in_words(proof.min_separation_m, proof.min_moving_clearance_m),
@@ -76,7 +76,7 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
         lines.append(f"  {plan.message}")
     if problem.task == "reach":
         words = goal_in_words(problem, plan.holes)
-        words += holes_in_words(problem, plan.holes, "the path to the goal crosses")
+        words += holes_in_words(problem, plan.holes, "the route to the goal crosses")
         lines += [f"  {line}" for line in words]
     return lines
 
@@ -155,19 +155,18 @@ def _unverified_in_words(run: Run) -> list[str]:
 
 
 def _costs_in_words(run: Run) -> list[str]:
-    """Return what the run cost against the clairvoyant, and what steps were excused by."""
+    """Return the cost of a run, that of a clairvoyant, and why steps below p_min were accepted."""
     lines = [
-        f"realised cost {shown_number(run.costs['realised_cost_m'], ' m')} at "
-        f"objective.outage_price {run.problem.reach.outage_price:g}, of the clairvoyant "
-        f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}"
+        f"realised cost {shown_number(run.costs['realised_cost_m'], ' m')}: path length, and "
+        f"{run.problem.reach.outage_price:g} m for each metre out of contact; a planner that knows "
+        f"the channel pays {shown_number(run.costs['clairvoyant_cost_m'], ' m')}"
     ]
     proofs = [plan.certificate for made in run.plans for plan in made]
     excess_m = [proof.excess_m for proof in proofs if proof.excess_m is not None]
     if excess_m:
         lines.append(
-            f"{len(excess_m)} of {len(proofs)} plans have steps below p_min, judged by their "
-            f"price: they cost at most {max(*excess_m, 0.0):.1f} m more than the cheapest path "
-            "that the verifier found"
+            f"{len(excess_m)} of {len(proofs)} plans have steps below p_min; they cost at most "
+            f"{max(*excess_m, 0.0):.1f} m more than the cheapest path that the verifier found"
         )
     return lines + [
         f"{made[0].robot}, {line}" if len(run.plans) > 1 else line
@@ -178,14 +177,14 @@ def _costs_in_words(run: Run) -> list[str]:
 
 
 def words_ahead(problem: Problem, plans: Sequence[Plan]) -> Iterator[str]:
-    """Yield the coverage holes on the way to each goal, as the first plans show them."""
+    """Yield the coverage holes on the route to each goal, from the first plans."""
     if problem.task != "reach":
         return
     for number, plan in enumerate(plans):
         own = problem_of_robot(problem, number)
         name = f"{problem.name}, {plan.robot}" if len(plans) > 1 else problem.name
         for line in goal_in_words(own, plan.holes) + holes_in_words(
-            own, plan.holes, "the way ahead crosses"
+            own, plan.holes, "the route ahead crosses"
         ):
             yield f"{name}: {line}"
 
@@ -222,7 +221,7 @@ def problem_in_words(problem: Problem) -> list[str]:
             )
         )
     if limits.asks_connection:
-        lines.append(f"  asked       P(connected) at least {limits.p_min:g}")
+        lines.append(f"  required    P(connected) at least {limits.p_min:g}")
     lines.append(f"  clearance   {limits.clearance_m:g} m")
     return lines
 
@@ -246,9 +245,9 @@ def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
-    """Return the clearance of planned paths, and the least P(connected) of all planned steps.
+    """Return the clearance of planned paths, and the least P(connected) of planned steps.
 
-    Runs have another least probability: that of the driven steps, each by the plan that led there.
+    The least probability of a run is that of driven steps.
     """
     return (
         f"clearance {shown_number(clearance_m, ' m')}, least P(connected) of the planned steps "

@@ -165,7 +165,7 @@ def test_words_of_a_relaxed_plan():
     candidate = judged(judge, straight_path(problem, 2.0)[1:])
     assert candidate.verdict is Verdict.VERIFIED and candidate.relaxes
     message = judge.plan_from(candidate, 0.0).message
-    assert message.startswith("steps 1 miss the connectivity bound")
+    assert message.startswith("steps 1 miss p_min")
     assert f"{candidate.certificate.relaxation_db[0]:.2f} dB" in message
 
 

@@ -31,7 +31,7 @@ def test_a_plan_tells_of_all_its_steps():
     """By how much each misses the bound, and what the price of it was compared with."""
     first, second = said([PRICED])
     assert first == (
-        "step 1 misses p_min by 0.50 dB: the way costs 8.0 m, the cheapest that the verifier "
+        "step 1 misses p_min by 0.50 dB: the route costs 8.0 m, the cheapest that the verifier "
         "found 7.5 m"
     )
     assert second.startswith("step 3 misses p_min by 2.00 dB")

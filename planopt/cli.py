@@ -81,9 +81,9 @@ def _planopt(  # pyright: ignore[reportUnusedFunction]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
-    given = sys.argv[1:] if arguments is None else arguments
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        for argument in given:
+        for argument in words:
             require_text(argument, "the argument")
         with standard_output(), stopping() as received:
             try:
@@ -103,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         message, found = f"{str(format_message()).rstrip('.')} (see planopt --help)", error
     message = " ".join(message.split())
-    if "--json" in given:
+    if "--json" in words:
         with contextlib.suppress(OutputError):
             print_out(strict_text(error_json(message, found)))
     print(f"planopt: {message}", file=sys.stderr)

@@ -110,8 +110,8 @@ def report(
         raise InputError("has no rows yet", file=folder, remedy="planopt bench run --out DIR")
     if freeze is not None:
         return _freeze(rows, manifest, freeze, replace, json)
-    given = references is not None or references_file().exists()
-    known = read_references(references) if given else {}
+    has_references = references is not None or references_file().exists()
+    known = read_references(references) if has_references else {}
     best = best_known(known, rows)
     data = report_json(manifest, rows, known)
     with replaced_results(folder, REPORT) as new:

@@ -91,34 +91,34 @@ def compare(
     require_backend(backend, "--backend")
     if parquet:
         require_pyarrow()
-    asked = [load(problem) for problem in problems]
-    given: dict[str, Any] = {
+    loaded = [load(problem) for problem in problems]
+    lists: dict[str, Any] = {
         "horizons": listed(horizons, "--horizons", int),
         "planners": listed(planners, "--planners", str),
         "costs_to_go": listed(costs_to_go, "--costs-to-go", str),
         "sweep": dict(swept(each) for each in sweep) if sweep else None,
     }
-    own = own_settings(asked, Lists(**given))
-    if len(asked) == 1 and own is None and not any(given.values()):
+    own = own_settings(loaded, Lists(**lists))
+    if len(loaded) == 1 and own is None and not any(lists.values()):
         raise InputError(
-            f"there is nothing to compare: {asked[0].name} has no table compare of its own",
+            f"there is nothing to compare: {loaded[0].name} has no table compare of its own",
             key="--horizons",
             remedy="give --horizons, --planners or --sweep",
         )
     chosen = (
         default_seeds(own)
         if seeds is None and first_seed is None
-        else asked_seeds(str(DEFAULT_SEEDS) if seeds is None else seeds, first_seed)
+        else seed_range(str(DEFAULT_SEEDS) if seeds is None else seeds, first_seed)
     )
     # Settings that are not allowed are found before the first run.
-    total = len(settings_of(asked, **given)) * len(chosen)
-    figures = all(task_of(problem).has_figures(problem) for problem in asked)
+    total = len(settings_of(loaded, **lists)) * len(chosen)
+    figures = all(task_of(problem).has_figures(problem) for problem in loaded)
     with results_folder(out) as folder:
         try:
             with progress("driving, runs:", total) as advance:
                 comparison = compared(
-                    asked,
-                    **given,
+                    loaded,
+                    **lists,
                     seeds=chosen,
                     workers=workers,
                     backend=backend,
@@ -126,10 +126,10 @@ def compare(
                     finished=None if folder is None else folder / FINISHED_FOLDER,
                 )
         except NoPlanError as error:
-            data = no_comparison_json(asked[0].name, str(error))
+            data = no_comparison_json(loaded[0].name, str(error))
             if folder is not None:
-                save_no_comparison(asked[0], str(error), folder)
-            show(json, data, f"{asked[0].name}: no plan: {error}")
+                save_no_comparison(loaded[0], str(error), folder)
+            show(json, data, f"{loaded[0].name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
             save_comparison(comparison, folder, parquet=parquet)
@@ -166,7 +166,7 @@ def _where_all_is(folder: Path | None) -> str:
     return f"{words}\n{folder / COMPARISON_FILE}"
 
 
-def asked_seeds(text: str, first: int | None) -> range:
+def seed_range(text: str, first: int | None) -> range:
     """Return the seeds of the options ``--seeds`` and ``--first-seed``."""
     from planopt.problems.settings import seeds_of
 

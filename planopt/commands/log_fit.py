@@ -117,15 +117,15 @@ def _log_format(options: LogOptions) -> LogFormat:
 
 def _forgetting_s(options: LogOptions) -> float:
     """Return the forgetting time; infinite if none is given."""
-    given = math.inf if options.forgetting is None else options.forgetting
-    require_option(given > 0.0, given, "--forgetting", "give more than 0 seconds")
+    value_s = math.inf if options.forgetting is None else options.forgetting
+    require_option(value_s > 0.0, value_s, "--forgetting", "give more than 0 seconds")
     if options.forgetting is not None and options.time is None:
         raise InputError(
             "needs the times of the measurements",
             key="--forgetting",
             remedy="name the column of times with --time COLUMN",
         )
-    return given
+    return value_s
 
 
 def require_option(is_allowed: bool, value: object, key: str, remedy: str) -> None:

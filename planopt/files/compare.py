@@ -68,12 +68,12 @@ class Difference:
     """One value that is not as computed again."""
 
     key: str  # Such as robots[0].x_m[3]
-    said: str  # As shown to people
+    saved: str  # As printed
     found: str
 
 
 def differences(
-    said: object,
+    saved: object,
     found: object,
     key: str = "",
     name: str = "",
@@ -82,8 +82,8 @@ def differences(
     """Yield every leaf that differs, and keys that only one document has."""
     if name in accepted:
         return
-    if isinstance(said, Mapping) and isinstance(found, Mapping):
-        table, other = cast("Mapping[str, object]", said), cast("Mapping[str, object]", found)
+    if isinstance(saved, Mapping) and isinstance(found, Mapping):
+        table, other = cast("Mapping[str, object]", saved), cast("Mapping[str, object]", found)
         for part in dict.fromkeys([*other, *table]):
             where = f"{key}.{part}".removeprefix(".")
             if part not in table:
@@ -92,15 +92,15 @@ def differences(
                 yield Difference(where, _shown(table[part]), "no such key")
             else:
                 yield from differences(table[part], other[part], where, part, accepted)
-    elif isinstance(said, list) and isinstance(found, list):
-        these, those = cast("list[object]", said), cast("list[object]", found)
+    elif isinstance(saved, list) and isinstance(found, list):
+        these, those = cast("list[object]", saved), cast("list[object]", found)
         if len(these) != len(those):
             yield Difference(key, _shown(these), _shown(those))
             return
         for index, (one, other_one) in enumerate(zip(these, those, strict=True)):
             yield from differences(one, other_one, f"{key}[{index}]", name, accepted)
-    elif not _same(cast("object", said), found, name):
-        value = cast("object", said)
+    elif not _same(cast("object", saved), found, name):
+        value = cast("object", saved)
         one, other = _shown(value), _shown(found)
         yield Difference(key, repr(value) if one == other else one, other)
 
@@ -112,7 +112,7 @@ def in_words(file: str, found: Iterable[Difference], source: str = "found") -> l
         by_kind.setdefault(_INDEX.sub("[]", one.key), []).append(one)
     words: list[str] = []
     for kind, alike in by_kind.items():
-        words += [f"{file}, {_at(file, d.key)}: {d.said}, {source} {d.found}" for d in alike[:3]]
+        words += [f"{file}, {_at(file, d.key)}: {d.saved}, {source} {d.found}" for d in alike[:3]]
         if len(alike) > SHOWN_ALIKE:
             words.append(f"{file}, key {kind}: {len(alike) - SHOWN_ALIKE} more like these")
     return words
@@ -149,9 +149,9 @@ def _taken(data: object) -> Iterator[tuple[str, object]]:
             yield from _taken(part)
 
 
-def same_words(said: str, found: str) -> bool:
+def same_words(saved: str, found: str) -> bool:
     """Return whether two texts are equal but for the last shown digit of decimal numbers."""
-    these, those = _NUMBER.split(said), _NUMBER.split(found)
+    these, those = _NUMBER.split(saved), _NUMBER.split(found)
     # The separators of the split, at odd indices, are numbers.
     return len(these) == len(those) and all(
         one == other or (index % 2 == 1 and _same_shown(one, other))
@@ -159,31 +159,31 @@ def same_words(said: str, found: str) -> bool:
     )
 
 
-def _same_shown(said: str, found: str) -> bool:
+def _same_shown(saved: str, found: str) -> bool:
     """Return whether two printed numbers differ by no more than rounding the last digit."""
-    if "e" in said + found:
-        return math.isclose(float(said), float(found), rel_tol=0.1)
-    digits = max(len(number.partition(".")[2]) for number in (said, found))
-    return digits > 0 and abs(float(said) - float(found)) < 1.5 * 10.0**-digits
+    if "e" in saved + found:
+        return math.isclose(float(saved), float(found), rel_tol=0.1)
+    digits = max(len(number.partition(".")[2]) for number in (saved, found))
+    return digits > 0 and abs(float(saved) - float(found)) < 1.5 * 10.0**-digits
 
 
-def _same(said: object, found: object, name: str) -> bool:
-    if isinstance(said, bool) or isinstance(found, bool):
-        return said is found
-    if isinstance(said, (int, float)) and isinstance(found, (int, float)):
-        if said == found:
+def _same(saved: object, found: object, name: str) -> bool:
+    if isinstance(saved, bool) or isinstance(found, bool):
+        return saved is found
+    if isinstance(saved, (int, float)) and isinstance(found, (int, float)):
+        if saved == found:
             return True
         try:
-            one, other = float(said), float(found)
+            one, other = float(saved), float(found)
         except OverflowError:  # A whole number of hundreds of digits
             return False
         absolute, relative = TOLERANCES.get(name, EXACT)
         both_none = math.isnan(one) and math.isnan(other)
         return both_none or math.isclose(one, other, rel_tol=relative, abs_tol=absolute)
-    if isinstance(said, str) and isinstance(found, str):
+    if isinstance(saved, str) and isinstance(found, str):
         # Labels are exact; numbers in sentences were rounded.
-        return said == found or (" " in said and same_words(said, found))
-    return said is None and found is None
+        return saved == found or (" " in saved and same_words(saved, found))
+    return saved is None and found is None
 
 
 def _shown(value: object) -> str:

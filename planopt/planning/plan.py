@@ -204,12 +204,12 @@ def is_sound(
     path_m: NDArray[np.float64],
 ) -> bool:
     """Return whether a path (N, 2) from `position_m` (2,) keeps clearance, speed and workspace."""
-    way = np.vstack([position_m, path_m])
-    clearance = swept_clearance_m(index, way)
+    whole_m = np.vstack([position_m, path_m])
+    clearance = swept_clearance_m(index, whole_m)
     return bool(
         is_clear(clearance, problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M).all()
-        and dynamics_defect_m(way, position_m, problem.step_length_m) <= DYNAMICS_TOLERANCE_M
-        and inside_bounds(problem.workspace, way).all()
+        and dynamics_defect_m(whole_m, position_m, problem.step_length_m) <= DYNAMICS_TOLERANCE_M
+        and inside_bounds(problem.workspace, whole_m).all()
     )
 
 

@@ -169,11 +169,11 @@ def comparison_reasons(path: Path) -> list[str] | None:
     if comparison is None:
         return None
     folder = path.parent if path.name == COMPARISON_FILE else path
-    said: dict[str, Any] = json.loads(read_text(folder / COMPARISON_FILE))
-    tables = {key: said[key] for key in ("problem_file", "other_problems")}
+    saved: dict[str, Any] = json.loads(read_text(folder / COMPARISON_FILE))
+    tables = {key: saved[key] for key in ("problem_file", "other_problems")}
     runs = digest_of(read_text(folder / RUNS_FILE))
     found = {**comparison_json(comparison), DIGEST: runs, **tables}
-    reasons = in_words(COMPARISON_FILE, differences(said, found, accepted=frozenset()))
+    reasons = in_words(COMPARISON_FILE, differences(saved, found, accepted=frozenset()))
     made: dict[str, Any] = json.loads(read_text(folder / MANIFEST_FILE))
     try:
         again = manifest(comparison, [tables["problem_file"], *tables["other_problems"]])

@@ -25,8 +25,8 @@ def test_keys_of_one_alone() -> None:
     assert keys({"a": 1}, {"b": 1}) == ["b", "a"]
     assert keys({"a": [1, 2]}, {"a": [1]}) == ["a"]
     missing, unknown = differences({"a": 1}, {"b": 2})
-    assert (missing.said, missing.found) == ("is missing", "2")
-    assert (unknown.said, unknown.found) == ("1", "no such key")
+    assert (missing.saved, missing.found) == ("is missing", "2")
+    assert (unknown.saved, unknown.found) == ("1", "no such key")
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from test_finished_runs import short
 import planopt
 from planopt import Comparison, InputError, compare, load
 from planopt.cli import main
-from planopt.commands.compare import asked_seeds, swept
+from planopt.commands.compare import seed_range, swept
 from planopt.files.typed_json import encoded
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.results import RunSummary, summary_of
@@ -285,8 +285,8 @@ def test_words_of_the_command() -> None:
     for wrong in ("a.b", "=1", "a.b=", "a.b=1,,2", "a.b=x,"):
         with pytest.raises(InputError, match="cannot read"):
             swept(wrong)
-    assert asked_seeds("30", None) == range(30) and asked_seeds("2", 5) == range(5, 7)
-    assert asked_seeds("100:200", None) == range(100, 200)
+    assert seed_range("30", None) == range(30) and seed_range("2", 5) == range(5, 7)
+    assert seed_range("100:200", None) == range(100, 200)
     for text, first in (("5:5", None), ("a", None), ("-1:4", None), ("1:2:3", None), ("1:3", 4)):
         with pytest.raises(InputError):
-            asked_seeds(text, first)
+            seed_range(text, first)

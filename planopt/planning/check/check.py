@@ -57,18 +57,18 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
         meant = _but_overrides(problem_to_dict(with_drawn_starts(load_motion(original), seed)))
     except InputError as error:
         return [f"{file}, key problem_file: cannot be compared with the library's: {error}"]
-    said = _but_overrides(problem_to_dict(problem))
+    saved_data = _but_overrides(problem_to_dict(problem))
     remarks: list[str] = []
     if problem.channel.truth is None and "truth" in meant["channel"]:
         remarks.append(
             f"{file}, key problem_file.channel: has no ground truth and no first measurements, as "
             f"where they are from Python; the library's {problem.name} has"
         )
-        for tables in (said, meant):
+        for tables in (saved_data, meant):
             channel = {key: value for key, value in tables["channel"].items() if key != "truth"}
             measured = {k: v for k, v in channel["measurements"].items() if k != "count"}
             tables["channel"] = {**channel, "measurements": measured}
-    found = differences(said, meant, "problem_file", accepted=frozenset())
+    found = differences(saved_data, meant, "problem_file", accepted=frozenset())
     return remarks + in_words(file, found, f"in the library's {problem.name}")
 
 
@@ -159,8 +159,8 @@ def _different(saved: Saved, found: Contents) -> list[str]:
     data = {**found.data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
     reasons = in_words(found.name, differences(saved.data, data))
     for name, (_, table) in found.tables.items():
-        said = comparable(saved.tables[name])
-        reasons += in_words(name, differences(said, comparable(table)))
+        saved_data = comparable(saved.tables[name])
+        reasons += in_words(name, differences(saved_data, comparable(table)))
     for belief, arrays in zip(saved.beliefs, found.beliefs.values(), strict=True):
         reasons += belief_reasons(belief, arrays, saved.record.seed)
     return reasons

@@ -25,7 +25,7 @@ from planopt.files.compare import differences, in_words
 from planopt.objectives.moments import Region
 from planopt.planning.certificate import BlockedError, holes_on, plan_message
 from planopt.planning.files.belief_file import Arrays, SavedBelief, station_prefix
-from planopt.planning.files.result_json import PlanRecord, RobotPlan, RunRecord
+from planopt.planning.files.result_json import PlanRecord, RobotPlan
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
 from planopt.planning.files.saved import Saved, SavedPlan
 from planopt.planning.free_space import build_roads, is_joined, obstacles_met
@@ -61,8 +61,8 @@ def initial_belief(problem: Problem, first: Sequence[Measurements], saved: Saved
     """
     learnt = learn_stations(problem, first)
     each = [
-        _with_parameters(replace(own, further=()), said)
-        for own, said in zip((learnt, *learnt.further), saved.stations, strict=True)
+        _with_parameters(replace(own, further=()), record)
+        for own, record in zip((learnt, *learnt.further), saved.stations, strict=True)
     ]
     return replace(each[0], further=tuple(each[1:]))
 
@@ -82,14 +82,14 @@ def _with_parameters(belief: Belief, saved: SavedBelief) -> Belief:
 
 def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
     """Return the differences of the saved arrays from those found again."""
-    said = {
+    record = {
         station_prefix(station) + name: array
         for station, own in enumerate(saved.stations)
         for name, array in own.arrays.items()
     }
     return in_words(
         saved.file.name,
-        differences(_comparable(said), _comparable(found)),
+        differences(_comparable(record), _comparable(found)),
         f"found with seed {seed}",
     )
 
@@ -186,8 +186,8 @@ def _saved_world(saved: Saved) -> World:
         return tuple(float(table[name][min(step, len(table[name]) - 1)]) for name in names)
 
     def costs(*_: object) -> dict[str, float]:
-        said: dict[str, Any] = dict(saved.data.get("metrics", {}))
-        return {key: float(np.array(said[key], dtype=float)) for key in COSTS if key in said}
+        record: dict[str, Any] = dict(saved.data.get("metrics", {}))
+        return {key: float(np.array(record[key], dtype=float)) for key in COSTS if key in record}
 
     return World((), serving_dbm, measured, row, costs)
 
@@ -262,8 +262,8 @@ def _no_plan(
         for way in saved.blocked
     )
     shown = shown or any(_is_cut_off(own, places[own.robots[0].name]) for own in owns)
-    said = isinstance(saved.record, RunRecord) and saved.record.outcome == Outcome.NO_PLAN.value
-    if said and shown:
+    has_no_plan = saved.data.get("outcome") == Outcome.NO_PLAN.value
+    if has_no_plan and shown:
         message = str(saved.data.get("message"))
     return BlockedError(message, saved.blocked)
 
@@ -282,12 +282,12 @@ def _verified_again(
     saved: SavedPlan,
 ) -> Plan:
     """Return a saved plan with everything that follows from its trajectory."""
-    problem, said, drive, path_m = context.problem, saved.record, saved.drive, saved.path_m.copy()
+    problem, record, drive, path_m = context.problem, saved.record, saved.drive, saved.path_m.copy()
     path_m[0] = context.state[:2]
     if drive is not None:
         drive = replace(drive, states=np.vstack([context.state, drive.states[1:]]))
-    judgement = verify(context, path_m, said.residual, drive)
-    power = judgement.power
+    verification = verify(context, path_m, record.residual, drive)
+    power = verification.power
     if power is None:
         raise AssertionError("saved places are finite")
     if region is None:
@@ -296,8 +296,8 @@ def _verified_again(
         objective = _terms_value(context, region, aim, path_m)
     holes = ()
     route_m = np.zeros((0, 2))
-    if problem.task == "reach" and isinstance(said, RobotPlan) and said.route is not None:
-        route_m = said.route.positions_m
+    if problem.task == "reach" and isinstance(record, RobotPlan) and record.route is not None:
+        route_m = record.route.positions_m
         places = np.vstack([path_m, route_m])
         ahead = search_prediction(context.law, places)
         holes = holes_on(problem, ahead, places)
@@ -311,15 +311,15 @@ def _verified_again(
             power.mean_db, power.deviation_db, problem.stations[0].threshold_dbm
         ),
         objective=objective,
-        lattice_objective=said.lattice_objective,
-        termination=said.termination,
-        verdict=judgement.verdict,
-        rung=said.rung,
-        certificate=judgement.certificate,
-        wall_s=said.wall_s if isinstance(said, RobotPlan) else 0.0,
-        solve_s=said.solve_s if isinstance(said, RobotPlan) else 0.0,
-        iterations=said.iterations if isinstance(said, RobotPlan) else 0,
-        message=plan_message(judgement.certificate, path_m),
+        lattice_objective=record.lattice_objective,
+        termination=record.termination,
+        verdict=verification.verdict,
+        rung=record.rung,
+        certificate=verification.certificate,
+        wall_s=record.wall_s if isinstance(record, RobotPlan) else 0.0,
+        solve_s=record.solve_s if isinstance(record, RobotPlan) else 0.0,
+        iterations=record.iterations if isinstance(record, RobotPlan) else 0,
+        message=plan_message(verification.certificate, path_m),
         pivot=saved.pivot,
         sense=problem.sense,
         drive=drive,

@@ -31,7 +31,7 @@ from planopt.world.lattice import lattice_paths, route_from
 
 
 @one_blas_thread()
-def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
+def explain(result: Solution | Problem, seed: int = 0) -> Explanation:
     """Return changes that would give every robot a verified plan, and why holes are crossed.
 
     A verified plan needs no change, as ``print(explain(...))`` says.
@@ -42,7 +42,7 @@ def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
 
     Parameters
     ----------
-    asked
+    result
         From :func:`planopt.solve`; or a problem, which is solved first. If that raises a
         `NoPlanError`, changes that would open a path to the goal are returned.
     seed
@@ -54,15 +54,15 @@ def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
     >>> print(planopt.explain(planopt.load("open_field")))
     Every plan is verified: it keeps all bounds.
     """
-    if not isinstance(asked, Problem):
+    if not isinstance(result, Problem):
         remedy = "give a Problem, or what planopt.solve returned"
-        return _explain_solution(part_of("asked", asked, Solution, remedy))
+        return _explain_solution(part_of("result", result, Solution, remedy))
     ends_s = deadline_s()
     try:
-        solution = solve(asked, seed=seed)
+        solution = solve(result, seed=seed)
     except (NoPlanError, InputError) as error:
         # A blocked path can be explained without measurements as well.
-        found = explain_no_plan(asked, seed, ends_s)
+        found = explain_no_plan(result, seed, ends_s)
         if not found and isinstance(error, InputError):
             raise
         return Explanation(found, _summary(Verdict.NONE, found))
@@ -72,10 +72,10 @@ def explain(asked: Solution | Problem, seed: int = 0) -> Explanation:
 def _summary(verdict: Verdict, found: Sequence[Relaxation]) -> str:
     if verdict is Verdict.VERIFIED:
         return "Every plan is verified: it keeps all bounds."
-    said = "There is no plan" if verdict is Verdict.NONE else "Not every plan is verified"
+    start = "There is no plan" if verdict is Verdict.NONE else "Not every plan is verified"
     if found:
-        return f"{said}; each of these changes by itself would help, as far as it is verified:"
-    return f"{said}; no change of a single key or obstacle that was tried helps."
+        return f"{start}; each of these changes by itself would help, as far as it is verified:"
+    return f"{start}; no change of a single key or obstacle that was tried helps."
 
 
 def _explain_solution(solution: Solution) -> Explanation:
@@ -212,9 +212,9 @@ def _cheapest_path(
     A metre at each node costs one plus its `surcharge` (n,).
     """
     road_map = scene.road_map
-    ways = lattice_paths(road_map, scene.goal_node, 1.0 + surcharge)
+    paths = lattice_paths(road_map, scene.goal_node, 1.0 + surcharge)
     nodes, lengths = first_moves(scene.ground, problem, start_m)
-    first = int(np.argmin(lengths * (1.0 + surcharge[nodes]) + ways.cost_m[nodes]))
-    cost_m = float(lengths[first] * (1.0 + surcharge[nodes[first]]) + ways.cost_m[nodes[first]])
-    rest = route_from(road_map, ways, int(nodes[first]), np.inf)
+    first = int(np.argmin(lengths * (1.0 + surcharge[nodes]) + paths.cost_m[nodes]))
+    cost_m = float(lengths[first] * (1.0 + surcharge[nodes[first]]) + paths.cost_m[nodes[first]])
+    rest = route_from(road_map, paths, int(nodes[first]), np.inf)
     return cost_m, np.vstack([start_m, road_map.nodes_m[rest]])

@@ -283,15 +283,15 @@ class NoPlanRecord(Record):
 
 def solution_json(solution: Solution) -> dict[str, Any]:
     """Return the JSON keys of ``solve``."""
-    told = solution.explanation
+    entries = solution.explanation
     return PlanRecord.written(
         solution,
         robots=[
             _written(RobotPlan, solution.problem, plan, aim)
             for plan, aim in zip(solution.plans, solution.aims, strict=True)
         ],
-        explanation=[one for one in told if isinstance(one, Relaxation)],
-        crossings=[CrossingRecord.written(one) for one in told if isinstance(one, Crossing)],
+        explanation=[one for one in entries if isinstance(one, Relaxation)],
+        crossings=[CrossingRecord.written(one) for one in entries if isinstance(one, Crossing)],
     )
 
 

@@ -138,8 +138,8 @@ class SavedPlan:
 
     def aim(self, watched: Aim) -> Aim:
         """Return `watched` with the saved steering path and plans of other robots."""
-        said, turns = self.record.aim, self.record.aim.steering_turns_m
-        planned = tuple(np.array(path).reshape(-1, 2) for path in said.pending_m)
+        saved_aim, turns = self.record.aim, self.record.aim.steering_turns_m
+        planned = tuple(np.array(path).reshape(-1, 2) for path in saved_aim.pending_m)
         return replace(
             watched,
             steering_turns_m=None if turns is None else np.array(turns),

@@ -87,12 +87,12 @@ def clairvoyant_path(
 
     nodes_m = road_map.nodes_m
     moves = cost_m(nodes_m[road_map.edge_from], nodes_m[road_map.edge_to])
-    ways = cheapest_paths(road_map, node_at(road_map, np.asarray(problem.goal_m)), moves)
+    paths = cheapest_paths(road_map, node_at(road_map, np.asarray(problem.goal_m)), moves)
     start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
     nodes, _ = nodes_in_reach(road_map, index, problem, start)
     joining = cost_m(np.broadcast_to(start, (len(nodes), 2)), nodes_m[nodes])
-    first = int(nodes[np.argmin(joining + ways.cost_m[nodes])])
-    places = np.vstack([start, nodes_m[route_from(road_map, ways, first, np.inf)]])
+    first = int(nodes[np.argmin(joining + paths.cost_m[nodes])])
+    places = np.vstack([start, nodes_m[route_from(road_map, paths, first, np.inf)]])
     return _straightened(problem, index, places, cost_m)
 
 

@@ -49,10 +49,10 @@ def simulate(
 
     Runs of one seed may share `scenes` and `prepared`: robot geometry, ground truth, first belief.
     """
-    problem, given = with_measurements(problem, measurements)
+    problem, measured = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     problem = with_drawn_starts(problem, seed)
-    prepared = prepared if prepared is not None else prepare(problem, seed, given)
+    prepared = prepared if prepared is not None else prepare(problem, seed, measured)
     truths = prepared.truths
     if not truths:
         raise InputError(

@@ -161,9 +161,9 @@ def terms_ending(
     after `planner.max_steps`. A run has also stalled if some robots do nothing more by then.
     """
     # Shapes: connected (steps, robots).
-    steps, asked = len(connected), problem.terms[0]
+    steps, term = len(connected), problem.terms[0]
     waiting = [robot.problem.terms[0].steers == "connection" for robot in robots]
-    if asked.steers == "connection" and bool(connected[-1, waiting].all()):
+    if term.steers == "connection" and bool(connected[-1, waiting].all()):
         return Outcome.COMPLETED, f"connected after step {steps}"
     led = [r for r in robots if any(term.steers == "goal" for term in r.problem.terms)]
     if led and all(_has_arrived(robot) for robot in led):
@@ -178,7 +178,7 @@ def terms_ending(
         stuck = [
             (robot, why)
             for robot, why in stuck
-            if not learns(robot.problem) or _has_left(robot, _told(problem, robots, robot))
+            if not learns(robot.problem) or _has_left(robot, _others_of(problem, robots, robot))
         ]
         if stuck:
             return Outcome.STALLED, _in_words(problem, stuck)
@@ -188,7 +188,7 @@ def terms_ending(
         return None
     if led:
         return Outcome.STEP_LIMIT, f"not arrived after planner.max_steps {steps}"
-    if asked.steers == "connection":
+    if term.steers == "connection":
         return Outcome.STEP_LIMIT, f"not connected after planner.max_steps {steps}"
     return Outcome.COMPLETED, f"all {steps} steps driven"
 
@@ -205,21 +205,21 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
     A tracking robot does its task while it stands as long as packets arrive. For other terms
     standing still may be optimal if plans are verified.
     """
-    recent, asked = slice(-STALL_STEPS, None), robot.problem.terms[0]
-    if asked.sensor is not None and connected[recent].any():
+    recent, term = slice(-STALL_STEPS, None), robot.problem.terms[0]
+    if term.sensor is not None and connected[recent].any():
         return None
-    if asked.task == "custom" and asked.steers is None and not learns(robot.problem):
+    if term.task == "custom" and term.steers is None and not learns(robot.problem):
         verdicts = [plan.verdict for plan in robot.plans[recent]]
         if any(verdict is Verdict.VERIFIED for verdict in verdicts):
             return None
     beside = problem.constraints.separation_m > 0.0 or counts_others(problem)
     apart = len(problem.robots) > 1 and beside
-    alone = not apart and asked.sensor is None and problem.planner.name != "random"
+    alone = not apart and term.sensor is None and problem.planner.name != "random"
     return standstill(robot.problem, robot.states, robot.learnt, robot.plans[-1], alone=alone)
 
 
-def _told(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
-    """Return the driven places of the other robots, if these count."""
+def _others_of(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
+    """Return the driven places of the other robots if the objective depends on them."""
     if not counts_others(problem):
         return NOTHING_PENDING
     driven = [np.array(each.states)[1:, :2] for each in robots]
@@ -227,11 +227,11 @@ def _told(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pend
     return Pending((), places_of_others(driven, number))
 
 
-def _has_left(robot: Progress, told: Pending) -> bool:
+def _has_left(robot: Progress, others: Pending) -> bool:
     """Return whether some place is left to measure for a robot, beyond those of the others."""
     problem, states = robot.problem, robot.states
     spacing = problem.channel.measure_spacing_m
-    posteriors = anticipated(robot.posteriors, told, states[-1][:2], spacing)
+    posteriors = anticipated(robot.posteriors, others, states[-1][:2], spacing)
     lattice = build_lattice(
         problem.workspace,
         states[0][:2],

@@ -190,13 +190,13 @@ def fast_cases(
     names = library_names() if problems is None else problems
     for name in names:
         problem = load_motion(name)
-        asked = (problem.planner.horizon, problem.cost_to_go or "")
+        own = (problem.planner.horizon, problem.cost_to_go or "")
         mine = [
             one
             for one in references.values()
             if one.problem == name
             and one.seed == FAST_SEED
-            and (one.horizon, one.cost_to_go) == asked
+            and (one.horizon, one.cost_to_go) == own
         ]
         plans = [one.case for one in mine if one.kind == PLAN and one.planner in FAST_PLANNERS]
         runs = [one.case for one in mine if one.kind == RUN and one.cpu_s <= FAST_RUN_CPU_S]

@@ -31,7 +31,7 @@ def test_an_edited_bound_is() -> None:
 def test_a_problem_of_one_s_own_is_taken_as_it_stands() -> None:
     """Nothing tells whether it is the one that was meant; that is said."""
     (remark,) = library_remarks("plan.json", replace(load("open_field"), name="my_field"))
-    assert "problem.name: my_field is no problem of the library" in remark
+    assert "problem.name: my_field is not in the library" in remark
 
 
 def test_a_library_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,7 +40,9 @@ from typing import (
 )
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
@@ -57,7 +59,7 @@ from planopt.errors import InputError
 from planopt.plain_values import make_plain
 
 LIKE_WORDS = 0.9
-"""Keys of words so alike, in whatever order, are taken for each other."""
+"""Similarity of the words of two keys, in any order, from which on one is taken for the other."""
 
 LONGEST_KEY = 100
 """Keys and names are compared with known ones up to this length."""
@@ -93,7 +95,7 @@ def input_error(
     file: Path | str | None = None,
     table: str | None = None,
 ) -> InputError:
-    """One clear error for a failed validation."""
+    """Return one error for a failed validation."""
     faults = error.errors(include_url=False)
     fault = min(faults, key=lambda item: item["type"] != "extra_forbidden")
     path, fields, field = _resolve(fault["loc"], model)
@@ -114,12 +116,8 @@ def input_error(
         case "too_long" | "too_short":
             count, words = len(fault["input"]), _allowed(fault, field)
             message = f"has {count} entries, {words.partition(', not ')[0]}"
-        case "one_of" | "task":
-            # Of several keys: what stands there is no single value. What to do follows a colon,
-            # unless it is given by itself.
-            message, given = fault["msg"], fault.get("ctx", {}).get("remedy")
-            if given is None:
-                message, _, given = message.partition(": ")
+        case "one_of":
+            message, _, given = fault["msg"].partition(": ")
             remedy = given or remedy
         case _:
             message = f"is {shown(fault['input'])}, {_allowed(fault, field)}"
@@ -143,13 +141,13 @@ def located(model: type[BaseModel], file: Path | None, table: str | None = None)
 
 
 def key_text(path: KeyPath) -> str | None:
-    """``robots[0].start_m`` for ``("robots", 0, "start_m")``; None for the empty path."""
+    """Return ``robots[0].start_m`` for ``("robots", 0, "start_m")``; None for the empty path."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return text.removeprefix(".") or None
 
 
 def shown(value: object) -> str:
-    """`value` as short as a message needs it."""
+    """Return `value` in the words of a message."""
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list):
@@ -181,7 +179,7 @@ def _sorted_words(key: str) -> str:
 
 
 def _kind_message(fault: ErrorDetails) -> str:
-    """A table whose ``kind`` selects none of its alternatives."""
+    """Return the fault of a table whose ``kind`` selects none of its alternatives."""
     context = fault.get("ctx", {})
     if "tag" not in context:
         return "is missing"
@@ -191,21 +189,21 @@ def _kind_message(fault: ErrorDetails) -> str:
 def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
     """Return what is allowed instead of the value."""
     kind = fault["type"]
-    bounds = _range(field) if kind in _RANGE_TYPES and field is not None else ""
+    if kind in _RANGE_TYPES and field is not None and (bounds := _bounds_of(field)):
+        words = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
+        return f"should be {' and '.join(f'{words[name]} {bounds[name]:g}' for name in bounds)}"
     wording = re.sub(r"^\w+ should", "should", fault["msg"]).split(" after validation")[0]
-    return bounds or _ALLOWED.get(kind, wording)
+    return _ALLOWED.get(kind, wording)
 
 
-def _range(field: FieldInfo) -> str:
-    """Return both ends of the range of `field`."""
-    words = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
-    parts = [
-        f"{word} {getattr(bound, name):g}"
+def _bounds_of(field: FieldInfo) -> dict[str, float]:
+    """Return the limits of the range of a key by pydantic's names."""
+    return {
+        name: float(getattr(bound, name))
         for bound in field.metadata
-        for name, word in words.items()
+        for name in _BEYOND
         if hasattr(bound, name)
-    ]
-    return f"should be {' and '.join(parts)}" if parts else ""
+    }
 
 
 _BEYOND = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
@@ -215,12 +213,7 @@ _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
 
 def _within(fault: ErrorDetails, field: FieldInfo) -> str:
     """Return what to give in place of a number beyond its range, with an example."""
-    bounds = {
-        name: float(getattr(bound, name))
-        for bound in field.metadata
-        for name in _BEYOND
-        if hasattr(bound, name)
-    }
+    bounds = _bounds_of(field)
     limit = _LIMITS.get(fault["type"], "le")
     # Limits of the numbers in an array are not those of the key.
     bounds.setdefault(limit, float(fault.get("ctx", {})[limit]))
@@ -258,18 +251,18 @@ def _resolve(
 
 
 def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Fields of `model` by the key that the file uses."""
+    """Return the fields of `model` by the key that the file uses."""
     return {info.alias or name: info for name, info in model.model_fields.items()}
 
 
 def _kinds(model: type[BaseModel]) -> tuple[object, ...]:
-    """Values of ``kind`` that select `model` among alternatives."""
+    """Return the values of ``kind`` that select `model` among alternatives."""
     info = model.model_fields.get("kind")
     return () if info is None else get_args(info.annotation)
 
 
 def _tables(annotation: Any) -> list[type[BaseModel]]:
-    """Every table that `annotation` mentions, those of an open set at the time of asking."""
+    """Return every table in an annotation, including those registered since."""
     if isinstance(annotation, OpenTables):
         return list(annotation.tables())
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -331,29 +324,10 @@ class Table(BaseModel):
             cls.__annotations__[name] = Annotated[hint, Field(description=said)]
 
 
-class FileKey:
-    """Marks a key that names a file, relative to the folder in the context of the validation."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Read text or a path, and return a path."""
-        return core_schema.with_info_wrap_validator_function(
-            _read_path, handler.generate_schema(FileName)
-        )
-
-
-def _read_path(value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Path:
-    return _folder(info) / handler(str(value) if isinstance(value, Path) else value)
-
-
 def _folder(info: ValidationInfo) -> Path:
     """Return the folder that relative file names start at."""
     context = cast("Mapping[str, Path] | None", info.context)
     return Path() if context is None else context["folder"]
-
-
-FilePath = Annotated[Path, FileKey()]
 
 
 class ValidatedAs:
@@ -368,6 +342,19 @@ class ValidatedAs:
         """Return the schema of that type."""
         return handler.generate_schema(self._kind)
 
+
+def _text_of(value: object) -> object:
+    return str(value) if isinstance(value, Path) else value
+
+
+def _in_folder(name: str, info: ValidationInfo) -> Path:
+    return _folder(info) / name
+
+
+FilePath = Annotated[
+    Path, ValidatedAs(FileName), BeforeValidator(_text_of), AfterValidator(_in_folder)
+]
+"""A file, by text or path, relative to the folder in the context of the validation."""
 
 Of = TypeVar("Of", bound="Part")
 

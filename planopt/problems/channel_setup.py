@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, GetCoreSchemaHandler, ValidatorFunctionWrapHandler, model_validator
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
 from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.ground_truth import (
@@ -411,21 +410,16 @@ class FitTable(Table):
     multipath_std_db, and k_pl_db and n_pl or neither."""
 
 
-class TruthOf:
-    """Marks the key of the true channel: one from Python, or whatever a file may describe."""
-
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
-        """Accept arrays and functions as they are."""
-        return core_schema.no_info_wrap_validator_function(_read_truth, handler(source))
-
-
 def _read_truth(value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+    """Accept a truth from Python as it is, and read the table of another."""
     return value if isinstance(value, ArrayTruth | FunctionTruth) else handler(value)
 
 
-AnyTruth = Annotated[RasterTruth | ModelTruth | FittedTruth, Field(discriminator="kind"), TruthOf()]
+AnyTruth = Annotated[
+    RasterTruth | ModelTruth | FittedTruth,
+    Field(discriminator="kind"),
+    WrapValidator(_read_truth),
+]
 
 
 class ChannelKeys(Table):

@@ -16,7 +16,7 @@ from pydantic import (
     TypeAdapter,
 )
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, core_schema
 
 from planopt.errors import InputError
 from planopt.keys import Part, ReadAs, Table, fault_of, made_of, saved, table_of
@@ -55,7 +55,7 @@ def read_term(value: object) -> Term:
     term = made_of(chosen, table)
     fault = chosen.table_fault(frozenset(table.model_fields_set), term)
     if fault is not None:
-        raise PydanticCustomError("one_of", "{words}", {"words": fault})
+        raise fault_of(fault)
     return term
 
 

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
 
-from planopt.keys import Name, Table
+from planopt.keys import Name, Table, fault_of
 from planopt.objectives.terms.term import Term, registered_terms
 from planopt.problems.channel_setup import BaseStation, ChannelSetup
 from planopt.problems.constraints import Constraints
@@ -210,7 +209,7 @@ class ProblemFile(Table):
     def _fits_the_task(self) -> ProblemFile:
         fault = task_fault(self)
         if fault is not None:
-            raise PydanticCustomError("task", "{words}", {"words": fault})
+            raise fault_of(fault)
         return self
 
 

@@ -17,7 +17,7 @@ from planopt.channel.belief import update
 from planopt.planning.initial_data import Prepared, free_places, prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene
-from planopt.problems.overrides import with_overrides
+from planopt.problems.load import with_overrides
 
 PROBLEM = "munich_courier"
 PLACES_SEED = 7

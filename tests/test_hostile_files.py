@@ -181,7 +181,7 @@ from pathlib import Path
 resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
 from planopt.channel.power_log import read_log
 from planopt.errors import InputError
-from planopt.world.occupancy_files import read_grid
+from planopt.world.occupancy import read_grid
 from planopt.world.raster_files import read_raster
 for path in sorted(Path(sys.argv[1]).iterdir()):
     if path.suffix == ".yaml":

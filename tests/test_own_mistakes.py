@@ -31,7 +31,7 @@ from planopt.objectives import LearningTerm
 from planopt.objectives.path_derivatives import PathDerivatives
 from planopt.objectives.terms import term as terms
 from planopt.problems import FunctionTruth, constraints
-from planopt.robots.drive import rolled_out
+from planopt.robots.dynamics import rolled_out
 
 
 @pytest.fixture(autouse=True)

@@ -27,7 +27,7 @@ from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Mea
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
 from planopt.files.reading import read_text
-from planopt.world.workspace import LARGEST_COORDINATE_M
+from planopt.keys import LARGEST_COORDINATE_M
 
 DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
 """Names of the columns for x, y and power."""

@@ -26,7 +26,7 @@ from planopt.planning.proof.context import VerifierContext
 from planopt.planning.proof.verify import verify
 from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, rolled_out
+from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.clearance import ObstacleIndex
 
 SEARCH_SHARE, SOLVE_SHARE, PROOF_SHARE = 0.3, 0.4, 0.1

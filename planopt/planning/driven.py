@@ -21,7 +21,7 @@ from planopt.planning.search.guess_search import Guess
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_missing
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, rolled_out
+from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.separation import SeparatingLines, joined_lines, separating_lines
 
 

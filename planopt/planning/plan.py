@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planopt.planning.certificate import Certificate, Hole
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, dynamics_defect_m, rolled_out
+from planopt.robots.dynamics import Drive, dynamics_defect_m, rolled_out
 from planopt.short_repr import short_repr
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 

@@ -67,7 +67,7 @@ from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.reach_cost import ReachCost, resting_places_m
 from planopt.planning.values.rule_rows import step_rows
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, rolled_out
+from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.moving_discs import MovingDiscs
 
 FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)

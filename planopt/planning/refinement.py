@@ -53,7 +53,7 @@ from planopt.planning.values.rule_rows import (
     rule_rows,
 )
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, braked_motion
+from planopt.robots.dynamics import Drive, braked_motion
 from planopt.targets.rounding import Derivatives
 from planopt.world.moving_discs import MovingDiscs
 from planopt.world.separation import (

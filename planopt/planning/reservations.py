@@ -20,7 +20,7 @@ from planopt.planning.plan import Plan
 from planopt.planning.proof.context import obstacles_ahead, steps_ahead
 from planopt.planning.proof.motion import verify_apart
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, braked_motion, stopping_motion
+from planopt.robots.dynamics import Drive, braked_motion, stopping_motion
 from planopt.world.motion import TimedMotion, step_distances_m
 from planopt.world.moving_discs import MovingDiscs, joined_discs, predicted_discs
 

@@ -30,7 +30,7 @@ from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper
 from planopt.planning.team.couriers import planning
-from planopt.problems.overrides import require_motion, with_overrides
+from planopt.problems.load import require_motion, with_overrides
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, task_of

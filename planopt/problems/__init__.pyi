@@ -19,4 +19,4 @@ from planopt.pursuit.simulation import PursuitController as PursuitController
 from planopt.robots.models import DoubleIntegrator as DoubleIntegrator
 from planopt.robots.models import SingleIntegrator as SingleIntegrator
 from planopt.robots.models import Unicycle as Unicycle
-from planopt.world.occupancy_grid import OccupancyGrid as OccupancyGrid
+from planopt.world.occupancy import OccupancyGrid as OccupancyGrid

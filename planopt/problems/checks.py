@@ -31,8 +31,7 @@ from planopt.problems.channel_setup import (
     log_of,
     raster_truth_of,
 )
-from planopt.robots.drive import state_after, stopping_motion
-from planopt.robots.dynamics import RestsByInput
+from planopt.robots.dynamics import RestsByInput, state_after, stopping_motion
 from planopt.world.clearance import (
     ObstacleIndex,
     clearance_m,

@@ -14,7 +14,7 @@ from planopt.channel.power_log import LogFormat
 from planopt.errors import InputError
 from planopt.problems.library import read_toml
 from planopt.problems.problem import Problem
-from planopt.world.occupancy_files import is_grid, read_grid
+from planopt.world.occupancy import is_grid, read_grid
 
 DEGREE_NAMES = ("lat", "lon", "lng")
 """Parts of column names that stand for degrees."""

@@ -56,7 +56,7 @@ from planopt.report.panel import (
     robot_marker,
     spaced,
 )
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 from planopt.world.moving_discs import centres_at
 from planopt.world.raster import Raster
 

@@ -41,7 +41,7 @@ from planopt.report.panel import (
     robot_marker,
     spaced,
 )
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 
 TIME = "time [s]"
 

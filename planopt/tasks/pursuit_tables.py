@@ -14,9 +14,9 @@ from pydantic import Field
 
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Metres, Name, Pair, Quad, Table
+from planopt.problems.schema import ObstacleTable, obstacle_table, obstacles_of
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
-from planopt.problems.world_tables import ObstacleTable, obstacle_table, obstacles_of
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag

@@ -16,8 +16,7 @@ import shapely
 
 from planopt.errors import InputError
 from planopt.files.reading import read_text
-from planopt.world.occupancy_files import is_grid, read_grid
-from planopt.world.occupancy_grid import OccupancyGrid, UnknownCells, grid_obstacles
+from planopt.world.occupancy import OccupancyGrid, UnknownCells, grid_obstacles, is_grid, read_grid
 from planopt.world.workspace import Obstacle, footprint
 
 DEEPEST = 32

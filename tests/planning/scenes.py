@@ -40,7 +40,7 @@ from planopt.problems.constraints import Constraints
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.problems.settings import PlannerSettings
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 from planopt.world.clearance import ObstacleIndex, index_obstacles
 from planopt.world.lattice import RoadMap, build_lattice, build_road_map
 from planopt.world.raster import Raster

@@ -13,7 +13,7 @@ from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems.problem import Problem, problem_from_tables
-from planopt.robots.drive import rolled_out
+from planopt.robots.dynamics import rolled_out
 from planopt.robots.models import DoubleIntegrator, Unicycle
 
 ROBOTS = {

@@ -17,7 +17,7 @@ from planopt.planning.plan import Rung, Verdict, shifted_drive
 from planopt.planning.scene import build_ground
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.robots.drive import rolled_out
+from planopt.robots.dynamics import rolled_out
 from planopt.robots.models import DoubleIntegrator, Unicycle
 from planopt.world.workspace import Obstacle, Workspace
 

@@ -13,7 +13,7 @@ from planopt import load, solve
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.search.guess_search import Guess
 from planopt.problems import problem_from_dict, problem_to_dict
-from planopt.robots.drive import rolled_out
+from planopt.robots.dynamics import rolled_out
 
 HORIZON = 20
 

@@ -20,8 +20,7 @@ from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
 from planopt.planning.values.reach_cost import ReachCost, resting_places_m
 from planopt.problems.problem import Problem
-from planopt.robots.drive import rolled_out
-from planopt.robots.dynamics import Dynamics
+from planopt.robots.dynamics import Dynamics, rolled_out
 from planopt.robots.models import DoubleIntegrator, Unicycle
 from planopt.world.workspace import Obstacle
 

@@ -16,7 +16,7 @@ from planopt.objectives.terms.tracking import LONGEST_ADDITIVE, TrackingTerm
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
 from planopt.problems import problem_to_dict
-from planopt.problems.overrides import with_overrides
+from planopt.problems.load import with_overrides
 
 
 def term_context(**keys):

@@ -11,7 +11,7 @@ import pytest
 from planopt import ConnectivityRule, Constraints, InputError, Problem, Robot, load
 from planopt.objectives import TermsObjective
 from planopt.problems import Unicycle, list_problems
-from planopt.problems.overrides import with_overrides
+from planopt.problems.load import with_overrides
 from planopt.problems.tasks import MOTION
 
 DRIVEN = partial(

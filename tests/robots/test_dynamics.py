@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from planopt.extend import Dynamics
 from planopt.problems import DoubleIntegrator, Unicycle
-from planopt.robots.drive import dynamics_defect_m, rolled_out
+from planopt.robots.dynamics import dynamics_defect_m, rolled_out
 from planopt.robots.models import sinc
 
 STEP_S = 0.7

@@ -15,7 +15,7 @@ from planopt import Comparison, InputError, compare, load, load_result
 from planopt.cli import main
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.library import library_folder
-from planopt.problems.overrides import with_changes
+from planopt.problems.load import with_changes
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.settings import ComparisonSettings, SettingGroup
 from planopt.report import comparison_text, draw_comparison

@@ -16,9 +16,8 @@ from PIL import Image
 
 from planopt import InputError, load
 from planopt.problems import OccupancyGrid
-from planopt.world import occupancy_files, occupancy_grid
-from planopt.world.occupancy_files import read_grid
-from planopt.world.occupancy_grid import TILE_CELLS, grid_obstacles
+from planopt.world import occupancy
+from planopt.world.occupancy import TILE_CELLS, grid_obstacles, read_grid
 from planopt.world.readers import read_obstacles
 
 YAML = """\
@@ -191,7 +190,7 @@ def test_image_of_another_format(tmp_path: Path) -> None:
 
 def test_too_many_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The size that an image declares is looked at before its pixels are."""
-    monkeypatch.setattr(occupancy_files, "MOST_CELLS", 5)
+    monkeypatch.setattr(occupancy, "MOST_CELLS", 5)
     with pytest.raises(InputError, match="6 cells, should have 1 to 5"):
         read_grid(ros_map(tmp_path))
     monkeypatch.undo()
@@ -309,7 +308,7 @@ def test_union_is_the_cells(occupied: NDArray[np.bool_]) -> None:
 def test_squares_do_not_change_the_union(occupied: NDArray[np.bool_]) -> None:
     """Cut along squares of four cells, no obstacle leaves its square, and nothing is lost."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(occupancy_grid, "TILE_CELLS", 4)
+        patch.setattr(occupancy, "TILE_CELLS", 4)
         polygons = polygons_of(occupied)
     assert all(shapely.is_valid(polygons))
     assert shapely.area(polygons).sum() == occupied.sum()
@@ -347,7 +346,7 @@ def test_unknown_cells_and_names() -> None:
 
 def test_too_ragged(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pattern of single cells is refused before its polygons are made."""
-    monkeypatch.setattr(occupancy_grid, "MOST_EDGES", 100)
+    monkeypatch.setattr(occupancy, "MOST_EDGES", 100)
     with pytest.raises(InputError, match="200 edges, more than the limit of 100"):
         polygons_of(np.indices((10, 10)).sum(axis=0) % 2 == 0)
 

@@ -42,7 +42,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.values.rule_rows import common_level
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.robots.drive import braked_motion
+from planopt.robots.dynamics import braked_motion
 from planopt.world.clearance import index_obstacles
 from planopt.world.motion import step_distances_m
 from planopt.world.moving_discs import MovingDiscs

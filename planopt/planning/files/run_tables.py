@@ -21,8 +21,7 @@ from planopt.planning.plan import Plan
 from planopt.planning.results import Run, Solution
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
-from planopt.robots.drive import Drive
-from planopt.robots.dynamics import Dynamics
+from planopt.robots.dynamics import Drive, Dynamics
 
 STEPS_FILE, TARGET_FILE, KNOWLEDGE_FILE = "steps.csv", "target.csv", "knowledge.csv"
 

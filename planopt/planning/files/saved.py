@@ -54,7 +54,7 @@ from planopt.planning.results import Run, Solution
 from planopt.planning.values.context import Aim
 from planopt.problems.load import problem_from_dict, problem_to_dict
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, braked_motion
+from planopt.robots.dynamics import Drive, braked_motion
 from planopt.world.motion import TimedMotion
 
 PLAN_FILE, RUN_FILE = "plan.json", "run.json"

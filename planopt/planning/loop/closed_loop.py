@@ -26,7 +26,7 @@ from planopt.planning.plan import Plan
 from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.team.couriers import planning
-from planopt.problems.overrides import with_overrides
+from planopt.problems.load import with_overrides
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 

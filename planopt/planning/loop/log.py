@@ -16,7 +16,7 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.loop.target_watch import TargetWatch
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.context import search_power
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 from planopt.short_repr import short_repr
 from planopt.targets.information_filter import predict
 from planopt.targets.sensor import noise_covariance_m2

@@ -32,7 +32,7 @@ from planopt.planning.reservations import (
 )
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 
 COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
 """True costs of a run to goals (:mod:`planopt.planning.loop.clairvoyant`)."""

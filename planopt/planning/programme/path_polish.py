@@ -14,7 +14,7 @@ from planopt.planning.programme.path_nlp import PathNlp
 from planopt.planning.programme.path_rows import MotionShape, PathShape, motion_rows
 from planopt.planning.programme.solver import Bounds, NlpPoint, kkt_residual
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 from planopt.world.separation import SeparatingLines
 
 

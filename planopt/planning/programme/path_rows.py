@@ -27,8 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.terms.term import Structure
-from planopt.robots.drive import Drive
-from planopt.robots.dynamics import Components, Dynamics
+from planopt.robots.dynamics import Components, Drive, Dynamics
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M, STANDSTILL_M
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive, braked_motion, dynamics_defect_m
-from planopt.robots.dynamics import Dynamics
+from planopt.robots.dynamics import Drive, Dynamics, braked_motion, dynamics_defect_m
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 from planopt.world.motion import Curve, TimedMotion, least_gap
 from planopt.world.moving_discs import MovingDiscs

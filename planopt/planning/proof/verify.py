@@ -33,7 +33,7 @@ from planopt.planning.proof.searches import (
 )
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, STANDSTILL_M
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 
 MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """From positions (n, 2) to margins (n,) in dB."""

@@ -38,7 +38,7 @@ from planopt.planning.values.context import StepContext, bends_guesses, shares_p
 from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.planning.values.rule_rows import Guide, find_guided
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 from planopt.world.moving_discs import paths_gap_m
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]

@@ -22,7 +22,7 @@ from planopt.planning.certificate import RuleResult
 from planopt.planning.proof.rule import PathCase, rule_of, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
 from planopt.planning.values.context import StepContext
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 
 
 @dataclass(frozen=True)

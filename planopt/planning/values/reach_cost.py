@@ -12,7 +12,7 @@ from planopt.channel.prediction import Prediction, bound_margin_db, connection_p
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, outage_share, path_cost_s
 from planopt.planning.plan import Pivot
 from planopt.problems.problem import Problem
-from planopt.robots.drive import Drive
+from planopt.robots.dynamics import Drive
 
 BRAKING_PLACES = 9
 """Places on the way to where a robot would come to stand: it begins where a hole does, and where

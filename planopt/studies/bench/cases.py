@@ -28,8 +28,7 @@ from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solve import solve_on
 from planopt.planning.team.couriers import planning
 from planopt.problems.library import list_problems
-from planopt.problems.load import load_motion
-from planopt.problems.overrides import with_overrides
+from planopt.problems.load import load_motion, with_overrides
 from planopt.problems.planner_kinds import planner_kind, planner_names
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import MOTION

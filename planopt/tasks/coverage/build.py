@@ -26,8 +26,8 @@ from planopt.coverage.network import Counting, LinkModel
 from planopt.coverage.simulation import Scene
 from planopt.coverage.voronoi import checked_polygon, convex_region
 from planopt.errors import InputError
+from planopt.problems.schema import obstacle_table, obstacles_of
 from planopt.problems.tasks import TaskProblem
-from planopt.problems.world_tables import obstacle_table, obstacles_of
 from planopt.tasks.coverage.parts import (
     demand_of,
     density_of,

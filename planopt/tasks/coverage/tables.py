@@ -11,8 +11,8 @@ from planopt.coverage.control.movers import Gains, Partition
 from planopt.coverage.events import Sensing
 from planopt.coverage.network import Counting, Method
 from planopt.keys import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
+from planopt.problems.schema import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
-from planopt.problems.world_tables import ObstacleTable
 from planopt.tasks.task import TaskFile
 
 PlannerName = Literal["law", "receding"]

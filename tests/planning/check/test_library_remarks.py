@@ -8,7 +8,7 @@ from planopt import load
 from planopt.errors import InputError
 from planopt.planning.check import check as module
 from planopt.planning.check.check import library_remarks
-from planopt.problems.overrides import with_overrides
+from planopt.problems.load import with_overrides
 
 
 def test_the_library_s_own_is_not_remarked_upon() -> None:

@@ -10,7 +10,7 @@ from motion_scene import DOUBLE, WHEELS, driven_problem
 from terms_scene import LEARNING
 
 from planopt.planning.proof.motion import verify_motion
-from planopt.robots.drive import Drive, rolled_out
+from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.clearance import index_obstacles
 
 STEPS = 4

@@ -15,7 +15,7 @@ from terms_scene import LEARNING
 
 from planopt.planning.proof import motion
 from planopt.robots.casadi_map import CasadiMap
-from planopt.robots.drive import Drive, rolled_out
+from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.clearance import index_obstacles
 
 SOURCE = Path(motion.__file__).read_text()

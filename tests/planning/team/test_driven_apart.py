@@ -19,7 +19,7 @@ from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.problem import Problem, problem_from_tables
-from planopt.robots.drive import rolled_out
+from planopt.robots.dynamics import rolled_out
 from planopt.world.moving_discs import centres_at
 
 SHARES = np.linspace(0.0, 1.0, 101)

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from planopt.planning.loop.closed_loop import simulate
-from planopt.problems.load import load
-from planopt.problems.overrides import with_overrides
+from planopt.problems.load import load, with_overrides
 
 PROBLEMS = Path(__file__).parents[3] / "benchmarks" / "problems"
 STEPS = 20

@@ -1,4 +1,4 @@
-"""Parts of a problem: of the kind that is asked for, and a user's own with their faults.
+"""Parts of a problem: of the required kind, by name, and a user's own with their faults.
 
 Terms, rules, dynamics, planners and ground truths may come from outside. Whatever their code raises
 or returns amiss becomes one :class:`planopt.errors.InputError` that names class, method and line.
@@ -11,6 +11,9 @@ import sys
 import traceback
 from collections.abc import Collection, Generator, Iterable, Mapping
 from contextlib import contextmanager
+from functools import cached_property
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from planopt.errors import InputError, PlanoptError, listed
@@ -56,6 +59,48 @@ def require_name(name: object, of: str, taken: Collection[str] = (), *, key: str
             remedy=f"letters, digits, _ and -{others}",
         )
     return str(name)
+
+
+class Registry:
+    """Parts that problem files may name: planopt's own, a program's, and those of packages."""
+
+    def __init__(self, of: str, key: str, own: Mapping[str, Any], group: str = "") -> None:
+        self.of, self.key, self.group = of, key, group
+        self.own = own  # Parts by name, or "module:attribute", imported when it is needed
+        self.registered: dict[str, Any] = {}  # Parts of this process
+
+    @cached_property
+    def installed(self) -> Mapping[str, EntryPoint]:
+        """Return the entry points of packages by name; they are not imported yet."""
+        return {point.name: point for point in entry_points(group=self.group)} if self.group else {}
+
+    def names(self) -> tuple[str, ...]:
+        """Return all names, planopt's own first."""
+        return tuple(dict.fromkeys([*self.own, *self.registered, *self.installed]))
+
+    def add(self, name: object, part: Any, key: str = "kind") -> None:
+        """Register a part in this process; one registered under its name before is replaced."""
+        self.registered[require_name(name, self.of, self.own, key=key)] = part
+
+    def find(self, name: object) -> Any:
+        """Return the part of a name, imported if need be."""
+        if not isinstance(name, str) or name not in self.names():
+            remedy = f"use one of {', '.join(self.names())}"
+            raise InputError(f"is {name!r}", key=self.key, remedy=remedy)
+        found = self.own.get(name) or self.registered.get(name)
+        if isinstance(found, str):
+            module, _, attribute = found.partition(":")
+            return getattr(import_module(module), attribute)
+        if found is not None:
+            return found
+        try:
+            return self.installed[name].load()
+        except (ImportError, AttributeError) as error:
+            raise InputError(
+                f"is {name}, which is installed but cannot be imported: {error}",
+                key=self.key,
+                remedy="install what it needs, or name another",
+            ) from None
 
 
 def class_name(part: object) -> str:

@@ -39,7 +39,7 @@ def forgotten(monkeypatch):
     """Forget own kinds after each test."""
     terms.registered_terms()
     monkeypatch.setattr(terms, "_kinds", dict(terms._kinds))
-    monkeypatch.setattr(constraints, "_registered", dict(constraints._registered))
+    monkeypatch.setattr(constraints.RULES, "registered", dict(constraints.RULES.registered))
 
 
 @pytest.fixture(scope="module")

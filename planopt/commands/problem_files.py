@@ -41,9 +41,9 @@ def schema(
     from json import dumps
 
     from planopt.problems.schema import json_schema
-    from planopt.problems.tasks import MOTION, task_named, task_names
+    from planopt.problems.tasks import MOTION, TASKS, task_named
 
-    names = [name for name in task_names() if name not in MOTION]
+    names = [name for name in TASKS.names() if name not in MOTION]
     if task is not None and task not in names:
         raise InputError(
             f"{task!r} has no tables of its own",

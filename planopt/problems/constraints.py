@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError
 
-from planopt.errors import InputError, listed
+from planopt.errors import InputError
 from planopt.keys import Part, ValidatedAs, table_of
-from planopt.parts import calling, part_of, require_name
+from planopt.parts import Registry, calling, part_of
 
 _RULES = "planopt.planning.proof.connectivity_rules"
 
@@ -29,32 +28,22 @@ OWN = {
 }
 """Where the classes of planopt's own rules are, imported when they are needed."""
 
-_registered: dict[str, type[Any]] = {}
+RULES = Registry("a rule", "constraints.connectivity", OWN)
 
 
 def register_rule(rule: type[Any]) -> None:
     """Let problems name a rule of connectivity of one's own."""
-    _registered[require_name(getattr(rule, "kind", ""), "a rule", OWN)] = rule
+    RULES.add(getattr(rule, "kind", ""), rule)
 
 
 def registered_rules() -> tuple[type[Any], ...]:
     """Return what :func:`register_rule` was given, for worker processes."""
-    return tuple(_registered.values())
+    return tuple(RULES.registered.values())
 
 
-def rule_kind(name: str) -> type[Any]:
+def rule_kind(name: object) -> type[Any]:
     """Return the class of the rule of a name."""
-    given = cast("object", name)
-    if isinstance(given, str) and given in OWN:
-        module, _, found = OWN[given].partition(":")
-        return getattr(import_module(module), found)
-    if isinstance(given, str) and given in _registered:
-        return _registered[given]
-    raise InputError(
-        f"is {name!r}",
-        key="constraints.connectivity",
-        remedy=f"use one of {listed([*OWN, *_registered])}",
-    )
+    return RULES.find(name)
 
 
 ParameterUncertainty = Literal["path_loss", "all"]

@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 from planopt.errors import InputError
-from planopt.parts import part_of, require_name
+from planopt.parts import Registry, part_of
 
 GROUP = "planopt.planners"
 """Entry points of planners from outside."""
@@ -120,7 +118,7 @@ OWN = {
 """planopt's own. All from ``one_step`` on are baselines: no goal, and only robots that can turn and
 stop at will. The last four are bounds on tracking, which no robot could follow."""
 
-_registered: dict[str, PlannerKind] = {}
+PLANNERS = Registry("a planner", "planner.name", OWN, GROUP)
 
 
 def register_planner(kind: PlannerKind) -> None:
@@ -149,46 +147,33 @@ def register_planner(kind: PlannerKind) -> None:
     """
     remedy = "give PlannerKind(name, class), such as PlannerKind('mine', MyPlanner)"
     part_of("kind", kind, PlannerKind, remedy)
-    require_name(kind.name, "a planner", OWN, key="name")
     if not isinstance(kind.make, str):
         kind.maker()
-    _registered[kind.name] = _without_goals(kind)
+    PLANNERS.add(kind.name, _without_goals(kind), key="name")
 
 
 def unregister_planner(name: str) -> None:
     """Forget a registered planner; nothing happens if there is none."""
-    _registered.pop(name, None)
+    PLANNERS.registered.pop(name, None)
 
 
 def registered_planners() -> tuple[PlannerKind, ...]:
     """Return what :func:`register_planner` was given, for worker processes."""
-    return tuple(_registered.values())
+    return tuple(PLANNERS.registered.values())
 
 
 def planner_names() -> tuple[str, ...]:
     """Return the names of all planners: planopt's own first."""
-    return tuple(dict.fromkeys([*OWN, *_registered, *_installed()]))
+    return PLANNERS.names()
 
 
 def planner_kind(name: str) -> PlannerKind:
     """Return the planner of a name."""
-    if name in OWN or name in _registered:
-        return OWN[name] if name in OWN else _registered[name]
-    point = _installed().get(name)
-    if point is None:
-        raise InputError(
-            f"is {name!r}", key="planner.name", remedy=f"use one of {', '.join(planner_names())}"
-        )
-    try:
-        found = point.load()
-    except (ImportError, AttributeError) as error:
-        raise InputError(
-            f"is {name}, which is installed but cannot be imported: {error}",
-            key="planner.name",
-            remedy="install what it needs, or name another planner",
-        ) from None
+    found = PLANNERS.find(name)
+    if name in OWN or name in PLANNERS.registered:
+        return found
     kind = found if isinstance(found, PlannerKind) else PlannerKind(name, found)
-    package = getattr(point, "dist", None)
+    package = getattr(PLANNERS.installed[name], "dist", None)
     version = kind.version or getattr(package, "version", "")
     return _without_goals(replace(kind, name=name, version=version))
 
@@ -209,9 +194,3 @@ def names_with(trait: str) -> str:
     """Return planopt's own planners that have a trait, in words."""
     *first, last = [name for name, kind in OWN.items() if getattr(kind, trait)]
     return f"{', '.join(first)} or {last}"
-
-
-@cache
-def _installed() -> dict[str, Any]:
-    """Entry points of installed packages by name; they are not imported yet."""
-    return {point.name: point for point in entry_points(group=GROUP) if point.name not in OWN}

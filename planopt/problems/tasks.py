@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
-from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Self, cast
 
 from planopt.errors import InputError
 from planopt.keys import located
+from planopt.parts import Registry
 from planopt.short_repr import short_repr
 
 GROUP = "planopt.tasks"
@@ -33,6 +31,9 @@ OWN = {
     "pursuit_design": "planopt.tasks.pursuit_design:TASK",
 }
 """Where planopt's own tasks are; each is imported when a problem of it is met."""
+
+
+TASKS = Registry("a task", "problem.task", OWN, GROUP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,24 +102,9 @@ class TaskProblem:
         return replace(self, given=self.given.model_copy(update={"planner": table}))
 
 
-def task_names() -> tuple[str, ...]:
-    """Return the names of all tasks, planopt's own first."""
-    return (*OWN, *_installed())
-
-
-def task_named(name: str) -> Any:
+def task_named(name: object) -> Any:
     """Return the :class:`planopt.tasks.task.Task` of a name."""
-    if name in OWN:
-        module, _, attribute = OWN[name].partition(":")
-        return getattr(import_module(module), attribute)
-    try:
-        found = _installed()[name].load()
-    except (ImportError, AttributeError) as error:
-        raise InputError(
-            f"is {name}, which is installed but cannot be imported: {error}",
-            key="problem.task",
-            remedy="install what it needs",
-        ) from None
+    found = TASKS.find(name)
     if not hasattr(found, "problem_from"):
         raise InputError(
             f"is {name}, whose entry point is a {type(found).__name__}",
@@ -126,12 +112,6 @@ def task_named(name: str) -> Any:
             remedy="let it name a planopt.extend.Task",
         )
     return found
-
-
-@cache
-def _installed() -> dict[str, Any]:
-    """Entry points of installed packages by name; they are not imported yet."""
-    return {point.name: point for point in entry_points(group=GROUP) if point.name not in OWN}
 
 
 def task_of(problem: object) -> Any:
@@ -145,13 +125,8 @@ def task_of(problem: object) -> Any:
 def named_task(tables: object) -> str:
     """Return the task that tables of a problem file name, by default the first of `MOTION`."""
     name = _entry(_entry(tables, "problem"), "task")
-    if not isinstance(name, str):  # The model of motion planning says what is wrong
-        return MOTION[0]
-    if name not in OWN and name not in _installed():
-        raise InputError(
-            f"is {name!r}", key="problem.task", remedy=f"use one of {', '.join(task_names())}"
-        )
-    return name
+    # The model of motion planning refuses a task that is no text.
+    return name if isinstance(name, str) else MOTION[0]
 
 
 def _entry(table: object, key: str) -> object:

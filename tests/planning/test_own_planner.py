@@ -80,18 +80,14 @@ def test_entry_points(monkeypatch) -> None:
         SimpleNamespace(name="auto", load=lambda: Eastward),
         SimpleNamespace(name="broken", load=lambda: __import__("no_such_module")),
     ]
-    monkeypatch.setattr(planner_kinds, "entry_points", lambda group: points)
-    monkeypatch.setattr(planner_kinds, "_registered", {})
-    planner_kinds._installed.cache_clear()
-    try:
-        assert planner_names() == (*OWN, "mower", "east", "broken")
-        assert planner_kind("mower") == PlannerKind("mower", LawnmowerPlanner, searches=True)
-        assert planner_kind("east") == PlannerKind("east", Eastward)
-        assert planner_kind("auto") is OWN["auto"]
-        with pytest.raises(InputError, match="installed but cannot be imported"):
-            planner_kind("broken")
-    finally:
-        planner_kinds._installed.cache_clear()
+    monkeypatch.setattr(planner_kinds.PLANNERS, "installed", {one.name: one for one in points})
+    monkeypatch.setattr(planner_kinds.PLANNERS, "registered", {})
+    assert planner_names() == (*OWN, "mower", "east", "broken")
+    assert planner_kind("mower") == PlannerKind("mower", LawnmowerPlanner, searches=True)
+    assert planner_kind("east") == PlannerKind("east", Eastward)
+    assert planner_kind("auto") is OWN["auto"]
+    with pytest.raises(InputError, match="installed but cannot be imported"):
+        planner_kind("broken")
 
 
 @pytest.mark.parametrize("name", ["auto", "", "a b", "x" * 101])

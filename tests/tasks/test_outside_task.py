@@ -39,12 +39,12 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     )
     (info / "entry_points.txt").write_text(points)
     monkeypatch.syspath_prepend(site)
-    tasks._installed.cache_clear()
+    vars(tasks.TASKS).pop("installed", None)
     problem = tmp_path / "walk.toml"
     problem.write_text(PROBLEM)
     yield problem
     monkeypatch.undo()
-    tasks._installed.cache_clear()
+    vars(tasks.TASKS).pop("installed", None)
 
 
 def test_every_function_takes_it(file: Path, tmp_path: Path) -> None:

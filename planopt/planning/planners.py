@@ -1,10 +1,23 @@
-"""The planners that a problem may name, and the baselines among them."""
+"""The planners that a problem may name, and the baselines among them.
+
+The one-step planner is that of [GM11]: equations (2), the inner layer of (3), and (4) are maximised
+over a dense set of places within one step; for terms that measure, over unmeasured ones ("q not in
+Q"). More steps repeat this greedily. If all places around are measured the robot takes the shortest
+path out.
+
+The lawnmower sweeps all free space in lanes along rows of the lattice, about a decorrelation
+distance of the fitted channel apart, joined by shortest paths.
+
+The strategies of communication of [GM11] plan with another channel: path loss without shadowing, a
+disc in which all packets arrive, or a link that is never lost. The verifier uses the belief.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import Literal, Protocol
 
@@ -33,31 +46,85 @@ from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
 from planopt.world.lattice import RoadMap, lattice_paths, route_from
 
-RINGS, HEADINGS = 10, 48
-"""Places within a step: on so many circles in so many directions, and the robot's own."""
+KEY = "planner.name"
 
+
+class Planner(Protocol):
+    """Plans for one robot of a problem whose objective is a sum of terms."""
+
+    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+        """Return a plan from the robot's state; `warm` is the previous plan."""
+        ...
+
+
+def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
+    """Return the planner that `problem.planner.name` names."""
+    kind = planner_kind(problem.planner.name)
+    if kind.foresees:
+        raise InputError(
+            f"is {kind.name}, a bound that knows the ground truth of a whole run",
+            file=problem.file,
+            key="planner.name",
+            remedy="simulate or compare with it, or name another planner",
+        )
+    make = kind.maker()
+    with calling(make, "", key=KEY, remedy="take a problem, its geometry and a random generator"):
+        made = make(problem, ground, generator)
+    if not callable(getattr(made, "plan", None)):
+        raise InputError(
+            f"is {kind.name}: {class_name(made)} has no method plan",
+            key=KEY,
+            remedy="define plan(self, situation, judge, warm=None), which returns released(...)",
+        )
+    return made
+
+
+def asked_plan(
+    planner: Planner, context: StepContext, judge: Judge, warm: Plan | None = None
+) -> Plan:
+    """Return the plan of a planner, which may be user-defined."""
+    remedy = "return released(judge, path_m, begun_s), of a path (N, 2)"
+    with calling(planner, "plan", key=KEY, remedy=remedy):
+        plan = planner.plan(context, judge, warm)
+    part_of(f"{KEY}: what {class_name(planner)}.plan returned", plan, Plan, remedy)
+    return plan
+
+
+def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
+    """Return the planner that searches, refines and verifies over a horizon."""
+    return HorizonPlanner(problem, ground)
+
+
+RINGS, HEADINGS = 10, 48
+"""Places within a step: circles and directions about the robot."""
 
 Score = Callable[[StepContext, NDArray[np.float64]], NDArray[np.float64]]
-"""From paths (c, N, 2) to what each is worth (c,)."""
+"""From paths (c, N, 2) to their scores (c,)."""
 
 
-def as_ranked(situation: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what paths (c, N, 2) are worth by the terms of the problem; ``(c,)``."""
-    return LocalRanking(situation, ways_m)(ways_m)
+def as_ranked(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the objective of paths (c, N, 2); ``(c,)``."""
+    return LocalRanking(context, paths_m)(paths_m)
 
 
-def end_deviation(situation: StepContext, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the standard deviation of predicted power where paths (c, N, 2) end, dB; ``(c,)``."""
-    return situation.power(ways_m[:, -1]).deviation_db
+def end_deviation(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard deviation of predicted power at the ends of paths (c, N, 2); ``(c,)``."""
+    return context.power(paths_m[:, -1]).deviation_db
 
 
 class OneStepPlanner:
-    """Plans greedily for one robot of a problem whose objective is a sum of terms."""
+    """Plans greedily, step by step."""
 
-    def __init__(self, problem: Problem, ground: Ground, score: Score = as_ranked) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        ground: Ground,
+        _generator: np.random.Generator | None = None,
+        score: Score = as_ranked,
+    ) -> None:
         self._problem, self._ground, self._score = problem, ground, score
         self._measures = learns(problem)
-        # An expression is for a whole path: it is valued as if the robot then stood.
+        # An expression needs a whole path: it is valued as if the robot then stood.
         self._whole = any(
             term.structure == "full" and not (term.is_measured or term.steers or term.probes_end)
             for term in problem.terms
@@ -69,7 +136,7 @@ class OneStepPlanner:
         self._offsets_m = np.vstack([np.zeros((1, 2)), rings])
 
     def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is; arguments as of the horizon planner, `warm` is not used."""
+        """Return a plan from the robot's position; `warm` is not used."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
         for _ in range(self._problem.planner.horizon):
@@ -83,41 +150,43 @@ class OneStepPlanner:
         return released(judge, held(situation, path), begun)
 
     def _best_step(
-        self, situation: StepContext, path: list[NDArray[np.float64]]
+        self, context: StepContext, path: list[NDArray[np.float64]]
     ) -> NDArray[np.float64] | None:
-        """The best place to go to after `path`; None if there is none."""
-        here = path[-1] if path else situation.position_m
+        """Return the best place to go to after `path`; None if none is free."""
+        here = path[-1] if path else context.position_m
         ends = here + self._offsets_m
         allowed = free_ends(self._problem, self._ground, here, ends)
         begins = np.broadcast_to(here, ends.shape)
         before = np.broadcast_to(np.reshape(path, (-1, 2)), (len(ends), len(path), 2))
-        allowed &= steps_apart(situation.moving, len(path), begins, ends)
+        allowed &= steps_apart(context.moving, len(path), begins, ends)
         if self._measures:
             ahead = np.concatenate([before, ends[:, None]], axis=1)
-            allowed &= situation.near_measuring.takes(ahead)[:, -1]
+            allowed &= context.near_measuring.takes(ahead)[:, -1]
         ends = ends[allowed]
         if not len(ends):
             return None
-        ways = np.concatenate([before[allowed], ends[:, None]], axis=1)
+        paths = np.concatenate([before[allowed], ends[:, None]], axis=1)
         if self._whole:
-            rest = self._problem.planner.horizon - int(ways.shape[1])
-            ways = np.concatenate([ways, np.repeat(ways[:, -1:], rest, axis=1)], axis=1)
-        return ends[int(np.argmax(self._score(situation, ways)))]
+            rest = self._problem.planner.horizon - int(paths.shape[1])
+            paths = np.concatenate([paths, np.repeat(paths[:, -1:], rest, axis=1)], axis=1)
+        return ends[int(np.argmax(self._score(context, paths)))]
 
+
+largest_deviation_planner = partial(OneStepPlanner, score=end_deviation)
 
 DRAWS = 64
-"""Steps drawn for one; the robot stands still where none is free."""
+"""Number of steps drawn for one; the robot stands still if none is free."""
 
 TURN_STD_RAD = 0.4
 """Standard deviation of the turn from one step of a persistent walk to the next."""
 
 Walk = Literal["full", "disk", "persistent"]
-"""Full steps in uniform directions, uniform over the disc of one step, or full steps that turn
-little."""
+"""Full steps in uniform directions, uniform over the disc of one step, or full steps with small
+turns."""
 
 
 class RandomPlanner:
-    """Walks one robot of a problem at random."""
+    """Walks at random."""
 
     def __init__(
         self,
@@ -130,7 +199,7 @@ class RandomPlanner:
         self._generator, self._walk = generator, walk
 
     def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is."""
+        """Return a plan from the robot's position."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
         heading = None if warm is None else _heading(warm.positions_m[1] - warm.positions_m[0])
@@ -155,38 +224,40 @@ class RandomPlanner:
         if self._walk == "disk":
             lengths = np.sqrt(self._generator.uniform(0.0, 1.0, DRAWS))
         elif self._walk == "persistent" and heading is not None:
-            # The others are for where all of these are blocked.
+            # The other half is for a place where all of these are blocked.
             turns = self._generator.normal(0.0, TURN_STD_RAD, DRAWS // 2)
             drawn[: DRAWS // 2] = heading + turns
         return lengths[:, None] * np.column_stack([np.cos(drawn), np.sin(drawn)])
 
 
+disk_walk_planner = partial(RandomPlanner, walk="disk")
+persistent_walk_planner = partial(RandomPlanner, walk="persistent")
+
+
 def _heading(step_m: NDArray[np.float64]) -> float | None:
-    """Direction of a step (2,); None of one that stands still."""
+    """Return the direction of a step (2,); None if it stands still."""
     if np.linalg.norm(step_m) <= STANDSTILL_M:
         return None
     return math.atan2(float(step_m[1]), float(step_m[0]))
 
 
 FEWEST_LANES = 3
-"""A fit may find a decorrelation distance beyond all that was measured."""
+"""The fitted decorrelation distance may be longer than the workspace."""
 
 
 class LawnmowerPlanner:
-    """Sweeps one robot of a problem over its workspace; remembers how far it is."""
+    """Sweeps the workspace; keeps the tour and its progress."""
 
-    def __init__(self, problem: Problem, ground: Ground) -> None:
+    def __init__(
+        self, problem: Problem, ground: Ground, _generator: np.random.Generator | None = None
+    ) -> None:
         self._problem, self._ground = problem, ground
         self._tour: NDArray[np.intp] | None = None
         self._stops_m: NDArray[np.float64] = np.empty((0, 2))
         self._next = 0
 
     def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is; arguments as of the horizon planner, `warm` is not used.
-
-        The first plan begins the tour, and so does one from a place off it; once it is over, the
-        robot stands.
-        """
+        """Return a plan along the tour, which begins anew from a place off it; `warm` is unused."""
         begun = perf_counter()
         here = situation.position_m
         ahead = self._stops_m[self._next :]
@@ -199,15 +270,15 @@ class LawnmowerPlanner:
         path = self._stops_m[self._next + 1 : self._next + 1 + horizon]
         return released(judge, held(situation, list(path)), begun)
 
-    def _begin(self, here_m: NDArray[np.float64], situation: StepContext) -> None:
-        """Lay the stops of the whole tour, or of what is left of it, from `here_m` (2,)."""
+    def _begin(self, here_m: NDArray[np.float64], context: StepContext) -> None:
+        """Lay the stops of a tour from `here_m` (2,)."""
         road_map = self._ground.road_map
         nodes, lengths = first_moves(self._ground, self._problem, here_m)
         if not len(nodes):
             self._stops_m, self._next = here_m[None], 0
             return
         first = int(nodes[np.argmin(lengths)])
-        apart = min(station.parameters.decorrelation_m for station in situation.stations)
+        apart = min(station.parameters.decorrelation_m for station in context.stations)
         self._tour = lawn_tour(road_map, first, apart)
         longest = self._problem.step_length_m - STEP_PAD_M
         corners = np.vstack([here_m, road_map.nodes_m[self._tour]])
@@ -215,7 +286,7 @@ class LawnmowerPlanner:
 
 
 def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]:
-    """Nodes from `first` on to and fro over all that can be come to; each next one a move away.
+    """Return nodes from `first` on along lanes over all reachable space, each a move from the last.
 
     Lanes are about `apart_m` apart, as near as rows of nodes allow.
     """
@@ -232,40 +303,40 @@ def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]
         lane = lane[np.argsort(road_map.columns[lane])]
         for node in map(int, lane if rightward else lane[::-1]):
             if node != tour[-1]:
-                tour += _way(road_map, tour[-1], node)
+                tour += _route(road_map, tour[-1], node)
         rightward = not rightward
     return np.asarray(tour, dtype=np.intp)
 
 
 def lane_rows(low: int, high: int, apart: float) -> list[int]:
-    """Rows of lanes about `apart` rows apart, half of that from the first and the last row."""
+    """Return rows of lanes about `apart` rows apart, half of that from the first and last row."""
     rows = high - low + 1
     count = min(max(math.ceil(rows / apart), FEWEST_LANES), rows)
     middles = low + (np.arange(count) + 0.5) * rows / count - 0.5
     return [int(row) for row in np.rint(middles)]
 
 
-def _way(road_map: RoadMap, here: int, there: int) -> list[int]:
-    """Nodes after `here` up to `there`; none if it cannot be come to."""
+def _route(road_map: RoadMap, here: int, there: int) -> list[int]:
+    """Return the nodes after `here` up to `there`; none if that is unreachable."""
     moves = road_map.edge_to[road_map.edge_start[here] : road_map.edge_start[here + 1]]
     if there in moves:
         return [there]
-    way = route_from(road_map, lattice_paths(road_map, there), here, math.inf)
-    return [int(node) for node in way[1:]] if way[-1] == there else []
+    route = route_from(road_map, lattice_paths(road_map, there), here, math.inf)
+    return [int(node) for node in route[1:]] if route[-1] == there else []
 
 
 EDGE_STD_DB = 0.1
-"""Deviation of power at the edge of a disc: connection is certain or ruled out but for a rim of
-about one hundredth of its radius, in which a solver has a slope."""
+"""Standard deviation of power at the edge of a disc, which gives a solver a slope there."""
 
 CERTAIN_DB = 300.0
-"""So much above any threshold no packet is lost."""
+"""Gain with which no packet is lost."""
 
 Assumed = Callable[[ChannelParameters], ChannelParameters]
+"""From the fitted channel to the one that a strategy plans with."""
 
 
 def path_loss_only(parameters: ChannelParameters) -> ChannelParameters:
-    """Return the channel as it is, of which nothing has been measured: path loss is all."""
+    """Return the fitted channel; without measurements only its path loss is known."""
     return parameters
 
 
@@ -291,16 +362,23 @@ def require_tracking(problem: Problem) -> None:
 
 
 class StrategyPlanner:
-    """Plans for one robot that tracks a target, on a channel that it assumes."""
+    """Plans for one robot that tracks a target, on the channel that it assumes."""
 
-    def __init__(self, problem: Problem, ground: Ground, assumed: Assumed) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        ground: Ground,
+        _generator: np.random.Generator | None = None,
+        *,
+        assumed: Assumed,
+    ) -> None:
         require_tracking(problem)
         self._problem, self._ground, self._assumed = problem, ground, assumed
         inner = replace(problem, planner=replace(problem.planner, name="auto"))
         self._planner = HorizonPlanner(inner, ground)
 
     def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is; arguments as of the horizon planner."""
+        """Return a plan on the assumed channel."""
         begun = perf_counter()
         believed = situation.posterior
         k_pl_db, n_pl = (float(value) for value in believed.theta)
@@ -309,123 +387,30 @@ class StrategyPlanner:
         channel = condition(self._assumed(parameters), nothing, theta="known")
         path = self._home(situation) if self._assumed is informed_disk else None
         if path is None:
-            # Whoever assumes a channel has learned nothing of it on the run either.
+            # The run so far has taught nothing of an assumed channel either.
             seen = replace(situation, posteriors=(channel,), uncertain=None, history=BEGINNING)
             assuming = replace(judge, context=seen, objective=ObjectiveValue(seen))
             path = self._planner.plan(seen, assuming, warm).positions_m[1:]
         return released(judge, path, begun)
 
-    def _home(self, situation: StepContext) -> NDArray[np.float64] | None:
-        """The shortest path (N, 2) towards the station; None if the disc is within reach."""
-        believed, station = situation.posterior, self._problem.stations[0]
+    def _home(self, context: StepContext) -> NDArray[np.float64] | None:
+        """Return the shortest path (N, 2) to the station; None if the disc is within reach."""
+        believed, station = context.posterior, self._problem.stations[0]
         k_pl_db, n_pl = believed.theta
         slant = 10.0 ** ((k_pl_db - station.threshold_dbm) / (10.0 * n_pl))
         radius = np.sqrt(max(slant**2 - station.height_m**2, 0.0))
-        base, here = np.asarray(station.position_m), situation.position_m
+        base, here = np.asarray(station.position_m), context.position_m
         horizon, longest = self._problem.planner.horizon, self._problem.step_length_m - STEP_PAD_M
         if np.linalg.norm(base - here) <= radius + horizon * longest:
             return None
         nodes = self._ground.road_map.nodes_m
-        ways = WaysFrom(self._problem, self._ground, here)
-        away = np.where(np.isfinite(ways.length_m), np.linalg.norm(nodes - base, axis=1), np.inf)
+        paths = WaysFrom(self._problem, self._ground, here)
+        away = np.where(np.isfinite(paths.length_m), np.linalg.norm(nodes - base, axis=1), np.inf)
         nearest = int(away.argmin())
-        stops = stops_along(ways.turns_m(nearest, nodes[nearest]), longest)[1:]
+        stops = stops_along(paths.turns_m(nearest, nodes[nearest]), longest)[1:]
         return np.concatenate([stops, np.repeat(stops[-1:], horizon, axis=0)])[:horizon]
 
 
-KEY = "planner.name"
-
-
-class Planner(Protocol):
-    """Plans for one robot of a problem whose objective is a sum of terms."""
-
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is."""
-        ...
-
-
-def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
-    """The planner that `problem.planner.name` names."""
-    kind = planner_kind(problem.planner.name)
-    if kind.foresees:
-        raise InputError(
-            f"is {kind.name}, a bound that knows the ground truth of a whole run",
-            file=problem.file,
-            key="planner.name",
-            remedy="simulate or compare with it, or name another planner",
-        )
-    make = kind.maker()
-    with calling(make, "", key=KEY, remedy="take a problem, its geometry and a random generator"):
-        made = make(problem, ground, generator)
-    if not callable(getattr(made, "plan", None)):
-        raise InputError(
-            f"is {kind.name}: {class_name(made)} has no method plan",
-            key=KEY,
-            remedy="define plan(self, situation, judge, warm=None), which returns released(...)",
-        )
-    return made
-
-
-def asked_plan(
-    planner: Planner, situation: StepContext, judge: Judge, warm: Plan | None = None
-) -> Plan:
-    """Return what a planner plans; see :meth:`Planner.plan`."""
-    remedy = "return released(judge, path_m, begun_s), of a path (N, 2)"
-    with calling(planner, "plan", key=KEY, remedy=remedy):
-        plan = planner.plan(situation, judge, warm)
-    part_of(f"{KEY}: what {class_name(planner)}.plan returned", plan, Plan, remedy)
-    return plan
-
-
-def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
-    """Make the planner that searches, refines and verifies over a horizon."""
-    return HorizonPlanner(problem, ground)
-
-
-def one_step_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
-    """Make the baseline that looks one step ahead."""
-    return OneStepPlanner(problem, ground)
-
-
-def largest_deviation_planner(
-    problem: Problem, ground: Ground, _generator: np.random.Generator
-) -> Planner:
-    """Make the baseline that goes where power is known least within a step."""
-    return OneStepPlanner(problem, ground, end_deviation)
-
-
-def random_planner(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
-    """Make the baseline that walks full steps in random directions."""
-    return RandomPlanner(problem, ground, generator)
-
-
-def disk_walk_planner(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
-    """Make the baseline whose steps are uniform over the disc of one step."""
-    return RandomPlanner(problem, ground, generator, "disk")
-
-
-def persistent_walk_planner(
-    problem: Problem, ground: Ground, generator: np.random.Generator
-) -> Planner:
-    """Make the baseline that walks full steps and turns little."""
-    return RandomPlanner(problem, ground, generator, "persistent")
-
-
-def lawnmower_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
-    """Make the baseline that mows the workspace."""
-    return LawnmowerPlanner(problem, ground)
-
-
-def path_loss_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
-    """Make the strategy that knows path loss, and nothing of shadowing."""
-    return StrategyPlanner(problem, ground, path_loss_only)
-
-
-def disk_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
-    """Make the strategy that counts on all packets within a disc, and on none beyond."""
-    return StrategyPlanner(problem, ground, informed_disk)
-
-
-def unaware_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
-    """Make the strategy that counts on all packets everywhere."""
-    return StrategyPlanner(problem, ground, unaware)
+path_loss_planner = partial(StrategyPlanner, assumed=path_loss_only)
+disk_planner = partial(StrategyPlanner, assumed=informed_disk)
+unaware_planner = partial(StrategyPlanner, assumed=unaware)

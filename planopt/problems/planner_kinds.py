@@ -100,12 +100,12 @@ OWN = {
             PlannerKind(name, f"{_HOME}:horizon_planner", True, True, True, solves)
             for name, solves in (("auto", True), ("nlp", True), ("scp", True), ("lattice", False))
         ),
-        PlannerKind("one_step", f"{_HOME}:one_step_planner"),
+        PlannerKind("one_step", f"{_HOME}:OneStepPlanner"),
         PlannerKind("largest_deviation", f"{_HOME}:largest_deviation_planner"),
-        PlannerKind("random", f"{_HOME}:random_planner"),
+        PlannerKind("random", f"{_HOME}:RandomPlanner"),
         PlannerKind("random_disk", f"{_HOME}:disk_walk_planner"),
         PlannerKind("random_persistent", f"{_HOME}:persistent_walk_planner"),
-        PlannerKind("lawnmower", f"{_HOME}:lawnmower_planner"),
+        PlannerKind("lawnmower", f"{_HOME}:LawnmowerPlanner"),
         PlannerKind("path_loss_only", f"{_HOME}:path_loss_planner", tracks=True),
         PlannerKind("informed_disk", f"{_HOME}:disk_planner", tracks=True),
         PlannerKind("unaware", f"{_HOME}:unaware_planner", tracks=True),

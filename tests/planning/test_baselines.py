@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,10 +15,8 @@ from planopt.planning.planners import (
     OneStepPlanner,
     RandomPlanner,
     lane_rows,
-    lawn_tour,
     planner_for,
 )
-from planopt.planning.search.taut_way import stops_along
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 PATH = {"kind": "mapping", "form": "path", "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
@@ -174,18 +171,6 @@ def test_persistent_walk_turns_little():
     assert planner.plan(later, beside, stood).verdict is Verdict.VERIFIED
 
 
-def test_disk_walk_is_uniform_over_the_disc():
-    """A quarter of the steps is shorter than half of the longest; none is longer."""
-    problem, situation, judge, ground = scene(LEARNING, horizon=1)
-    situation, judge = moved(situation, judge, np.array([8.0, 20.0]))
-    planner = RandomPlanner(problem, ground, np.random.default_rng(3), "disk")
-    steps = [np.diff(planner.plan(situation, judge).positions_m, axis=0)[0] for _ in range(160)]
-    lengths = np.linalg.norm(steps, axis=1)
-    assert lengths.max() <= 2.0
-    # Four standard deviations of 160 draws.
-    assert abs((lengths < 1.0).sum() - 40) < 4.0 * np.sqrt(160 * 0.25 * 0.75)
-
-
 def test_lawnmower_comes_near_every_free_place():
     """Followed to its end, every lattice node is within a lane of it; then the robot stands."""
     problem, situation, judge, ground = scene(LEARNING, horizon=20)
@@ -221,32 +206,3 @@ def test_lanes_are_apart_as_the_channel_asks(apart):
     assert beside.max() <= 0.5 * max(min(apart, 40.0 / 3.0), 1.0) + 0.5
     assert len(lanes) == max(3, min(40, int(np.ceil(40.0 / apart))))
     assert lane_rows(2, 3, 5.0) == [2, 3]
-
-
-def test_lawnmower_goes_on_after_a_detour():
-    """From a place off its tour it begins anew, from the nearer side."""
-    problem, situation, judge, ground = scene(LEARNING, horizon=2)
-    planner = LawnmowerPlanner(problem, ground)
-    planner.plan(situation, judge)
-    situation, judge = moved(situation, judge, np.array([30.0, 33.3]))
-    plan = planner.plan(situation, judge)
-    assert plan.verdict is Verdict.VERIFIED
-    assert np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1).min() > 0.0
-
-
-def test_tour_moves_from_node_to_node():
-    """Every move of it is one of the graph's."""
-    *_, ground = scene(LEARNING)
-    road_map = ground.road_map
-    tour = lawn_tour(road_map, 5, 4.0)
-    for here, there in pairwise(tour):
-        start, end = road_map.edge_start[here : here + 2]
-        assert there in road_map.edge_to[start:end]
-
-
-def test_stops_are_at_turns_and_evenly_between():
-    """Collinear corners are no turns; steps are as long as they may be, evenly."""
-    corners = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [5.0, 0.0], [5.0, 1.0]])
-    stops = stops_along(corners, 2.0)
-    np.testing.assert_allclose(stops, [[0, 0], [5 / 3, 0], [10 / 3, 0], [5, 0], [5, 1]], atol=1e-12)
-    np.testing.assert_array_equal(stops_along(corners[:2], 2.0), corners[:1])

@@ -13,14 +13,11 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 import planopt.planning.candidates as judge_module
 import planopt.planning.proof.verify as steps_module
 import planopt.planning.refinement as polish_module
-import planopt.planning.search.guess_search as search_module
-from planopt import check
 from planopt.errors import InputError
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.solve import solve
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.problem import Problem
 
@@ -96,25 +93,6 @@ def test_after_the_deadline_nothing_more_is_judged(monkeypatch):
     assert len(calls) - count <= 2 < count
 
 
-def test_without_time_one_guide_is_followed(monkeypatch):
-    """A rule that binds is searched for under several guides; there is time for one."""
-    made: list[None] = []
-
-    class Counted(search_module.LatticeSearch):
-        def __init__(self, *arguments):
-            made.append(None)
-            super().__init__(*arguments)
-
-    monkeypatch.setattr(search_module, "LatticeSearch", Counted)
-    rule = replace(TERMS.constraints.rule, connectivity="joint")
-    joint = replace(TERMS, constraints=replace(TERMS.constraints, p_min=0.99999, rule=rule))
-    terms_plan(joint)
-    free = len(made)
-    hurried = terms_plan(with_budget(joint, NO_TIME))
-    assert hurried.positions_m.shape == (TERMS.planner.horizon + 1, 2)
-    assert free > 1 and len(made) - free == 1
-
-
 def test_candidates_share_the_search_within_reach(monkeypatch):
     """Those that miss the bound at the same steps are judged by one search, with one finding."""
     searched: list[tuple[int, ...]] = []
@@ -163,13 +141,6 @@ def test_a_polish_that_takes_too_long_ends(monkeypatch):
     assert plan.verdict is Verdict.VERIFIED
     assert plan.iterations < 20
     assert perf_counter() - begun < 20.0
-
-
-def test_saved_and_checked(tmp_path):
-    """A plan without a polish is judged from disk as it is."""
-    problem = with_budget(TERMS, NO_TIME)
-    solve(problem, seed=1).save(tmp_path)
-    assert check(tmp_path).reasons == ()
 
 
 def test_key_of_the_problem_file():

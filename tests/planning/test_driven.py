@@ -6,20 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
 from motion_scene import DOUBLE, WHEELS, at_state, driven_problem, planned, with_dynamics
 from terms_scene import ENERGY, LEARNING, TRACKING, terms_problem
 
-from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition
-from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Verdict, shifted_drive
-from planopt.planning.scene import build_ground
-from planopt.planning.values.exploration import workspace_region
-from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.robots.dynamics import rolled_out
 from planopt.robots.models import DoubleIntegrator, Unicycle
-from planopt.world.workspace import Obstacle, Workspace
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 
@@ -71,20 +63,6 @@ def planned_single(problem):
     return planned(problem)
 
 
-def test_double_integrator_that_starts_at_speed_matches_the_single_one() -> None:
-    """Along a straight way at full speed both do the same, to the pads of planning."""
-    problem = terms_problem(TRACKING, horizon=4)
-    target = replace(problem.targets[0], start_m=(10.0, 36.0), velocity_m_s=(1.5, 0.0))
-    robot = replace(problem.robots[0], start_m=(10.0, 16.0))
-    problem = replace(problem, targets=(target,), robots=(robot,))
-    single, _, _, _ = planned_single(problem)
-    length = single.positions_m[1] - single.positions_m[0]
-    velocity = length / np.linalg.norm(length) * (2.0 - 1e-9)
-    double, _, _, _ = planned(with_dynamics(problem, DoubleIntegrator(2.0, 50.0), *velocity))
-    assert double.objective == pytest.approx(single.objective, rel=2e-3)
-    assert double.positions_m == pytest.approx(single.positions_m, abs=0.1)
-
-
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
 def test_last_plan_one_step_later_is_still_sound(dynamics) -> None:
     """Its rest and a step of stopping keep everything, however often it is shifted."""
@@ -128,65 +106,6 @@ def test_fallbacks_brake_where_that_is_clear_and_else_drives_the_rest(monkeypatc
         or np.abs(again.drive.inputs - shifted.inputs).max() < 1e-12
     )
     assert again.certificate.dynamics_defect <= 1e-9
-
-
-@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
-def test_mirrored_scene_gives_the_mirrored_plan(dynamics) -> None:
-    """Exchanging x and y exchanges them in the plan."""
-    problem = driven_problem(dynamics, TRACKING, horizon=5)
-    plan, situation, judge, _ = planned(problem)
-    mirrored, other_situation, other_judge = mirror(problem, situation, judge)
-    ground = build_ground(mirrored, other_situation.position_m)
-    context = replace(other_judge.context, index=ground.index)
-    other_judge = replace(other_judge, context=context)
-    other = HorizonPlanner(mirrored, ground).plan(other_situation, other_judge)
-    assert other.objective == pytest.approx(plan.objective, rel=1e-4)
-    assert other.positions_m[:, ::-1] == pytest.approx(plan.positions_m, abs=2e-2)
-
-
-def mirror(problem, situation, judge):
-    """The same with x and y exchanged, measurements included."""
-    robot, target, station = problem.robots[0], problem.targets[0], problem.stations[0]
-    dynamics = robot.dynamics
-    rest = (
-        (np.pi / 2.0 - robot.start_rest[0],)
-        if isinstance(dynamics, Unicycle)
-        else (robot.start_rest[::-1])
-    )
-    swapped = replace(
-        problem,
-        workspace=Workspace(
-            problem.workspace.bounds_m,
-            tuple(
-                Obstacle(o.name, shapely.transform(o.polygon, lambda xy: xy[:, ::-1]))
-                for o in problem.workspace.obstacles
-            ),
-        ),
-        robots=(replace(robot, start_m=robot.start_m[::-1], start_rest=rest),),
-        stations=(replace(station, position_m=station.position_m[::-1]),),
-        targets=(
-            replace(
-                target,
-                start_m=target.start_m[::-1],
-                velocity_m_s=target.velocity_m_s[::-1],
-            ),
-        ),
-    )
-    old = situation.posterior
-    taken = old.measurements
-    station_site = swapped.stations[0].site
-    parameters = replace(old.parameters, station=station_site)
-    measured = Measurements(taken.positions_m[:, ::-1].copy(), taken.power_dbm, taken.censored)
-    posterior = condition(parameters, measured)
-    other = replace(
-        situation,
-        problem=swapped,
-        posteriors=(posterior,),
-        state=swapped.robots[0].start_state,
-        target_m=situation.target_m[:, ::-1].copy(),
-        region=workspace_region(swapped),
-    )
-    return swapped, other, replace(judge, context=other, objective=ObjectiveValue(other))
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])

@@ -10,14 +10,12 @@ import shapely
 from motion_scene import with_dynamics
 from scenes import WALL, bad_band, belief_of, good_everywhere, prepared_of, small_problem
 
-from planopt import check, load
 from planopt.channel.prediction import Prediction
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Pivot, Verdict, shifted_drive
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.solve import solve
 from planopt.planning.values.reach_cost import ReachCost, resting_places_m
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Dynamics, rolled_out
@@ -94,24 +92,6 @@ def test_cart_turns_before_it_drives() -> None:
     assert np.hypot(*(states[:turning, :2] - states[0, :2]).T).max() <= 2.0
 
 
-def test_boat_at_speed_towards_a_wall() -> None:
-    """It brakes or swerves in time, and goes round."""
-    problem = reach(WALL, dynamics=BOAT, rest=(2.0, 0.0), start_m=(14.0, 15.0), horizon=8)
-    simulation = driven(problem)
-    assert simulation.run.outcome is Outcome.REACHED
-    assert simulation.run.verified_rate == 1.0
-    assert swept_distance_m(problem, simulation) >= problem.constraints.clearance_m - 1e-6
-
-
-@pytest.mark.parametrize(("dynamics", "rest"), [(BOAT, ()), (CART, BACK)])
-def test_narrow_gap(dynamics: Dynamics, rest) -> None:
-    """Half a metre more than the robot needs."""
-    walls = (shapely.box(19.0, 0.0, 21.0, 14.2), shapely.box(19.0, 15.7, 21.0, 30.0))
-    simulation = driven(reach(*walls, dynamics=dynamics, rest=rest, horizon=6))
-    assert simulation.run.outcome is Outcome.REACHED
-    assert simulation.run.verified_rate == 1.0
-
-
 def test_robot_can_always_stop() -> None:
     """The rest of every released plan, then braking, is clear: on any map of the channel."""
     problem = reach(WALL, dynamics=BOAT, horizon=5)
@@ -175,16 +155,6 @@ def test_the_way_to_where_it_would_stand_is_charged() -> None:
     assert cost(drive.positions_m[1:], drive) == pytest.approx(expected, rel=1e-9)
 
 
-def test_goal_out_of_contact_is_driven_to_at_once() -> None:
-    """With speed left at the horizon's end nothing is free: nobody takes a run-up instead."""
-    problem = reach(dynamics=BOAT, cost_to_go="connected", horizon=8)
-    simulation = driven(problem, bad_band(24.0, 40.0, 40.0))
-    assert simulation.run.outcome is Outcome.REACHED, simulation.run.reason
-    straight = np.linalg.norm(np.subtract(problem.goal_m, problem.robots[0].start_m))
-    assert simulation.run.metrics.path_m <= 1.1 * straight
-    assert simulation.run.metrics.goal_time_s <= 1.75 * bang_bang_s(straight, BOAT)
-
-
 @pytest.mark.parametrize(("low_m", "high_m", "horizon"), [(12.0, 20.0, 8), (10.0, 26.0, 12)])
 def test_hole_is_crossed_without_hovering(low_m: float, high_m: float, horizon: int) -> None:
     """What a drive that crosses is worth is told by the search's cost-to-go where it comes to."""
@@ -213,43 +183,3 @@ def test_unconnected_gap_is_crossed_or_gone_round() -> None:
     simulation = driven(problem, bad_band(18.0, 22.0, 22.0))
     assert simulation.run.outcome is Outcome.REACHED, simulation.run.reason
     assert simulation.run.log.positions_m[:, 1].max() > 20.0
-
-
-def test_lattice_planner() -> None:
-    """What follows the search alone comes to the goal as well."""
-    simulation = driven(reach(WALL, dynamics=BOAT, planner="lattice", horizon=4))
-    assert simulation.run.outcome is Outcome.REACHED
-    assert simulation.run.verified_rate == 1.0
-
-
-def test_convex_steps_find_what_interior_points_find() -> None:
-    """The same plan to a goal at rest, nearly."""
-    costs = []
-    for planner in ("nlp", "scp"):
-        problem = reach(dynamics=BOAT, planner=planner, horizon=6, start_m=(29.0, 15.0))
-        plan = ReachPlanner(problem, build_scene(problem)).plan(
-            belief_of(problem), problem.robots[0].start_state
-        )
-        assert plan.verdict is Verdict.VERIFIED
-        costs.append(plan.objective)
-    assert costs[1] == pytest.approx(costs[0], abs=0.1)
-
-
-@pytest.mark.parametrize(("dynamics", "rest"), [(None, ()), (CART, BACK)])
-def test_saved_plan_and_run_are_judged_again(dynamics, rest, tmp_path) -> None:
-    """From disk; a heading or velocity that is not what was driven is found out."""
-    problem = load("harbour_reach")
-    problem = problem if dynamics is None else with_dynamics(problem, dynamics, *rest)
-    problem = replace(problem, planner=replace(problem.planner, horizon=4, max_steps=6))
-    simulate(problem).save(tmp_path / "run")
-    assert check(tmp_path / "run").reasons == ()
-    solve(problem).save(tmp_path / "plan")
-    assert check(tmp_path / "plan").reasons == ()
-    for folder in (tmp_path / "run", tmp_path / "plan"):
-        lines = (folder / "steps.csv").read_text().splitlines()
-        cells = lines[3].split(",")
-        column = lines[0].split(",").index(problem.robots[0].dynamics.state_names[2])
-        cells[column] = str(float(cells[column]) + 1e-3)
-        changed = [*lines[:3], ",".join(cells), *lines[4:]]
-        (folder / "steps.csv").write_text("\n".join(changed) + "\n")
-        assert check(folder).verdict is Verdict.VIOLATED

@@ -70,18 +70,6 @@ def test_ways_that_the_verifier_cannot_compare_excuse_nothing():
         assert (worst.path_cost_m, worst.best_cost_m) == (8.0, 7.5)
 
 
-def test_steps_have_their_numbers_and_a_reason():
-    """As JSON has them: what is missed in dB, why, and what that is measured by."""
-    first, third = excused_steps([PRICED])
-    assert (first.step, first.relaxation_db, first.excuse) == (1, 0.5, "price")
-    assert (third.path_cost_m, third.best_cost_m, third.best_margin_db) == (8.0, 7.5, None)
-    (far,) = excused_steps([FAR])
-    assert (far.excuse, far.best_margin_db, far.path_cost_m) == ("out_of_reach", -0.75, None)
-    kept = replace(FAR, best_margin_db=(0.25,))
-    slack = replace(FAR, best_margin_db=())
-    assert [excused_steps([one])[0].excuse for one in (kept, slack)] == ["none", "slack"]
-
-
 def test_merged_certificates_keep_the_dearest():
     """The plan that is most above the cheapest, and the step that cost most too much."""
     cheap = replace(PRICED, path_cost_m=90.0, best_cost_m=89.9, step_cost_m=6.0, step_excess_m=5.0)

@@ -13,14 +13,10 @@ from scenes import (
     bad_disc,
     bad_everywhere,
     belief_of,
-    good_everywhere,
-    prepared_of,
     small_problem,
 )
 
 import planopt.planning.refinement as refine_module
-from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme import path_nlp
 from planopt.planning.programme.path_nlp import GOAL
@@ -238,22 +234,3 @@ def test_shifted_plan_is_checked_on_todays_map(monkeypatch):
     today = belief_of(PROBLEM, bad_disc(*ahead, 3.0))
     plan = planner.plan(today, first.positions_m[1], first)
     assert plan.rung is Rung.STOP
-
-
-def test_closed_loop_through_failures(monkeypatch):
-    """Every other solve fails in another way: the goal is reached, every step verified and safe."""
-    problem = small_problem(WALL, horizon=6, max_steps=60)
-    solvers = [solver for solver, _ in FAILURES.values()]
-    calls = iter(range(10**6))
-
-    def sometimes(*arguments):
-        k = next(calls)
-        return CALL(*arguments) if k % 2 else solvers[(k // 2) % len(solvers)](*arguments)
-
-    monkeypatch.setattr(path_nlp, "call_nlp", sometimes)
-    done = simulate(problem, prepared=prepared_of(problem, good_everywhere))
-    assert done.run.outcome is Outcome.REACHED
-    assert done.run.verified_rate == 1.0
-    assert len(done.run.rungs) > 1
-    for plan in done.plans[0]:
-        assert_safe(problem, plan)

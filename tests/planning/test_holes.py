@@ -53,12 +53,6 @@ def test_lengths_add_up_however_a_path_is_cut():
     assert coarse[0].length_m - fine[0].length_m == pytest.approx(0.25 * gaps.sum())
 
 
-def test_no_hole_no_words():
-    """Nor about the goal."""
-    assert holes_along(line(0.0, 2.0), np.array([0.95, 0.95]), np.array([False, False])) == ()
-    assert holes_in_words(PROBLEM, ()) == goal_in_words(PROBLEM, ()) == []
-
-
 def test_a_plan_names_the_hole_ahead_of_it():
     """Beyond its horizon as well, to the goal where that is in it."""
     for low, high, at_goal in ((18.0, 24.0, False), (30.0, 41.0, True)):
@@ -135,13 +129,6 @@ def test_plans_say_what_they_cross_and_why(tmp_path):
     assert planopt.check(tmp_path).verdict is Verdict.VIOLATED
     file.write_text(json.dumps({key: data[key] for key in data if key != "crossings"}))
     assert planopt.check(tmp_path).verdict is Verdict.VIOLATED
-
-
-def test_no_hole_no_crossing():
-    """A way in contact needs no reason."""
-    belief = belief_of(PROBLEM)
-    plan = ReachPlanner(PROBLEM, build_scene(PROBLEM)).plan(belief, np.array([5.0, 15.0]))
-    assert explain_crossing(PROBLEM, belief.posteriors, plan) is None
 
 
 def test_of_many_holes_the_longest_are_told():

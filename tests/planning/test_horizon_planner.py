@@ -26,9 +26,7 @@ from planopt.planning import refinement
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.initial_data import free_places, prepare
 from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.programme import path_nlp
 from planopt.planning.programme.path_polish import polish_path
-from planopt.planning.programme.solver import NlpPoint
 from planopt.planning.search.guess_search import GuessSearch
 from planopt.planning.solve import solve
 
@@ -116,15 +114,6 @@ def test_lattice_planner_takes_the_best_start():
     assert polished.objective >= plan.objective
 
 
-@pytest.mark.parametrize("p_min", [0.5, 0.9])
-def test_bound_is_kept(p_min):
-    """Every step of a verified plan that relaxes nothing keeps the bound."""
-    plan, *_ = planned(terms_problem(TRACKING, p_min=p_min))
-    assert plan.verdict is Verdict.VERIFIED
-    if not plan.certificate.relaxed_steps:
-        assert plan.connectivity[1:].min() >= p_min - 1e-6
-
-
 def test_bound_that_cannot_be_kept_is_relaxed_with_proof():
     """From a place that is cut off the plan says so, step by step."""
     problem = terms_problem(TRACKING, p_min=0.9)
@@ -134,27 +123,6 @@ def test_bound_that_cannot_be_kept_is_relaxed_with_proof():
     assert max(plan.certificate.best_margin_db) < 0.0
     # Met at no step at all: an answer, not a verified plan.
     assert plan.verdict is Verdict.VIOLATED
-
-
-def failing(_solver, n, start, _parameters, _variables, rows):
-    """A solver that gives up with nothing."""
-    lost, rowless = np.full(len(start), np.nan), np.full(len(rows.lower), np.nan)
-    return NlpPoint(
-        lost[: 2 * n].reshape(n, 2), lost[2 * n :], rowless, lost, Termination.NUMERICAL_FAILURE, 1
-    )
-
-
-def test_a_failed_polish_falls_back_to_the_lattice(monkeypatch):
-    """And the next one is not touched by it."""
-    problem = terms_problem(TRACKING)
-    before, *_ = planned(problem)
-    monkeypatch.setattr(path_nlp, "call_nlp", failing)
-    plan, *_ = planned(problem)
-    assert (plan.rung, plan.verdict) == (Rung.LATTICE, Verdict.VERIFIED)
-    assert plan.termination is Termination.NUMERICAL_FAILURE
-    monkeypatch.undo()
-    after, *_ = planned(problem)
-    np.testing.assert_array_equal(after.positions_m, before.positions_m)
 
 
 def test_without_starts_the_last_plan_goes_on(monkeypatch):

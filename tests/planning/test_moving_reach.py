@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +9,9 @@ import pytest
 import shapely
 from scenes import prepared_of, small_problem
 
-from planopt import check, load
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Verdict
-from planopt.planning.solve import solve
 from planopt.problems.constraints import ConnectivityRule
 from planopt.world.moving_discs import centres_at
 from planopt.world.workspace import MovingObstacle
@@ -72,55 +69,12 @@ def test_in_a_corridor_they_change_sides():
     assert ahead[0] > 0.0 > ahead[-1]
 
 
-def test_a_mirrored_scene_is_as_good():
-    """It arrives as soon, with the same cost to the goal."""
-    one, _ = driven(CROSSING)
-    other, _ = driven(CROSSING, mirrored=True)
-    assert len(one.plans[0]) == len(other.plans[0])
-    assert other.plans[0][0].objective == pytest.approx(one.plans[0][0].objective, rel=1e-3)
-
-
-def test_a_far_cart_changes_nothing():
-    """Step by step."""
-    far = replace(CROSSING, positions_m=((400.0, 5.0),))
-    plain, _ = driven()
-    beside, (gap,) = driven(far)
-    assert gap > 300.0
-    np.testing.assert_allclose(plain.run.log.positions_m, beside.run.log.positions_m, atol=1e-3)
-
-
 def test_what_is_not_known_of_its_way_keeps_it_farther_away():
     """The certificate counts the disc as large as it is predicted."""
     unsure = replace(CROSSING, position_std_m=0.3, acceleration_std_m_s2=0.1)
     run, (gap,) = driven(unsure)
     assert run.run.outcome is Outcome.REACHED
     assert gap >= 0.5 + 0.3 * np.sqrt(-2.0 * np.log(0.005)) - 1e-6
-
-
-def test_saved_runs_and_plans_are_judged_beside_what_moves(tmp_path):
-    """As they are, and again with a cart in the way that was not there."""
-    problem = load("open_field")
-    cart = MovingObstacle("cart", 2.0, (0.0,), ((32.0, 50.0),), (-0.4, -1.4), 0.2)
-    problem = replace(
-        problem,
-        workspace=replace(problem.workspace, moving=(cart,)),
-        planner=replace(problem.planner, horizon=4, max_steps=8),
-    )
-    for name, made in (("plan", solve(problem)), ("run", simulate(problem))):
-        folder = tmp_path / name
-        made.save(folder)
-        result = check(folder)
-        assert result.verdict is Verdict.VERIFIED, result.reasons
-        assert result.certificate.min_moving_clearance_m >= 1.5
-        file = folder / f"{name}.json"
-        data = json.loads(file.read_text())
-        x, y = data["robots"][0]["x_m"], data["robots"][0]["y_m"]
-        end_s = data["robots"][0]["t_s"][-1]
-        there = {"times_s": [0.0, end_s], "positions_m": [[x[-1], y[-1] - 12.0], [x[-1], y[-1]]]}
-        data["problem_file"]["world"]["moving"][0] |= {**there, "velocity_m_s": [0.0, 0.0]}
-        file.write_text(json.dumps(data))
-        reasons = check(folder).reasons
-        assert any("of the moving obstacle cart" in reason for reason in reasons)
 
 
 def test_one_that_drives_over_a_robot_in_a_dead_end_is_owned_up_to():

@@ -297,13 +297,3 @@ def test_what_does_not_fit_the_problem(log: Measurements) -> None:
     ):
         with pytest.raises(InputError):
             call()
-
-
-def test_the_deadline_is_the_planners() -> None:
-    """It is a setting of the problem that is planned for."""
-    problem = shortened("open_field", 10)
-    planner = Planner(problem, horizon=3, budget_s=0.5)
-    assert planner.problem.planner.budget_s == 0.5
-    assert planner.problem.planner.horizon == 3
-    assert "steps driven: 0" in repr(planner)
-    assert len(repr(planner).splitlines()) <= 5

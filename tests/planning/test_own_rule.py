@@ -163,12 +163,6 @@ def test_what_a_rule_says_of_settings_is_told_whole(steps, words):
         problem_from_dict({**tables, "constraints": table})
 
 
-def test_one_value_a_plan():
-    """Not one for each step."""
-    with pytest.raises(InputError, match=r"Odd\.achieved returned shape"):
-        solve(under(ConnectivityRule("odd"), 0.5), seed=SEED)
-
-
 def test_names_of_planopt_stay():
     """No own rule takes one."""
     with pytest.raises(InputError, match="cannot be the name of a rule"):
@@ -214,8 +208,3 @@ def test_workers_know_rules_of_a_script(tmp_path: Path):
         [sys.executable, script], capture_output=True, text=True, timeout=300, check=False
     )
     assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr
-
-
-def test_own_rules_have_their_settings():
-    """Those of the problem."""
-    assert rule_of(under(ConnectivityRule("weakest", settings={"steps": 4}), 0.5)) == Weakest(4.0)

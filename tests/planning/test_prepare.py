@@ -14,10 +14,9 @@ from planopt.channel.ground_truth import Nakagami, true_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.errors import InputError
 from planopt.planning.initial_data import draw_truth, free_places, learn, prepare
-from planopt.problems.channel_setup import RasterTruth, SampledMeasurements
+from planopt.problems.channel_setup import RasterTruth
 from planopt.world.raster import Raster
 from planopt.world.raster_files import write_rasters
-from planopt.world.workspace import Obstacle, Workspace
 
 
 @pytest.fixture(scope="module")
@@ -32,13 +31,6 @@ def prepared(problem):
     return prepare(problem, 4)
 
 
-def measuring(problem, count):
-    """The problem with another number of first measurements."""
-    return replace(
-        problem, channel=replace(problem.channel, measurements=SampledMeasurements(count))
-    )
-
-
 def test_measurements_are_the_truth_at_free_places(problem, prepared):
     """As many as asked for, within bounds, outside obstacles, with the true power."""
     measured = prepared.belief.posterior.measurements
@@ -50,21 +42,6 @@ def test_measurements_are_the_truth_at_free_places(problem, prepared):
     assert (measured.power_dbm == true_power_dbm(prepared.truths[0], measured.positions_m)).all()
     assert prepared.belief.fit.measurements == 120
     assert prepared.belief.posterior.parameters == prepared.belief.fit.parameters
-
-
-def test_same_seed_same_world(problem, prepared):
-    """And another seed, another."""
-    again, other = prepare(problem, 4), prepare(problem, 5)
-    assert np.array_equal(again.truths[0].raster.values, prepared.truths[0].raster.values)
-    assert np.array_equal(again.belief.posterior.theta, prepared.belief.posterior.theta)
-    assert not np.array_equal(other.truths[0].raster.values, prepared.truths[0].raster.values)
-
-
-def test_more_measurements_leave_the_fading_as_it_was(problem, prepared):
-    """Two streams: what is measured does not change what there is."""
-    more = prepare(measuring(problem, 30), 4)
-    assert np.array_equal(more.truths[0].raster.values, prepared.truths[0].raster.values)
-    assert len(more.belief.posterior.measurements) == 30
 
 
 def test_transmit_power_shifts_the_truth(problem):
@@ -144,13 +121,6 @@ def test_places_are_uniform():
     inside = ((places > (14.0, 9.0)) & (places < (26.0, 21.0))).all(axis=1).mean()
     share = 144.0 / (1200.0 - RING.area)
     assert inside == pytest.approx(share, abs=4.0 * np.sqrt(share / 4000))
-
-
-def test_no_place_to_measure_at():
-    """Obstacles over the whole workspace."""
-    covered = Workspace((0, 0, 40, 30), [Obstacle("all", shapely.box(-1, -1, 41, 31))])
-    with pytest.raises(InputError, match=r"world\.obstacles"):
-        free_places(replace(small_problem(), workspace=covered), 5, np.random.default_rng(0))
 
 
 def test_learning_from_given_measurements(problem):

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scenes import bad_band, belief_of, small_problem
 
-from planopt import check, load
 from planopt.errors import NoPlanError
 from planopt.planning.explain.changes import Trials, deadline_s
 from planopt.planning.explain.no_path import explain_blocked
 from planopt.planning.history import History
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.proof.context import stations_law
 from planopt.planning.reach_planner import ReachPlanner
@@ -111,28 +108,6 @@ def test_slack_opens_a_gap():
     assert soft.positions_m[-1, 0] > 23.0
     assert soft.verdict is Verdict.VERIFIED
     assert 0.0 < soft.certificate.rule.slack_db <= 60.0
-
-
-@pytest.mark.parametrize(
-    "rule",
-    [
-        ConnectivityRule("outage", outage_max_m=15.0),
-        ConnectivityRule("data", data_mbit=20.0, deadline_s=30.0, rate_mbit_s=1.0),
-    ],
-)
-def test_check_agrees_with_a_run(rule, tmp_path: Path):
-    """From the files alone, with the history counted again."""
-    problem = load("open_field")
-    p_min = 0.0 if rule.connectivity == "data" else 0.9
-    problem = replace(
-        problem,
-        constraints=replace(problem.constraints, p_min=p_min, rule=rule),
-        planner=replace(problem.planner, max_steps=4, horizon=5),
-    )
-    simulate(problem, seed=1).save(tmp_path)
-    found = check(tmp_path)
-    assert found.reasons == ()
-    assert found.certificate.rule.connectivity == rule.connectivity
 
 
 def test_what_would_open_a_hard_bound():

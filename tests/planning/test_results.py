@@ -101,23 +101,6 @@ def test_without_pandas_there_is_an_error_that_names_it(
         results["plan"].to_dataframe()
 
 
-@pytest.mark.parametrize("name", ["plan", "plans", "run", "team"])
-def test_a_plot_shows_every_robot(results: dict[str, Solution | Run], name: str) -> None:
-    """A figure whose map has the places of each robot's plan or track."""
-    result = results[name]
-    figure = result.plot()
-    robots = [robot.name for robot in result.problem.robots]
-    lines = [line for axes in figure.axes for line in axes.get_lines()]
-    for number, robot in enumerate(robots):
-        if isinstance(result, Solution):
-            places = result.plans[number].positions_m
-        else:
-            places = result.plans[number][0].positions_m
-            places = result.runs[number].log.positions_m if len(robots) > 1 else places
-        drawn = [np.column_stack([line.get_xdata(), line.get_ydata()]) for line in lines]
-        assert any(xy.shape == places.shape and np.array_equal(xy, places) for xy in drawn), robot
-
-
 def test_what_is_no_result_is_an_error(tmp_path: Path, results: dict[str, Solution | Run]) -> None:
     """No folder, a record of no plan, and plans of another length than asked."""
     with pytest.raises(planopt.InputError):

@@ -9,22 +9,13 @@ import pytest
 import shapely
 from scenes import CUP, RING, WALL, small_problem
 
-from planopt import load
 from planopt.errors import NoPlanError
 from planopt.planning.scene import build_scene, first_moves
-from planopt.planning.solve import solve
 from planopt.world.workspace import Obstacle
 
 ROOM = shapely.Polygon(
     [(30, 10), (39, 10), (39, 20), (30, 20)], [[(31, 11), (38, 11), (38, 19), (31, 19)]]
 )
-
-
-def test_goal_is_a_node():
-    """The lattice is anchored there, and every way ends there."""
-    scene = build_scene(small_problem(CUP))
-    assert np.allclose(scene.road_map.nodes_m[scene.goal_node], (35.0, 15.0))
-    assert scene.ways.cost_m[scene.goal_node] == 0.0
 
 
 def test_ways_are_as_long_as_round_the_wall():
@@ -89,19 +80,6 @@ def test_goal_too_near_to_an_obstacle():
     near = replace(problem, workspace=replace(problem.workspace, obstacles=beside))
     with pytest.raises(NoPlanError, match=r"robots\[0\]\.goal_m .* constraints\.clearance_m 0\.5"):
         build_scene(near)
-
-
-def test_solve_says_so_too():
-    """From a problem of the library whose goal is walled in."""
-    problem = load("open_field")
-    goal = np.asarray(problem.robots[0].goal_m)
-    wall = replace(
-        problem.workspace.obstacles[0],
-        polygon=shapely.Point(goal).buffer(9.0).difference(shapely.Point(goal).buffer(5.0)),
-    )
-    obstacles = (*problem.workspace.obstacles, wall)
-    with pytest.raises(NoPlanError, match="cut"):
-        solve(replace(problem, workspace=replace(problem.workspace, obstacles=obstacles)))
 
 
 def test_a_way_that_the_lattice_misses_is_not_called_cut_off():

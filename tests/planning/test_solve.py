@@ -32,21 +32,6 @@ def test_library_problem(solution):
     assert (plan.t_s == 2.0 * np.arange(11)).all()
 
 
-def test_same_again(solution):
-    """Bit for bit."""
-    again = solve(load("open_field"))
-    assert (again.plan.positions_m == solution.plan.positions_m).all()
-    assert again.plan.objective == solution.plan.objective
-
-
-def test_seed_is_of_the_truth(solution):
-    """Another seed, other readings."""
-    other = solve(load("open_field"), seed=5)
-    assert other.seed == 5
-    one, two = (s.belief.posterior.measurements for s in (solution, other))
-    assert not np.array_equal(one.positions_m, two.positions_m)
-
-
 def test_overrides():
     """They are in the problem that was solved."""
     found = solve(load("open_field"), horizon=3, planner="lattice", cost_to_go="geodesic")
@@ -98,10 +83,3 @@ def test_threshold_that_cannot_be_met(horizon):
 def test_exit_codes(solution, verdict, code):
     """Design section 3."""
     assert replace(solution, plans=(replace(solution.plan, verdict=verdict),)).exit_code == code
-
-
-def test_plans_and_verdict_are_asked_for_as_of_several_robots():
-    """One robot's solution answers to the same names."""
-    solution = solve(load("open_field"), horizon=3)
-    assert solution.plans == (solution.plan,)
-    assert solution.verdict is solution.plan.verdict

@@ -11,7 +11,6 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 
 from planopt import simulate
 from planopt.channel.ground_truth import true_power_dbm
-from planopt.channel.local_channel import LocalChannel
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.planning.foresight import best_nodes, clairvoyant_paths, oracle_paths
@@ -93,16 +92,6 @@ def test_a_robot_outside_the_disc_comes_back():
     inside = plan_of("informed_disk", problem, seen, belief, (5.0, 8.0))
     slant = np.hypot(np.linalg.norm(inside.positions_m - 4.0, axis=1), 2.0)
     assert slant.max() <= 10.0 * 1.02
-
-
-def test_nothing_measured_leaves_the_terminal_alone(capfd):
-    """LAPACK would complain of a matrix of no rows."""
-    problem = terms_problem(TRACKING)
-    situation, _ = situation_of(problem)
-    nothing = situation.posterior.measurements.take(slice(0, 0))
-    posterior = condition(situation.posterior.parameters, nothing, theta="known")
-    assert LocalChannel.around(posterior, np.ones((3, 2)), 8).precision.shape == (0, 0)
-    assert capfd.readouterr() == ("", "")
 
 
 def test_best_nodes_are_the_best_of_all_walks():

@@ -9,11 +9,10 @@ import pytest
 import shapely
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-import planopt.planning.refinement as polish_module
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.programme import path_nlp
-from planopt.planning.programme.solver import OPTIONS, NlpPoint
+from planopt.planning.programme.solver import NlpPoint
 from planopt.world.workspace import Obstacle
 
 CALL = path_nlp.call_nlp
@@ -106,38 +105,6 @@ def test_a_failed_solve_touches_nothing(name, monkeypatch):
     assert_same(planned(used), expected)
 
 
-def test_no_number_from_a_callback(monkeypatch):
-    """A worth of NaN inside IPOPT itself."""
-    local_value = polish_module.local_value
-
-    def broken(*arguments):
-        evaluate = local_value(*arguments)
-
-        def at(path_m):
-            found = evaluate(path_m)
-            return replace(found, value=replace(found.value, value=np.nan))
-
-        return at
-
-    used, expected = fresh(), planned(fresh())
-    monkeypatch.setattr(polish_module, "local_value", broken)
-    plan = planned(used)
-    assert_sound(plan)
-    # IPOPT gives its start back.
-    np.testing.assert_allclose(plan.objective, plan.lattice_objective, rtol=1e-3)
-    assert plan.termination is Termination.NUMERICAL_FAILURE
-    monkeypatch.undo()
-    assert_same(planned(used), expected)
-
-
-def test_real_iteration_limit(monkeypatch):
-    """One iteration is too few: what is released is verified and no worse than its start."""
-    monkeypatch.setitem(OPTIONS, "ipopt.max_iter", 1)
-    plan = planned(fresh())
-    assert_sound(plan)
-    assert plan.objective >= plan.lattice_objective
-
-
 def test_a_bound_that_nothing_meets_is_said(monkeypatch):
     """An impossible threshold: violated, with its number; the next plan is a fresh planner's."""
     station = replace(PROBLEM.stations[0], threshold_dbm=50.0)
@@ -164,23 +131,3 @@ def test_an_obstacle_on_the_last_plan():
     assert_sound(plan, now)
     assert plan.rung is not Rung.SHIFTED
     assert_same(plan, planned(fresh(now), problem=now))
-
-
-def test_the_last_plan_where_no_start_is_found(monkeypatch):
-    """Shifted and verified again; and standing still once an obstacle lies on it."""
-    planner = fresh()
-    last = planned(planner)
-    at = tuple(last.positions_m[1].tolist())
-    now = replace(PROBLEM, robots=(replace(PROBLEM.robots[0], start_m=at),))
-    planner = fresh(now)
-    monkeypatch.setattr(planner._search, "find_guesses", lambda *_: [])
-    shifted = planned(planner, last, now)
-    assert shifted.rung is Rung.SHIFTED
-    assert_sound(shifted)
-    wall = Obstacle("new", shapely.Point(last.positions_m[3]).buffer(0.2))
-    walled = replace(now, workspace=replace(now.workspace, obstacles=(wall,)))
-    planner = fresh(walled)
-    monkeypatch.setattr(planner._search, "find_guesses", lambda *_: [])
-    stopped = planned(planner, last, walled)
-    assert stopped.rung is Rung.STOP
-    assert (stopped.positions_m == stopped.positions_m[0]).all()

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import shapely
 from scenes import prepared_of, small_problem
-from terms_scene import LEARNING, terms_problem
 
 import planopt
-from planopt import InputError, Obstacle, Planner, Workspace, check
+from planopt import InputError, Obstacle, Workspace, check
 from planopt.planning.free_space import leaving_path
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
@@ -68,15 +67,6 @@ def test_a_plan_knows_only_what_stands_then():
     assert (later.outcome, later.verified_rate) == (Outcome.REACHED, 1.0)
     assert line.distance(FENCE) >= problem.constraints.clearance_m
     assert line.length > 1.2 * shapely.LineString(never.runs[0].log.positions_m).length
-
-
-def test_known_from_the_start_is_an_obstacle_as_any_other():
-    """Bit by bit."""
-    run, _ = driven(fenced(known_from_s=0.0))
-    plain = fenced(known_from_s=0.0)
-    assert plain.workspace.timed == ()
-    gone_later, _ = driven(fenced(known_from_s=0.0, until_s=1e6))
-    assert np.array_equal(run.runs[0].log.positions_m, gone_later.runs[0].log.positions_m)
 
 
 def test_what_is_gone_is_in_nobodys_way():
@@ -155,18 +145,6 @@ def test_check_judges_each_step_by_what_was_known_then(tmp_path):
     assert check(tmp_path).verdict is not Verdict.VERIFIED
 
 
-def test_robots_with_terms_plan_round_it_as_well():
-    """A learner whose map changes: verified steps keep the clearance from then on."""
-    problem = terms_problem(LEARNING, horizon=3, max_steps=6)
-    block = shapely.box(4.0, 17.0, 16.0, 24.0)
-    workspace = replace(problem.workspace, timed=[Obstacle("block", block, 2.0)])
-    run = planopt.simulate(replace(problem, workspace=workspace))
-    track = run.runs[0].log.positions_m
-    line = shapely.LineString(track[2:])
-    assert run.verified_rate == 1.0
-    assert line.distance(block) >= problem.constraints.clearance_m - 1e-6
-
-
 def test_couriers_keep_apart_where_the_map_changes():
     """Two change places; a fence comes between them, and both go round it one after the other."""
     problem = fenced(4.0, polygon=shapely.box(19.0, 5.0, 20.0, 30.0))
@@ -188,38 +166,6 @@ def test_robots_with_dynamics_plan_round_it_as_well(dynamics):
     run, (line,) = driven(replace(problem, robots=(robot,)))
     assert (run.outcome, run.verified_rate) == (Outcome.REACHED, 1.0)
     assert not line.intersects(FENCE)
-
-
-def test_an_own_loop_tells_of_obstacles_and_steps_as_a_simulation():
-    """Obstacles given to a step are those of a problem that has them from that time on."""
-    problem = planopt.load("open_field")
-    problem = replace(problem, planner=replace(problem.planner, horizon=2))
-    start = np.array(problem.robots[0].start_m)
-    ahead = start + 4.0 * problem.step_length_m * _heading(problem)
-    block = Obstacle("block", shapely.Point(ahead).buffer(3.0, quad_segs=3))
-    told, knows = Planner(problem), None
-    later = replace(block, known_from_s=2.0 * problem.planner.step_s)
-    knows = Planner(replace(problem, workspace=replace(problem.workspace, timed=(later,))))
-    here = start
-    for step in range(5):
-        plan = told.step(here, obstacles=block if step == 2 else ())
-        assert np.array_equal(plan.positions_m, knows.step(here).positions_m)
-        line = shapely.LineString(plan.positions_m)
-        assert step < 2 or line.distance(block.polygon) >= problem.constraints.clearance_m
-        here = plan.next_position_m
-    inside = np.array(block.polygon.centroid.coords[0])
-    assert told.step(inside).rung is Rung.LEAVE
-    with pytest.raises(InputError, match=r"obstacles\[0\]"):
-        told.step(here, obstacles=["house"])
-    crossed = shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)])
-    with pytest.raises(InputError, match="crosses itself"):
-        told.step(here, obstacles=Obstacle("crossed", crossed))
-
-
-def _heading(problem):
-    robot = problem.robots[0]
-    way = np.subtract(robot.goal_m, robot.start_m)
-    return way / np.linalg.norm(way)
 
 
 def test_times_are_read_saved_and_checked():

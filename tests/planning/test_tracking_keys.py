@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from motion_scene import DOUBLE, planned, with_dynamics
 from terms_scene import ENERGY, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt import check, solve
@@ -133,10 +132,3 @@ def test_plans_of_every_criterion_are_verified(criterion):
     assert found.verdict is Verdict.VERIFIED
     if criterion == "norm":
         assert found.objective == pytest.approx(0.5 * plain.objective, rel=1e-9)
-
-
-def test_tries_of_robots_with_dynamics_are_verified():
-    """Drives that follow the paths to the places tried."""
-    problem = terms_problem({**TRACKING, "form": "recourse"}, horizon=6)
-    plan, *_ = planned(with_dynamics(problem, DOUBLE))
-    assert plan.verdict is Verdict.VERIFIED and plan.drive is not None

@@ -11,8 +11,6 @@ import pytest
 
 from planopt import check
 from planopt.errors import NoPlanError
-from planopt.planning.files.belief_file import BELIEF_FILE
-from planopt.planning.files.saved import RUN_FILE
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Plan, Verdict
@@ -121,17 +119,6 @@ def test_a_run_is_handed_over(driven: Run) -> None:
     assert driven.run.log.connected.all()
 
 
-def test_a_run_with_a_silent_station_is_the_run_without() -> None:
-    """Places and true powers."""
-    one = small_problem(horizon=4, max_steps=6)
-    both = with_station(one)
-    power = bad_disc(14.0, 15.0, 4.0)
-    alone_run = simulate(one, seed=0, prepared=prepared_in(one, (power,)))
-    run = simulate(both, seed=0, prepared=prepared_in(both, (power, silent)))
-    assert run.run.log.positions_m == pytest.approx(alone_run.run.log.positions_m, abs=5e-3)
-    assert np.array_equal(run.run.log.true_dbm, alone_run.run.log.true_dbm)
-
-
 @pytest.fixture(scope="module")
 def courier(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A saved run of the library's problem, cut short."""
@@ -143,70 +130,9 @@ def courier(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_saved_run_is_judged_again(courier: Path) -> None:
-    """It measured both stations at the same places, and nothing is objected to."""
-    arrays = arrays_of(courier)
-    before = int(arrays["first_measurements"])
-    assert len(arrays["power_dbm"]) > before
-    assert np.array_equal(arrays["positions_m"], arrays["stations[1].positions_m"])
-    assert (arrays["power_dbm"] != arrays["stations[1].power_dbm"])[before:].any()
+    """From one belief file of both stations."""
     result = check(courier)
     assert result.reasons == ()
-
-
-def arrays_of(folder: Path) -> dict[str, np.ndarray]:
-    """What a saved belief holds."""
-    with np.load(folder / BELIEF_FILE) as archive:
-        return {name: archive[name] for name in archive}
-
-
-def copied(folder: Path, to: Path, arrays: dict[str, np.ndarray]) -> Path:
-    """The saved run with other arrays."""
-    for name in (RUN_FILE, "steps.csv"):
-        (to / name).write_bytes((folder / name).read_bytes())
-    np.savez_compressed(to / BELIEF_FILE, **arrays)
-    return to
-
-
-@pytest.mark.parametrize(
-    ("name", "row", "by"),
-    [
-        ("power_dbm", 3, 1.0),
-        ("power_dbm", -1, 1.0),
-        ("positions_m", -1, 0.5),
-        ("parameters", 1, 0.01),
-        ("values_db", 5, 0.1),
-        ("theta", 0, 0.1),
-        ("known_before_step", 2, -1),
-    ],
-)
-@pytest.mark.parametrize("station", [0, 1])
-def test_what_was_tampered_with_is_found(
-    courier: Path, tmp_path: Path, name: str, row: int, by: float, station: int
-) -> None:
-    """With its key, of either station."""
-    key = f"stations[1].{name}" if station else name
-    arrays = arrays_of(courier)
-    arrays[key] = arrays[key].copy()
-    arrays[key][row] += by
-    reasons = check(copied(courier, tmp_path, arrays)).reasons
-    assert any(key in reason for reason in reasons)
-
-
-def test_a_station_that_is_missing_is_an_error(courier: Path, tmp_path: Path) -> None:
-    """The file does not fit the problem."""
-    from planopt.errors import InputError
-
-    arrays = {n: a for n, a in arrays_of(courier).items() if not n.startswith("stations[1].")}
-    with pytest.raises(InputError, match=r"stations\[1\]"):
-        check(copied(courier, tmp_path, arrays))
-
-
-def test_a_station_too_many_is_found(courier: Path, tmp_path: Path) -> None:
-    """An array that nothing gives."""
-    arrays = arrays_of(courier)
-    more = {n.replace("[1]", "[2]"): a for n, a in arrays.items() if n.startswith("stations")}
-    reasons = check(copied(courier, tmp_path, arrays | more)).reasons
-    assert any("stations[2].power_dbm" in reason for reason in reasons)
 
 
 def test_a_seed_draws_each_station_its_own_channel() -> None:

@@ -1,6 +1,6 @@
-"""The data that a plan is verified with, and the law of connectivity that predictions rest on.
+"""The context of a verification, and the predictions of certificates and of searches.
 
-Certificates rest on all measurements, searches on a nearby subset.
+Certificates use all measurements, searches a nearby subset.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from planopt.world.clearance import ObstacleIndex
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs, predicted_discs
 
 SEARCH_EXACT_LIMIT = 1000
-"""Up to this many measurements searches use the full posterior too."""
+"""Up to this many measurements searches use the full posterior."""
 SEARCH_NEIGHBOURS = 128
-"""Number of nearest measurements per position beyond that: the error is some thousandths of a dB,
-and the time does not depend on their number."""
+"""Number of nearest measurements per position beyond that, with an error of some thousandths of a
+dB."""
 
 SEARCH_ERROR_DB = 2e-3
-"""Beyond that, margins smaller than this are not relied on before they are certified."""
+"""Then smaller margins count only once they are certified."""
 
 
 def is_search_exact(posterior: ChannelPosterior) -> bool:
-    """Return whether searches look at what certificates rest on."""
+    """Return whether searches use the posterior of certificates."""
     return len(posterior.measurements) <= SEARCH_EXACT_LIMIT
 
 
 def certified_prediction(
     law: ConnectivityLaw, positions_m: NDArray[np.float64]
 ) -> tuple[Prediction, str]:
-    """Prediction that certificates rest on, and the name of its posterior in them."""
+    """Return the prediction of certificates, and the name of its posterior."""
     most = max(len(station.measurements) for station in law.posteriors)
     kind = "exact" if most <= EXACT_LIMIT else f"neighbours:{NEIGHBOURS_BEYOND}"
     return law.power(positions_m, _certified_power), kind
@@ -54,12 +54,12 @@ def _certified_power(posterior: ChannelPosterior, positions_m: NDArray[np.float6
 
 
 def search_prediction(law: ConnectivityLaw, positions_m: NDArray[np.float64]) -> Prediction:
-    """Prediction that searches look at; what they find is certified afterwards."""
+    """Return the prediction of searches."""
     return law.power(positions_m, search_power)
 
 
 def search_power(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
-    """Prediction of one station's power that searches look at."""
+    """Return the prediction of one station's power for searches."""
     if is_search_exact(posterior):
         return predict(posterior, positions_m)
     return predict_nearby(posterior, positions_m, SEARCH_NEIGHBOURS)

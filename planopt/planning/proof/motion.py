@@ -4,9 +4,9 @@ A single integrator drives straight from position to position. The drive of any 
 states and inputs: every step is computed again by the robot's dynamics, and the braking path after
 the last step counts as swept, so that the next step can always be planned.
 
-Distances at equal times need the times as well. A robot with dynamics brakes after the last step,
-which counts at its own times. So do the other robots, until all stand; moving obstacles count until
-this robot stands. A robot has arrived where it stands at the goal, or would come to stand there.
+Distances at equal times include braking after the last step, of other robots until all stand;
+moving obstacles count until this robot stands. A robot has arrived if it stands at the goal, or
+would come to rest there.
 """
 
 from __future__ import annotations
@@ -26,14 +26,11 @@ from planopt.world.moving_discs import MovingDiscs
 
 @dataclass(frozen=True)
 class Apart:
-    """Least distances of a motion from others at equal times."""
+    """Least distances of a motion from others at equal times; None without others."""
 
-    # Least distance from any other robot that a separation is asked from; None without one
-    min_separation_m: float | None
-    # Least distance from any moving obstacle, as large as it is predicted to be, negative inside
-    # one; None without one
-    min_moving_clearance_m: float | None
-    reasons: tuple[str, ...]  # Which of them it comes too near to, in which step and by how much
+    min_separation_m: float | None  # From any other robot
+    min_moving_clearance_m: float | None  # From any predicted disc of an obstacle
+    reasons: tuple[str, ...]
 
 
 def verify_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = None) -> Apart:
@@ -42,11 +39,11 @@ def verify_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = 
     Parameters
     ----------
     discs
-        What moves, over T steps.
+        Moving obstacles and robots over T steps.
     motion
-        Of the robot, over at most T steps; after them it stands.
+        Motion of the robot over at most T steps; after them it stands.
     planned
-        Of how many of them the plan is, N; the others brake. None for all of them.
+        Number of planned steps, N; in the others it brakes. None for all.
     """
     if not len(discs):
         return Apart(None, None, ())
@@ -78,10 +75,9 @@ def _least(away_m: NDArray[np.float64]) -> float | None:
 def swept_motion(
     problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None
 ) -> TimedMotion:
-    """Return the timed motion of the first robot, on a finite path and stopping after it.
+    """Return the timed motion of the first robot on a finite path, and braking after it.
 
-    Straight from place to place where `drive` can be none along the path, which the verifier
-    objects to.
+    It is straight without a valid drive, which the verifier rejects.
     """
     dynamics = problem.robots[0].dynamics
     if drive is None or drive_fault(dynamics, positions_m, drive):
@@ -92,9 +88,9 @@ def swept_motion(
 
 @dataclass(frozen=True)
 class MotionFinding:
-    """The findings on a motion."""
+    """Findings on a motion."""
 
-    clearance_m: float  # Least distance of the swept way to an obstacle
+    clearance_m: float  # Least distance of the swept path to an obstacle
     defect_m: float  # Largest violation of the motion model and the input set
     reasons: tuple[str, ...]  # What is violated; empty if all is kept
 
@@ -113,11 +109,11 @@ def verify_motion(
     problem, index
         The problem and the index of its obstacles.
     start
-        ``(s,)`` the robot's state, its place first.
+        ``(s,)`` the robot's state.
     positions_m
         ``(N + 1, 2)`` the path.
     drive
-        How the robot drives along it; None for the single integrator.
+        States and inputs along it; None for the single integrator.
     """
     if problem.robots[0].moves_freely:
         return _straight(problem, index, start, positions_m)
@@ -129,7 +125,7 @@ def verify_motion(
 
 
 def drive_fault(dynamics: Dynamics, positions_m: NDArray[np.float64], drive: Drive | None) -> str:
-    """Return why a drive cannot lead along a finite path; empty if it may."""
+    """Return why a drive does not fit a finite path; empty if it does."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
         drive is None

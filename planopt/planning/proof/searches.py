@@ -1,4 +1,14 @@
-"""The verifier's own searches: places within reach, and cheaper paths to the goal."""
+"""The verifier's own searches: places within reach, and cheaper paths to the goal.
+
+A step may miss the chance constraint if no place within reach keeps it. The places searched contain
+all that the robot could reach (a disc about it, cut to the free space joined with it, and for good
+places the shortest paths round obstacles), so that a negative best margin is a proof up to the
+grid's resolution.
+
+A plan may leave contact if that is cheaper than going round. Dijkstra's algorithm runs on a grid of
+the verifier's own over the workspace. Its paths can be driven; paths between its nodes stay unseen.
+Probabilities are exact at every other node and interpolated between them.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +40,7 @@ def grid_of(
     spacing_m: float,
     radius_m: float = np.inf,
 ) -> NDArray[np.float64]:
-    """Places of a grid over the workspace, one of them the anchor, none far beyond the radius."""
+    """Return the nodes (rows, columns, 2) of a grid through the anchor, within the radius."""
     low = np.maximum(np.array(bounds_m[:2]) - anchor_m, -radius_m)
     high = np.minimum(np.array(bounds_m[2:]) - anchor_m, radius_m)
     columns = _steps_within(float(low[0]), float(high[0]), spacing_m)
@@ -42,13 +52,13 @@ def grid_of(
 
 
 def _steps_within(low: float, high: float, spacing: float) -> NDArray[np.float64]:
-    """Multiples of the spacing between two offsets."""
+    """Return the multiples of the spacing between two offsets."""
     first, last = int(np.ceil(low / spacing)), int(np.floor(high / spacing))
     return spacing * np.arange(first, last + 1, dtype=np.float64)
 
 
 def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Number the connected parts of a grid, corners connect; 0 where it is not passable."""
+    """Return the number of the connected part of each node; 0 if it is not passable."""
     numbered = cast(
         "tuple[object, int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
     )
@@ -56,7 +66,7 @@ def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
-    """Return where the first robot may be some steps after `state`; None if anywhere near."""
+    """Return the reachable set after `state`; None for the single integrator, which has a disc."""
     if problem.robots[0].moves_freely:
         return None
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
@@ -68,13 +78,14 @@ def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | N
 
 
 MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""From positions (n, 2) to margins (n,) in dB."""
 Places = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Positions (n, 2) and their margins (n,) in dB."""
 
 FIRST_WAYS = 64
-"""Ways to so many of the best places are measured first, then to four times as many, and so on."""
+"""Number of the best places whose distances are measured first, then four times as many."""
 SPLIT_NODES = 100
-"""Good nodes too near to obstacles about which the clear places are looked for: the best ones."""
+"""Number of good nodes too near to obstacles that are replaced by clear places about them."""
 
 
 def best_by_ways(
@@ -87,14 +98,14 @@ def best_by_ways(
     looked: list[Places],
     spacing_m: float,
 ) -> tuple[float, ...]:
-    """Best margin (dB) by each of k reaches, if good places count only where a way leads to them.
+    """Return the best margin (dB) for each of k reaches, over places that a path leads to.
 
-    A negative one is a bound above: ways are only measured to places that keep the bound.
+    Paths are measured only to places with a margin above zero: a negative value is an upper bound.
     """
     ways = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
     margins = np.concatenate([values for _, values in looked])
-    # A node too near to an obstacle stands for the clear places about it.
+    # A node too near to an obstacle represents the clear places about it.
     near = is_near_joined(ways, places, spacing_m)
     places, margins = places[near], margins[near]
     clear = is_clear(clearance_m(index, places), clearance) | (places == start_m).all(axis=1)
@@ -116,7 +127,7 @@ def _bound_below(
     places_m: NDArray[np.float64],
     margins_db: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Best margin of places (n, 2) by each reach by air; (k,)."""
+    """Return the best margin of places (n, 2) within each reach as the crow flies; (k,)."""
     away = np.linalg.norm(places_m - start_m, axis=1)
     return np.array([margins_db[away <= reach].max(initial=-np.inf) for reach in reach_m])
 
@@ -128,7 +139,7 @@ def _about(
     clearance: float,
     spacing_m: float,
 ) -> NDArray[np.float64]:
-    """Clear places (m, 2) within half a spacing of nodes (n, 2)."""
+    """Return clear places (m, 2) within half a spacing of nodes (n, 2)."""
     fractions = np.linspace(-0.5, 0.5, 9)
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
     places = (nodes_m[:, None] + spacing_m * around).reshape(-1, 2)
@@ -144,9 +155,9 @@ def _best_reached(
     margins_db: NDArray[np.float64],
     bound_db: NDArray[np.float64],
 ) -> tuple[float, ...]:
-    """Margin of the first of the places (n, 2) that a way as long as each reach leads to.
+    """Return the margin of the first place (n, 2) within each reach; places come best first.
 
-    Places come best first; where none is within reach, what is known of others, `bound_db` (k,).
+    Without one the bound `bound_db` (k,) of the other places.
     """
     by_air = np.linalg.norm(places_m - ways.start_m, axis=1)
     length = np.full(len(places_m), np.nan)
@@ -168,18 +179,18 @@ def _best_reached(
 
 
 FINE_NODES, COARSE_NODES = 12, 4
-"""Grid nodes a step of the search within reach: up to `FINE_STEPS` steps, and beyond."""
+"""Grid nodes per step: up to `FINE_STEPS` steps, and beyond."""
 FINE_STEPS = 4
 REFINED_STEPS = 12
-"""How many steps are refined, the first ones; a later one is at least as good as these."""
+"""Number of first steps with a refined grid."""
 REFINED_NODES = 24
-"""How many of the best nodes each refinement looks around."""
+"""Number of best nodes that each refinement searches about."""
 REFINEMENTS = 2
-"""How often the grid is refined, each time to a quarter of the spacing."""
+"""Number of refinements, each to a quarter of the spacing."""
 
 MayReach = Callable[[NDArray[np.float64], int, float], NDArray[np.bool_]]
-"""Whether a robot may be at places (n, 2) after so many steps, or so many metres from there; never
-False where it may."""
+"""Whether a robot may be within so many metres of places (n, 2) after so many steps; never False if
+it may."""
 
 
 def best_margins_by_step(
@@ -192,16 +203,15 @@ def best_margins_by_step(
     clearance: float,
     may_reach: MayReach | None = None,
 ) -> tuple[float, ...]:
-    """Largest connectivity margin (dB) over the places within reach by each of some steps.
+    """Return the largest connectivity margin (dB) over the places within reach by each step.
 
-    One grid serves all steps, so that more time never gives a worse place, unless the robot cannot
-    wait there.
+    One grid serves all steps, so that values never fall, unless the robot cannot wait.
     """
     radius = float(steps[-1]) * step_length_m
     spacing = step_length_m / (FINE_NODES if steps[-1] <= FINE_STEPS else COARSE_NODES)
     grid = grid_of(bounds_m, start_m, spacing, radius)
     from_start = np.linalg.norm(grid - start_m, axis=-1)
-    # A path may pass between nodes that are all a little too near to an obstacle, not through one.
+    # A path may pass between nodes that are all slightly too near to an obstacle.
     away = clearance_m(index, grid.reshape(-1, 2)).reshape(from_start.shape)
     passable = (away > 0.0) & (away >= clearance - spacing)
     passable |= from_start == 0.0
@@ -219,7 +229,7 @@ def best_margins_by_step(
         if may_reach is not None:
             within = reached(places)
             if not within.any():
-                # What it may reach lies between the nodes.
+                # The reachable set lies between the nodes.
                 within = (distance <= reach) & may_reach(places, int(step), spacing)
         here = float(np.max(margins[within], initial=-np.inf))
         if here < 0.0 and k < REFINED_STEPS:
@@ -255,7 +265,7 @@ def _refined(
     top_m: NDArray[np.float64],
     spacing_m: float,
 ) -> list[Places]:
-    """Places near the best nodes, on grids that grow finer."""
+    """Return places near the best nodes on finer grids."""
     found: list[Places] = []
     fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
@@ -279,57 +289,56 @@ SPACING_STEPS = 0.5
 MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Rows and columns to a node's neighbours, one of each pair: sixteen headings."""
 JOINING_SPACINGS = 1.5
-"""A place off the grid is joined to the nodes within this many spacings."""
+"""A position off the grid is joined to the nodes within this many spacings."""
 
 COARSE = 2
-"""Predictions are made at every so many-th row and column, and interpolated between."""
+"""Predictions are made at every second row and column, and interpolated between."""
 
 ContactAt = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
-"""From places (n, 2) to the share (n,) of a metre there that the outage price is charged on, and to
-the connectivity margin (n,) in dB."""
+"""From positions (n, 2) to the share (n,) of a metre that costs the outage price, and to the
+connectivity margin (n,) in dB."""
 
 
 @dataclass(frozen=True, eq=False)
 class GoalGrid:
-    """Places where a robot may be, and the moves between them; the goal is one of them."""
+    """Nodes and moves that keep the clearance; the goal is one of the nodes."""
 
     spacing_m: float  # Of the grid
     nodes_m: NDArray[np.float64]  # (n, 2)
     ends: NDArray[np.intp]  # (2, m) nodes that each move joins
     goal: int  # Number of the goal's node
     coarse_m: NDArray[np.float64]  # (c, 2) places of a coarser grid about them
-    # (n, 4) of which coarse places each node's value is the mean, and how weighted
+    # (n, 4) coarse places whose weighted mean is the value of each node
     corners: NDArray[np.intp]
     weights: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class GoalCosts:
-    """The costs of a grid by one belief."""
+    """Costs on a grid with one belief."""
 
-    share: NDArray[np.float64]  # (n,) of a metre at each node that the price is charged on
+    share: NDArray[np.float64]  # (n,) of a metre at each node that costs the price
     to_goal_m: NDArray[np.float64]  # (n,) cost of the cheapest path to the goal
     best_margin_db: float  # The largest connectivity margin found anywhere
 
 
 @dataclass(frozen=True)
 class PricedPath:
-    """The cost of a path with the rest of the way, and that of the cheapest found."""
+    """The cost of a path with its cost-to-go, and that of the cheapest path found."""
 
     cost_m: float  # Metres, those out of contact counted at the outage price
     best_m: float
-    # The cost of its first step, and that with the cheapest path from there less `best_m`
-    step_m: float
-    excess_m: float
+    step_m: float  # Cost of its first step
+    excess_m: float  # That and the cost-to-go from there, less `best_m`
 
     @property
     def is_compared(self) -> bool:
-        """Return whether the grid has paths from where the path begins and from where it ends."""
+        """Return whether the grid has paths from both ends of the path."""
         return max(self.cost_m, self.best_m) < np.inf
 
 
 def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
-    """Lay the grid through the goal; it stays the same for a whole run."""
+    """Return the grid through the goal, the same for a whole run."""
     spacing = SPACING_STEPS * problem.step_length_m
     goal = np.asarray(problem.goal_m)
     grid = grid_of(problem.workspace.bounds_m, goal, spacing)
@@ -348,7 +357,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
         both = (one >= 0) & (other >= 0)
         ends.append(np.stack([one[both], other[both]]))
     joined = np.concatenate(ends, axis=1)
-    # Midway between two places nothing is nearer than this.
+    # A lower bound of the clearance between two nodes.
     length = np.linalg.norm(nodes[joined[0]] - nodes[joined[1]], axis=1)
     least = 0.5 * (away[is_open][joined].sum(axis=0) - length)
     doubtful = np.flatnonzero(least < clearance + CLEARANCE_TOLERANCE_M)
@@ -363,7 +372,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
 def _coarser(
     grid: NDArray[np.float64], is_open: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
-    """Places of the coarser grid about open nodes, and how nodes interpolate between them."""
+    """Return places of the coarser grid about open nodes, and the weights of the nodes."""
     rows, columns = np.nonzero(is_open)
     last = (np.array(is_open.shape) - 1) // COARSE
     corners: list[NDArray[np.intp]] = []
@@ -371,7 +380,7 @@ def _coarser(
     for down in (0, 1):
         for right in (0, 1):
             row, column = rows // COARSE + down, columns // COARSE + right
-            # Beyond the last coarse row its value holds.
+            # Constant beyond the last coarse row.
             corners.append(np.minimum(row, last[0]) * (last[1] + 1) + np.minimum(column, last[1]))
             share_y, share_x = rows % COARSE / COARSE, columns % COARSE / COARSE
             by_y = share_y if down else 1.0 - share_y
@@ -383,7 +392,7 @@ def _coarser(
 
 
 def goal_costs(grid: GoalGrid, contact_at: ContactAt, price: float) -> GoalCosts:
-    """Cost of the cheapest path to the goal from every node of the grid."""
+    """Return the cost of the cheapest path to the goal from every node."""
     coarse, margin = contact_at(grid.coarse_m)
     share = (coarse[grid.corners] * grid.weights).sum(axis=1)
     one, other = grid.ends
@@ -406,10 +415,10 @@ def price_path(
     positions_m: NDArray[np.float64],
     share: NDArray[np.float64],
 ) -> PricedPath:
-    """Compare a path (N + 1, 2), its first place included, with the cheapest one from there."""
+    """Compare a path (N + 1, 2) with the cheapest one from its first position."""
 
     def rest_m(k: int) -> float:
-        """Cost of the cheapest path from the k-th place on."""
+        """Return the cost of the cheapest path from the k-th position."""
         away = np.linalg.norm(grid.nodes_m - positions_m[k], axis=1)
         near = np.flatnonzero(away <= JOINING_SPACINGS * grid.spacing_m)
         here = np.broadcast_to(positions_m[k], (len(near), 2))
@@ -422,6 +431,6 @@ def price_path(
     best = rest_m(0)
     step = float(lengths[:1].sum()) + price * charged_length_m(lengths[:1], share[:2])
     after = rest_m(min(1, len(lengths)))
-    # Where the grid has no path, there is nothing to exceed.
+    # Without a path there is nothing to exceed.
     excess = step + after - best if max(best, after) < np.inf else 0.0
     return PricedPath(driven + rest_m(len(positions_m) - 1), best, step, excess)

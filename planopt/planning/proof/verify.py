@@ -1,4 +1,12 @@
-"""Verify a plan: clearance, motion and connectivity, from the problem and the belief alone."""
+"""Verify a plan: clearance, motion and connectivity, from the problem and the belief alone.
+
+Nothing of the programme or the solvers is imported. A plan is verified if its swept path keeps the
+clearance, the workspace, its distance from everything that moves and the speed, and the rule of
+connectivity holds with the exact posterior and the current standard deviation. On the way to a goal
+a step may miss the bound if no path that the verifier finds is cheaper by more than a tolerance;
+for a sum of terms if no place within reach keeps it by then. With bounded slack there is no other
+excuse (:mod:`planopt.planning.proof.searches`).
+"""
 
 from __future__ import annotations
 
@@ -39,42 +47,36 @@ MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """From positions (n, 2) to margins (n,) in dB."""
 
 COST_TOLERANCE = 0.05
-"""By what share a plan may cost more than the cheapest path that the verifier finds; and all steps
-of a run, each by what was known then."""
+"""Share by which a plan, and all steps of a run, may cost more than the cheapest path found."""
 COST_LEEWAY_STEPS = 2.0
-"""And by so many longest steps out of contact, once for a plan and once for a run: steps end where
-they end, the grid is as it is."""
+"""Further allowance for the grid: so many longest steps out of contact, per plan and per run."""
 
 
 @dataclass(frozen=True)
 class StepsFinding:
-    """The findings on the bound on single steps; fields as in the certificate."""
+    """Findings on the bound on single steps; fields as in the certificate."""
 
-    relaxed_steps: tuple[int, ...] = ()  # As in :class:`planopt.planning.certificate.Certificate`
+    relaxed_steps: tuple[int, ...] = ()
     relaxation_db: tuple[float, ...] = ()
     best_margin_db: tuple[float, ...] = ()
     path_cost_m: float | None = None
     best_cost_m: float | None = None
-    step_cost_m: float | None = None  # As in :class:`planopt.planning.certificate.Certificate`
+    step_cost_m: float | None = None
     step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
-    rule: RuleResult | None = None  # None for the plain rule: at each step where possible
-    # Whether what it costs to miss the bound could be compared with anything
-    is_compared: bool = True
+    rule: RuleResult | None = None  # None for the default rule
+    is_compared: bool = True  # Whether the verifier has a path to compare the cost with
 
 
 def is_priced(problem: Problem) -> bool:
-    """Return whether single steps may miss the bound at a price, on the way to a goal.
-
-    A stated time is required by itself: the price is of metres, and a robot may wait in contact.
-    """
+    """Return whether single steps may miss the bound at a price."""
     return problem.task == "reach" and problem.constraints.rule.is_plain
 
 
 def verify_single_steps(
     context: VerifierContext, positions_m: NDArray[np.float64], power: Prediction
 ) -> StepsFinding:
-    """Verify the bound at those steps of a path (N + 1, 2) that it applies to."""
+    """Verify the bound at those steps of a path (N + 1, 2) that count."""
     problem = context.problem
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
@@ -137,7 +139,7 @@ def _result(
     asked: NDArray[np.bool_],
     relaxation_db: tuple[float, ...],
 ) -> RuleResult | None:
-    """Return how many of the steps asked for keep the bound; None for the plain rule."""
+    """Return how many of the steps that count keep the bound; None for the default rule."""
     rule = problem.constraints.rule
     if rule.is_plain:
         return None
@@ -148,7 +150,7 @@ def _result(
         float(asked.sum()),
         "steps",
         "p_min at each step asked for",
-        # What is missed where nothing keeps the bound is not slack, which was not allowed.
+        # Without allowed slack a miss is not slack.
         0.0 if rule.slack_max_db is None else max(relaxation_db, default=0.0),
     )
 
@@ -156,7 +158,7 @@ def _result(
 def _beyond_slack(
     problem: Problem, missed: NDArray[np.intp], relaxation_db: tuple[float, ...]
 ) -> list[str]:
-    """Object to steps that miss the bound by more than the slack."""
+    """Return reasons for steps that miss the bound by more than the slack."""
     limit = problem.constraints.rule.slack_max_db or 0.0
     return [
         f"connectivity at step {step} misses constraints.p_min {problem.constraints.p_min:g} by "
@@ -167,10 +169,7 @@ def _beyond_slack(
 
 
 def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple[PricedPath, float]:
-    """Return the cost of a path (N + 1, 2) with the rest of the way, and the cheapest found.
-
-    And the largest connectivity margin found in the workspace.
-    """
+    """Return the costs of a path (N + 1, 2), and the largest margin found in the workspace."""
     problem = context.problem
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
 
@@ -196,7 +195,7 @@ def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple
 def _too_dear(
     problem: Problem, history: History, priced: PricedPath, best_margin_db: float
 ) -> list[str]:
-    """Object to a path that costs too much, a run that has, or a bound that is met nowhere."""
+    """Return the reason if a path or the run costs too much, or the bound is met nowhere."""
     p_min, price = problem.constraints.p_min, problem.reach.outage_price
     if best_margin_db < -MARGIN_TOLERANCE_DB:
         return [
@@ -212,7 +211,7 @@ def _too_dear(
             f"{spent:.1f} m more than the cheapest paths found at objective.outage_price "
             f"{price:g}, {allowed:.1f} m are allowed"
         ]
-    # Where the grid has no path to compare with, nothing is objected to, and nothing proven.
+    # Without a path to compare with nothing is proven.
     within = priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway
     if within or not priced.is_compared:
         return []
@@ -224,7 +223,7 @@ def _too_dear(
 
 
 def _margins_of(context: VerifierContext) -> MarginAt:
-    """Connectivity margin by position, as searches look at it."""
+    """Return the connectivity margin by position, with the prediction of searches."""
     return partial(context.law.margin_db, predict=search_power)
 
 
@@ -244,10 +243,9 @@ class Judgement:
     certificate, verdict
         See their types.
     power
-        At every place of the path, the robot's own first; None if the path is not finite.
+        At every position of the path, the robot's first; None if the path is not finite.
     sound
-        Whether clearance, bounds, motion model and the distance from what moves are kept, whatever
-        connectivity is.
+        Whether clearance, bounds, motion model and distances from moving obstacles are kept.
     """
 
     certificate: Certificate
@@ -267,13 +265,13 @@ def verify(
     Parameters
     ----------
     context
-        The problem, the belief, the robot's state and everything else that is known.
+        Problem, belief, state, history and moving obstacles.
     positions_m
-        The planned path from the robot's position on.
+        The path from the robot's position on.
     kkt_residual
-        Passed on into the certificate.
+        Copied into the certificate.
     drive
-        How the robot drives along the path; None for the single integrator.
+        States and inputs along the path; None for the single integrator.
     """
     problem = context.problem
     if not np.isfinite(positions_m).all():
@@ -324,7 +322,7 @@ def verify(
 def _gets_nowhere(
     context: VerifierContext, positions_m: NDArray[np.float64], drive: Drive | None
 ) -> bool:
-    """Return whether a robot stands short of its goal, with nothing moving to wait for."""
+    """Return whether a robot stands still short of its goal, without moving obstacles."""
     problem = context.problem
     if problem.task != "reach" or len(context.moving) or is_at_goal(problem, positions_m[0]):
         return False

@@ -67,17 +67,6 @@ def test_an_edited_state_is_rejected(dynamics, row: int) -> None:
         assert verify_motion(problem, index, state, drive.positions_m, edited).reasons
 
 
-@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
-def test_another_start_is_rejected(dynamics) -> None:
-    """A drive from another state than the robot's, be it only its heading or velocity."""
-    problem, index, state, drive = scene(dynamics)
-    for column in range(len(state)):
-        moved = state.copy()
-        moved[column] += 1e-3
-        found = verify_motion(problem, index, moved, drive.positions_m, drive)
-        assert any("do not begin where the robot is" in reason for reason in found.reasons)
-
-
 @pytest.mark.parametrize(
     ("dynamics", "inputs"),
     [
@@ -95,14 +84,6 @@ def test_what_is_over_its_limit_is_rejected(dynamics, inputs) -> None:
     drive = rolled_out(dynamics, state, np.tile(inputs, (1, 1)), problem.planner.step_s)
     found = judged(problem, index, state, drive)
     assert any("over its limit" in reason for reason in found.reasons)
-
-
-def test_speed_of_a_double_integrator_is_limited() -> None:
-    """Allowed accelerations that add up to too much speed."""
-    problem, index, state, _ = scene(DOUBLE)
-    drive = rolled_out(DOUBLE, state, np.tile([0.0, -0.79], (3, 1)), problem.planner.step_s)
-    assert np.abs(drive.states[:, 2:]).max() > 2.0
-    assert any("over its limit" in r for r in judged(problem, index, state, drive).reasons)
 
 
 def test_the_way_of_stopping_must_be_clear() -> None:
@@ -128,25 +109,6 @@ def test_an_arc_into_a_corner_is_rejected_though_its_chord_is_clear() -> None:
     middle = np.array(WHEELS.step(tuple(state), (2.0, 0.9), 0.5)[:2])
     assert arc < np.abs(18.0 - drive.positions_m[:, 0]).min()
     assert arc <= 18.0 - middle[0]
-
-
-def test_missing_or_broken_drives_are_rejected() -> None:
-    """None, the wrong shape, or not finite: a reason, no exception."""
-    problem, index, state, drive = scene(DOUBLE)
-    path = drive.positions_m
-    states = drive.states.copy()
-    states[2, 3] = np.nan
-    for broken in (
-        None,
-        Drive(DOUBLE, drive.states[:-1], drive.inputs[:-1]),
-        Drive(DOUBLE, drive.states[:, :3], drive.inputs),
-        Drive(DOUBLE, drive.states, drive.inputs[:-1]),
-        Drive(DOUBLE, drive.states, drive.inputs[:, :1]),
-        Drive(DOUBLE, states, drive.inputs),
-    ):
-        found = verify_motion(problem, index, state, path, broken)
-        assert found.reasons
-        assert found.defect_m == np.inf
 
 
 def test_ways_outside_the_workspace_are_rejected() -> None:

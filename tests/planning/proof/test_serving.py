@@ -12,7 +12,6 @@ from scipy.special import ndtr
 from planopt.channel.belief import Belief
 from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
-from planopt.planning.history import History
 from planopt.planning.plan import Verdict
 from planopt.problems.constraints import ConnectivityRule
 from planopt.problems.problem import Problem
@@ -222,15 +221,3 @@ def test_slack_is_what_all_thresholds_must_be_lowered_by(name: str) -> None:
     for lowered, expected in ((slack + 0.01, Verdict.VERIFIED), (slack - 0.01, Verdict.VIOLATED)):
         lower = tuple(replace(r, threshold_dbm=r.threshold_dbm - lowered) for r in stations)
         assert judged(replace(strict, stations=lower), belief, path)[1] is expected
-
-
-def test_history_counts_with_several_stations() -> None:
-    """An average that the past has spoilt is missed."""
-    base, path = across()
-    problem = with_rule(base, 0.95, connectivity="average")
-    belief = belief_in(problem, POWERS)
-    under = known_in(problem, belief)
-    index = index_obstacles(problem.workspace)
-    under["history"] = History(steps=20)
-    found = verified(problem, index, belief.posterior, path[0], path, **under)
-    assert found.verdict is Verdict.VIOLATED

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import copy
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from motion_scene import DOUBLE, WHEELS, with_dynamics
-from terms_scene import LEARNING, TABLES, TRACKING, terms_problem
+from terms_scene import LEARNING, TABLES, TRACKING
 
-from planopt import check
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.solve import solve
 from planopt.problems.problem import Problem, problem_from_tables
 
 
@@ -68,89 +64,3 @@ def test_every_released_plan_is_sound(seed: int) -> None:
         assert plan.certificate.min_clearance_m >= problem.constraints.clearance_m - 1e-6
         if plan.verdict is not Verdict.VERIFIED:
             assert all("p_min" in reason for reason in plan.certificate.reasons)
-
-
-def pair() -> Problem:
-    """A double integrator and a unicycle that track."""
-    tables = copy.deepcopy(TABLES)
-    tables["objective"] = {"terms": [TRACKING]}
-    tables["problem"]["task"] = "track"
-    tables["targets"] = [{"start_m": [14.0, 18.0], "velocity_m_s": [0.9, 0.2]}]
-    tables["robots"] = [
-        {"name": "heavy", "start_m": [10.0, 15.0], "speed_max_m_s": 2.0}
-        | {"dynamics": "double_integrator", "acceleration_max_m_s2": 0.8},
-        {"name": "wheels", "start_m": [30.0, 10.0], "speed_max_m_s": 2.0}
-        | {"dynamics": "unicycle", "turn_rate_max_rad_s": 1.0},
-        {"name": "free", "start_m": [8.0, 30.0], "speed_max_m_s": 2.0},
-    ]
-    tables["planner"] |= {"horizon": 3, "max_steps": 3}
-    return problem_from_tables(tables, folder=Path(), file=None)
-
-
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Plans and a run of the pair, saved."""
-    folders = {name: tmp_path_factory.mktemp(name) for name in ("plan", "run")}
-    solve(pair(), seed=2).save(folders["plan"])
-    simulate(pair(), seed=2).save(folders["run"])
-    return folders
-
-
-@pytest.mark.parametrize("name", ["plan", "run"])
-def test_saved_results_are_judged_again(saved, name: str) -> None:
-    """As they are, they are verified."""
-    result = check(saved[name])
-    assert result.reasons == ()
-    assert result.verdict is Verdict.VERIFIED
-
-
-MOTION = (
-    "velocity_x_m_s,velocity_y_m_s,acceleration_x_m_s2,acceleration_y_m_s2,heading_rad,"
-    "speed_m_s,turn_rate_rad_s"
-)
-
-
-@pytest.mark.parametrize("name", ["plan", "run"])
-@pytest.mark.parametrize("column", MOTION.split(","))
-def test_an_edited_cell_is_rejected(saved, tmp_path: Path, name: str, column: str) -> None:
-    """A thousandth more in any column of states and inputs."""
-    for file in saved[name].iterdir():
-        (tmp_path / file.name).write_bytes(file.read_bytes())
-    table = tmp_path / "steps.csv"
-    header, *rows = (line.split(",") for line in table.read_text().splitlines())
-    at = header.index(column)
-    row = next(row for row in rows if row[1] == "2" and row[at])
-    row[at] = repr(float(row[at]) + 1e-3)
-    table.write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
-    result = check(tmp_path)
-    assert result.verdict is Verdict.VIOLATED
-    assert result.reasons
-
-
-@pytest.mark.parametrize("key", ["velocity_y_m_s", "acceleration_x_m_s2"])
-def test_an_edited_plan_of_a_run_is_rejected(saved, tmp_path: Path, key: str) -> None:
-    """States and inputs of released plans, too."""
-    for file in saved["run"].iterdir():
-        (tmp_path / file.name).write_bytes(file.read_bytes())
-    data = json.loads((tmp_path / "run.json").read_text())
-    data["plans"][0]["released"][1]["drive"][key][2] += 1e-3
-    (tmp_path / "run.json").write_text(json.dumps(data))
-    result = check(tmp_path)
-    assert result.verdict is Verdict.VIOLATED
-    assert any("do not lead from state to state" in reason for reason in result.reasons)
-
-
-def test_files_of_single_integrators_are_as_they_were(tmp_path: Path) -> None:
-    """No column and no key more."""
-    solve(terms_problem(TRACKING, horizon=2)).save(tmp_path)
-    assert (tmp_path / "steps.csv").read_text().splitlines()[0].endswith(",rung,verdict")
-    assert "drive" not in (tmp_path / "plan.json").read_text()
-
-
-@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
-def test_same_seed_same_run(dynamics) -> None:
-    """Bit for bit."""
-    problem = with_dynamics(terms_problem(TRACKING, horizon=3, max_steps=3), dynamics)
-    first, second = (simulate(problem, seed=1) for _ in range(2))
-    assert np.array_equal(first.runs[0].log.positions_m, second.runs[0].log.positions_m)
-    assert np.array_equal(first.runs[0].drive.inputs, second.runs[0].drive.inputs)

@@ -1,6 +1,5 @@
 """Robots of a team that count what the others measure, and rounds that never make it worse."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -104,42 +103,6 @@ def test_joint_runs_are_judged_from_their_files(terms, tmp_path: Path):
     simulate(problem, seed=2).save(tmp_path / "run")
     assert check(tmp_path / "plan").reasons == ()
     assert check(tmp_path / "run").reasons == ()
-
-
-def test_decoupled_robots_are_told_nothing():
-    """The plan of the second robot is the one that it makes alone."""
-    decoupled = solve(team(MAPPING, count=2, coordination="decoupled"), seed=1)
-    problem = team(MAPPING, count=2)
-    alone = solve(replace(problem, robots=problem.robots[1:]), seed=1)
-    np.testing.assert_array_equal(decoupled.plans[1].positions_m, alone.plans[0].positions_m)
-    assert not decoupled.aims[1].pending.planned_m
-
-
-@pytest.mark.parametrize("name", ["plan", "run"])
-def test_told_plans_must_be_those_of_other_robots(name, tmp_path: Path):
-    """Places that nobody planned would let a robot claim any value: they are rejected."""
-    problem = team(MAPPING, count=2)
-    if name == "plan":
-        solve(problem, seed=2).save(tmp_path)
-    else:
-        simulate(problem, seed=2).save(tmp_path)
-    file = tmp_path / f"{name}.json"
-    data = json.loads(file.read_text())
-    robots = data["robots"] if name == "plan" else data["plans"][1]["released"]
-    told = [robot["aim"] for robot in robots if robot["aim"].get("pending_m")]
-    told[0]["pending_m"][0][-1][0] += 0.01
-    file.write_text(json.dumps(data))
-    assert any("key digest" in reason for reason in check(tmp_path).reasons)
-
-
-def test_robots_cannot_have_been_told_less(tmp_path: Path):
-    """The second robot of two was told the first one's plan: a file without it is rejected."""
-    solve(team(MAPPING, count=2), seed=2).save(tmp_path)
-    file = tmp_path / "plan.json"
-    data = json.loads(file.read_text())
-    del data["robots"][1]["aim"]["pending_m"]
-    file.write_text(json.dumps(data))
-    assert any("key digest" in reason for reason in check(tmp_path).reasons)
 
 
 def test_a_verified_plan_replaces_one_that_is_not():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from team_scene import two_trackers
-from terms_scene import LEARNING, TRACKING, terms_problem
 
 from planopt.planning.files.result_json import solution_json
 from planopt.planning.loop.closed_loop import simulate
@@ -52,20 +51,3 @@ def test_the_verdict_is_the_worst() -> None:
     assert solution.verdict is Verdict.VIOLATED
     data = solution_json(solution)
     assert data["verdict"] == "violated" and data["message"].startswith("robot: ")
-
-
-@pytest.mark.parametrize("term", [TRACKING, LEARNING])
-def test_what_the_polish_gains_is_not_negative(term: dict) -> None:
-    """More of a value is better, and the guard releases nothing worse than the start."""
-    plan = solve(terms_problem(term, horizon=3)).plans[0]
-    assert plan.sense == "max"
-    assert plan.gain == plan.objective - plan.lattice_objective >= 0.0
-    assert plan.polish_gain == plan.gain / abs(plan.lattice_objective)
-
-
-def test_the_log_counts_gains_the_same_way() -> None:
-    """Logged gains are those of the plans."""
-    run = simulate(terms_problem(TRACKING, horizon=3, max_steps=2))
-    gains = [plan.gain for plan in run.plans[0]]
-    assert run.runs[0].log.polish_gain_s.tolist() == [0.0, *gains]
-    assert run.metrics["polish_gain"] >= 0.0

@@ -14,7 +14,6 @@ from planopt.channel.connectivity_law import serving_power_dbm
 from planopt.channel.ground_truth import true_power_dbm
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.solve import solve
 
 
 def connected(path: Any) -> Any:
@@ -55,10 +54,3 @@ def test_a_run_is_verified_and_judged_again(case: str, tmp_path: Path) -> None:
     arrays["stations[1].power_dbm"][-1] += 0.5
     np.savez_compressed(tmp_path / BELIEF_FILE, **arrays)
     assert any("stations[1].power_dbm" in reason for reason in check(tmp_path).reasons)
-
-
-def test_plans_are_judged_again(tmp_path: Path) -> None:
-    """From one belief of both stations."""
-    problem = terms_problem(TRACKING, stations=2, horizon=3, p_min=0.8)
-    solve(problem, seed=2).save(tmp_path)
-    assert check(tmp_path).reasons == ()

@@ -291,7 +291,7 @@ def optima(first_seed: int, scenes: int, lloyd_runs: int) -> list[float]:
         density = UniformDensity()
         if seed % 4 == 0:
             means = SIDE_M * (0.2 + 0.6 * generator.random((2, 2)))
-            density = GaussianMixture(np.ones(2), means, np.array([np.eye(2) * 900.0] * 2), 1e-5)
+            density = GaussianMixture(np.ones(2), means, np.full(2, 30.0), 1e-5)
         ground = ConvexGround(convex_region(hull), density)
         count = int(generator.integers(6, 17))
         costs: list[float] = []

@@ -1,9 +1,9 @@
-"""Densities, the weight of each place of a region: uniform, smooth by quadrature, or on a grid.
+"""Densities over a region: uniform, smooth by quadrature, or on a grid.
 
-A density is anything with the two methods of :class:`Density`. Densities on a grid are integrated
-exactly: Green's theorem turns an integral over a cell into one along its boundary,
-``integral of rho dA = contour integral of F dy`` with ``F(x, y)`` the integral of rho along x from
-the left edge. Boundaries are cut where they cross the grid, F is a polynomial on each part.
+Densities on a grid are integrated exactly: Green's theorem turns an integral over a cell into one
+along its boundary, ``integral of rho dA = contour integral of F dy`` with ``F(x, y)`` the integral
+of rho along x from the left edge. Boundaries are cut where they cross the grid; F is a polynomial
+on each part.
 """
 
 from __future__ import annotations
@@ -15,16 +15,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.voronoi import Boundary, ConvexRegion, Moments, positive, region_boundary
+from planopt.coverage.voronoi import Boundary, ConvexRegion, Moments, region_boundary
 from planopt.errors import InputError
 from planopt.world.raster import Raster
 
+Floats = NDArray[np.float64]
+
 NODES = 6
 """Gauss points along either side of a patch."""
-
-PATCH_SHARE = 1.0
-"""Patches for a Gaussian mixture are at most this share of the least standard deviation wide: six
-points then leave a relative error below 1e-9."""
 
 MAX_PATCHES = 2_000_000
 """More patches take minutes and gigabytes: the resolution is a mistake."""
@@ -33,8 +31,8 @@ MAX_PATCHES = 2_000_000
 class Density(Protocol):
     """A non-negative weight per square metre."""
 
-    def at(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the density at places ``(m, 2)``; (m,)."""
+    def at(self, places_m: Floats) -> Floats:
+        """Return the density at positions ``(m, 2)``; (m,)."""
         ...
 
     def moments(self, boundary: Boundary) -> Moments:
@@ -46,13 +44,10 @@ class Density(Protocol):
 class UniformDensity:
     """The same weight everywhere; its moments are closed forms."""
 
-    weight_per_m2: float = 1.0  # The weight, more than 0
+    weight_per_m2: float = 1.0
 
-    def __post_init__(self) -> None:
-        positive(self.weight_per_m2, "density.weight_per_m2")
-
-    def at(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the weight for each place ``(m, 2)``; (m,)."""
+    def at(self, places_m: Floats) -> Floats:
+        """Return the weight for each position ``(m, 2)``; (m,)."""
         return np.full(len(places_m), self.weight_per_m2)
 
     def moments(self, boundary: Boundary) -> Moments:
@@ -84,29 +79,19 @@ UNIFORM = UniformDensity()
 class CallableDensity:
     """Any smooth density, integrated by Gauss quadrature over patches of the cells."""
 
-    # Takes places (m, 2) and returns their densities (m,), none negative
-    density: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    density: Callable[[Floats], Floats]  # From positions (m, 2) to densities (m,), none negative
     resolution_m: float  # The density is close to a polynomial of degree 10 over this length
 
-    def __post_init__(self) -> None:
-        positive(self.resolution_m, "density.resolution_m")
-
-    def at(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the density at places ``(m, 2)``; (m,)."""
+    def at(self, places_m: Floats) -> Floats:
+        """Return the density at positions ``(m, 2)``; (m,)."""
         values = np.asarray(self.density(places_m), dtype=np.float64)
-        if values.shape != (len(places_m),):
+        shape = (len(places_m),)
+        if values.shape != shape or not (np.isfinite(values) & (values >= 0.0)).all():
             raise InputError(
-                f"the density returns shape {values.shape} for {len(places_m)} places",
+                f"the density of {len(places_m)} positions has shape {values.shape}, or values "
+                "that are negative or not finite",
                 key="density",
-            )
-        wrong = ~(np.isfinite(values) & (values >= 0.0))
-        if wrong.any():
-            which = int(wrong.argmax())
-            x, y = places_m[which]
-            raise InputError(
-                f"the density at ({x:g}, {y:g}) is {values[which]:g}",
-                key="density",
-                remedy="densities are finite and at least 0",
+                remedy=f"return finite values of shape {shape}, 0 or more",
             )
         return values
 
@@ -117,53 +102,32 @@ class CallableDensity:
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
-    """A sum of Gaussian bumps."""
+    """A sum of round Gaussian bumps."""
 
-    # (c,) mass of each bump over the whole plane, none negative, one positive
-    weights: NDArray[np.float64]
-    means_m: NDArray[np.float64]  # (c, 2) their centres
-    covariances_m2: NDArray[np.float64]  # (c, 2, 2) their covariances, positive definite
+    weights: Floats  # (c,) mass of each bump over the whole plane, none negative, one positive
+    means_m: Floats  # (c, 2)
+    stds_m: Floats  # (c,)
     floor_per_m2: float = 0.0  # Uniform density that is added
-    _whitening: NDArray[np.float64] = field(init=False, repr=False)
-    _least_std_m: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        count = len(self.weights)
-        shapes = np.shape(self.weights), np.shape(self.means_m), np.shape(self.covariances_m2)
-        if shapes != ((count,), (count, 2), (count, 2, 2)) or not count:
-            raise InputError(
-                f"weights, means and covariances have the shapes {shapes}", key="density"
-            )
-        weights = np.asarray(self.weights, dtype=np.float64)
-        if not np.isfinite(weights).all() or (weights < 0.0).any() or not (weights > 0.0).any():
-            raise InputError("weights are finite, at least 0, and not all 0", key="density.weights")
-        if not np.isfinite(self.means_m).all():
-            raise InputError("a mean is not finite", key="density.means_m")
-        positive(self.floor_per_m2, "density.floor_per_m2", zero=True)
-        covariances = np.asarray(self.covariances_m2, dtype=np.float64)
-        even = np.isfinite(covariances).all() and np.allclose(
-            covariances, np.swapaxes(covariances, 1, 2)
-        )
-        eigenvalues = np.linalg.eigvalsh(covariances) if even else np.zeros(1)
-        if not eigenvalues.min() > 0.0:
-            raise InputError(
-                "a covariance is not symmetric positive definite", key="density.covariances_m2"
-            )
-        object.__setattr__(self, "_whitening", np.linalg.inv(np.linalg.cholesky(covariances)))
-        object.__setattr__(self, "_least_std_m", float(np.sqrt(eigenvalues.min())))
+        if not self.weights.any():
+            raise InputError("weights are not all 0", key="density.weights")
 
-    def at(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the density at places ``(m, 2)``; (m,)."""
+    def at(self, places_m: Floats) -> Floats:
+        """Return the density at positions ``(m, 2)``; (m,)."""
         values = np.full(len(places_m), self.floor_per_m2)
-        for weight, mean, white in zip(self.weights, self.means_m, self._whitening, strict=True):
-            offset = (places_m - mean) @ white.T
-            height = weight * abs(white[0, 0] * white[1, 1]) / (2.0 * np.pi)
+        for weight, mean, std in zip(self.weights, self.means_m, self.stds_m, strict=True):
+            offset = (places_m - mean) / std
+            height = weight / (2.0 * np.pi * std**2)
             values += height * np.exp(-0.5 * (offset * offset).sum(axis=1))
         return values
 
     def moments(self, boundary: Boundary) -> Moments:
-        """Return integrals over patches that are narrow against the narrowest bump."""
-        return fan_moments(self.at, boundary, PATCH_SHARE * self._least_std_m)
+        """Return integrals over patches of the narrowest bump's standard deviation.
+
+        Six points then leave a relative error below 1e-9.
+        """
+        return fan_moments(self.at, boundary, float(self.stds_m.min()))
 
 
 def checked_mass(region: ConvexRegion, density: Density) -> float:
@@ -179,7 +143,7 @@ def checked_mass(region: ConvexRegion, density: Density) -> float:
 
 
 def fan_moments(
-    density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    density: Callable[[Floats], Floats],
     boundary: Boundary,
     patch_m: float,
 ) -> Moments:
@@ -203,8 +167,7 @@ def fan_moments(
     piece = np.repeat(np.arange(len(u)), counts)
     number = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
     column, row = np.divmod(number, out[piece].astype(np.intp))
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
+    nodes, weights = _gauss(NODES)
     t = (column[:, None] + nodes) / along[piece, None]
     s = (row[:, None] + nodes) / out[piece, None]
     rays, stretch = _rays(u[piece], v[piece], angle[piece], t)
@@ -225,12 +188,12 @@ def fan_moments(
 
 
 def _rays(
-    u: NDArray[np.float64],
-    v: NDArray[np.float64],
-    angle: NDArray[np.float64],
-    t: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places (p, k, 2) on pieces at shares `t` (p, k), and twice the area a unit of `t` sweeps."""
+    u: Floats,
+    v: Floats,
+    angle: Floats,
+    t: Floats,
+) -> tuple[Floats, Floats]:
+    """Return points (p, k, 2) on pieces at shares `t` (p, k), and twice the area swept per unit."""
     rays = u[:, None] + t[..., None] * (v - u)[:, None]
     stretch = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     arcs = np.flatnonzero(angle)
@@ -241,7 +204,7 @@ def _rays(
     return rays, stretch
 
 
-def _summed(boundary: Boundary, *values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def _summed(boundary: Boundary, *values: Floats) -> list[Floats]:
     """Sum values (e,) of pieces by cell; (g,) each."""
     count = len(boundary.centres_m)
     sums = (np.bincount(boundary.cell, value, minlength=count) for value in values)
@@ -263,8 +226,8 @@ class RasterDensity:
     """A density that is constant on each cell of a raster and zero outside it."""
 
     raster: Raster  # Values per square metre, finite, none negative, one positive
-    _edges: tuple[NDArray[np.float64], NDArray[np.float64]] = field(init=False, repr=False)
-    _running: NDArray[np.float64] = field(init=False, repr=False)
+    _edges: tuple[Floats, Floats] = field(init=False, repr=False)
+    _running: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         values = self.raster.values
@@ -289,13 +252,13 @@ class RasterDensity:
         object.__setattr__(self, "_running", running)
 
     @property
-    def _middle_m(self) -> NDArray[np.float64]:
-        """Middle of the raster (2,): coordinates around it cost no precision."""
+    def _middle_m(self) -> Floats:
+        """Return the middle of the raster (2,): coordinates around it cost no precision."""
         x, y = self.raster.x_m, self.raster.y_m
         return 0.5 * np.array([x[0] + x[-1], y[0] + y[-1]])
 
-    def at(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the density at places ``(m, 2)``; (m,)."""
+    def at(self, places_m: Floats) -> Floats:
+        """Return the density at positions ``(m, 2)``; (m,)."""
         ix, iy = self._cells(places_m - self._middle_m)
         inside = (ix >= 0) & (iy >= 0) & (ix < len(self.raster.x_m)) & (iy < len(self.raster.y_m))
         values = np.zeros(len(places_m))
@@ -328,12 +291,10 @@ class RasterDensity:
         second += mass * (centres * centres).sum(axis=1)
         return Moments(mass, about - mass[:, None] * centres, second)
 
-    def _along_lines(
-        self, start: NDArray[np.float64], end: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Contour integrals (5, e) along straight pieces from ends (e, 2) about the middle."""
+    def _along_lines(self, start: Floats, end: Floats) -> Floats:
+        """Return contour integrals (5, e) along straight pieces between ends (e, 2)."""
         along = end - start
-        cuts: list[tuple[NDArray[np.intp], NDArray[np.float64]]] = []
+        cuts: list[tuple[NDArray[np.intp], Floats]] = []
         for axis, edges in enumerate(self._edges):
             piece, line = _between(edges, start[:, axis], end[:, axis])
             cuts.append((piece, (edges[line] - start[piece, axis]) / along[piece, axis]))
@@ -346,11 +307,11 @@ class RasterDensity:
 
     def _along_arcs(
         self,
-        centre: NDArray[np.float64],
-        start: NDArray[np.float64],
-        angle: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Contour integrals (5, e) along arcs about centres (e, 2) from offsets (e, 2)."""
+        centre: Floats,
+        start: Floats,
+        angle: Floats,
+    ) -> Floats:
+        """Return contour integrals (5, e) along arcs about centres (e, 2) from offsets (e, 2)."""
         radius = np.hypot(start[:, 0], start[:, 1])
         begin = np.arctan2(start[:, 1], start[:, 0])
         even = np.ceil(angle / ARC_TURN)
@@ -376,10 +337,10 @@ class RasterDensity:
     def _summed(
         self,
         piece: NDArray[np.intp],
-        places: NDArray[np.float64],
-        rise: NDArray[np.float64],
+        places: Floats,
+        rise: Floats,
         count: int,
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Sum F dy over points (p, k, 2) of parts with steps dy (p, k) by piece; (5, count).
 
         The rows are of the density times 1, x, y, x^2 and y^2.
@@ -407,22 +368,22 @@ class RasterDensity:
             row_of_sums += np.bincount(piece, along, minlength=count)
         return sums
 
-    def _cells(self, places: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Column and row of places (m, 2) about the middle; beyond the grid outside its range."""
+    def _cells(self, places: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return columns and rows of positions (m, 2), out of range beyond the grid."""
         x, y = self._edges
         ix = np.searchsorted(x, places[:, 0], side="right") - 1
         iy = np.searchsorted(y, places[:, 1], side="right") - 1
         return ix, iy
 
 
-def _gauss(nodes: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points and weights of Gauss quadrature over [0, 1]."""
+def _gauss(nodes: int) -> tuple[Floats, Floats]:
+    """Return points and weights of Gauss quadrature over [0, 1]."""
     points, weights = np.polynomial.legendre.leggauss(nodes)
     return 0.5 * (points + 1.0), 0.5 * weights
 
 
 def _between(
-    edges: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
+    edges: Floats, start: Floats, end: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the grid lines (l,) strictly between pairs of coordinates (e,): pair and line."""
     low, high = np.minimum(start, end), np.maximum(start, end)
@@ -434,9 +395,9 @@ def _between(
 
 
 def _parts(
-    count: int, cuts: list[tuple[NDArray[np.intp], NDArray[np.float64]]]
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-    """Cut pieces at shares in [0, 1]: each part's piece, and where it begins and ends on it."""
+    count: int, cuts: list[tuple[NDArray[np.intp], Floats]]
+) -> tuple[NDArray[np.intp], Floats, Floats]:
+    """Cut pieces at shares in [0, 1]; return each part's piece, and where it begins and ends."""
     every = np.arange(count)
     piece = np.concatenate((every, every, *(c[0] for c in cuts)))
     share = np.concatenate((np.zeros(count), np.ones(count), *(c[1] for c in cuts)))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.voronoi import ConvexRegion, positive
+from planopt.coverage.voronoi import ConvexRegion
 from planopt.errors import InputError
 
 GRID = 48
@@ -45,11 +45,6 @@ class EventSensor:
     noise_std: float  # Standard deviation of the Gaussian noise, in the signal's unit
     strength: float  # Factor K; estimators may treat it as unknown
     scale_m: float = 1.0  # Distance at which half of the signal is left
-
-    def __post_init__(self) -> None:
-        positive(self.noise_std, "sensor.noise_std")
-        positive(self.strength, "sensor.strength")
-        positive(self.scale_m, "sensor.scale_m")
 
     def profile(self, distance_m: Floats) -> Floats:
         """Return F at distances; of the same shape."""

@@ -202,7 +202,7 @@ def _levels(ground: ConvexGround) -> tuple[Floats, Floats]:
             one = GaussianMixture(
                 density.weights[[number]],
                 density.means_m[[number]],
-                density.covariances_m2[[number]],
+                density.stds_m[[number]],
             )
             bump = one.at(places).reshape(LEVELS + 1, LEVELS + 1)
             along = np.minimum(bump[:, 1:], bump[:, :-1])

@@ -8,7 +8,6 @@ arrays and clipped together.
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -23,6 +22,8 @@ from scipy.spatial import KDTree
 
 from planopt.errors import InputError
 
+Floats = NDArray[np.float64]
+
 ON_BORDER = 1e-9
 """A place this far outside, as a share of the region's radius, counts as on the border."""
 
@@ -35,24 +36,24 @@ class ConvexRegion:
     """A bounded convex polygon without obstacles; :func:`convex_region` builds it."""
 
     # (k, 2) corners, counter-clockwise, not closed, none of them collinear
-    corners_m: NDArray[np.float64]
+    corners_m: Floats
     # (k, 2) outward unit normals of the sides that start at those corners
-    normals: NDArray[np.float64]
-    offsets_m: NDArray[np.float64]  # (k,): the region is where normals @ q <= offsets_m
-    centre_m: NDArray[np.float64]  # (2,) centre of the bounding box
+    normals: Floats
+    offsets_m: Floats  # (k,): the region is where normals @ q <= offsets_m
+    centre_m: Floats  # (2,) centre of the bounding box
     radius_m: float  # Largest distance of a corner from the centre
     area_m2: float  # Area
 
-    def excess_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def excess_m(self, places_m: Floats) -> Floats:
         """Return how far places ``(n, 2)`` are beyond the worst side; (n,), at most 0 inside."""
         return (places_m @ self.normals.T - self.offsets_m).max(axis=1)
 
-    def contains(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def contains(self, places_m: Floats) -> NDArray[np.bool_]:
         """Return whether places ``(n, 2)`` are inside or on the border; (n,)."""
         return self.excess_m(places_m) <= ON_BORDER * self.radius_m
 
 
-def convex_region(polygon: shapely.Polygon | NDArray[np.float64]) -> ConvexRegion:
+def convex_region(polygon: shapely.Polygon | Floats) -> ConvexRegion:
     """Check a polygon and prepare it as a region to cover."""
     checked = checked_polygon(polygon)
     hull = checked.convex_hull
@@ -73,12 +74,12 @@ def convex_region(polygon: shapely.Polygon | NDArray[np.float64]) -> ConvexRegio
     return ConvexRegion(corners, normals, offsets, centre, radius, float(hull.area))
 
 
-def checked_polygon(polygon: shapely.Polygon | NDArray[np.float64]) -> shapely.Polygon:
+def checked_polygon(polygon: shapely.Polygon | Floats) -> shapely.Polygon:
     """Return a valid polygon with an area."""
-    if isinstance(polygon, shapely.Polygon):
-        coordinates = np.asarray(shapely.get_coordinates(polygon), dtype=np.float64)
-    else:
-        coordinates = np.asarray(polygon, dtype=np.float64)
+    whole = isinstance(polygon, shapely.Polygon)
+    coordinates = np.asarray(
+        shapely.get_coordinates(polygon) if whole else polygon, dtype=np.float64
+    )
     if coordinates.ndim != 2 or coordinates.shape[1] != 2 or len(coordinates) < 3:
         raise InputError(
             f"an outline of shape {coordinates.shape} is not a polygon",
@@ -87,7 +88,7 @@ def checked_polygon(polygon: shapely.Polygon | NDArray[np.float64]) -> shapely.P
         )
     if not np.isfinite(coordinates).all():
         raise InputError("a corner of the region is not finite", key="world.outline_m")
-    candidate = polygon if isinstance(polygon, shapely.Polygon) else shapely.Polygon(coordinates)
+    candidate = polygon if whole else shapely.Polygon(coordinates)
     if not shapely.is_valid(candidate):
         raise InputError(
             f"the region's outline is not simple: {shapely.is_valid_reason(candidate)}",
@@ -100,40 +101,13 @@ def checked_polygon(polygon: shapely.Polygon | NDArray[np.float64]) -> shapely.P
     return candidate
 
 
-def checked_places(
-    region: ConvexRegion, places_m: NDArray[np.float64], key: str
-) -> NDArray[np.float64]:
-    """Return finite places ``(n, 2)`` of the region, n at least 1."""
-    places = np.asarray(places_m, dtype=np.float64)
-    if places.ndim != 2 or places.shape[1] != 2 or not len(places):
-        raise InputError(
-            f"places of shape {places.shape} are given", key=key, remedy="give an array (n, 2)"
-        )
-    finite = np.asarray(np.isfinite(places).all(axis=1))
-    outside = ~finite
-    outside[finite] = ~region.contains(places[finite])
-    if outside.any():
-        which = int(outside.argmax())
-        x, y = places[which]
-        raise InputError(f"({x:g}, {y:g}) is not in the region", key=f"{key}[{which}]")
-    return places
-
-
-def nearest_places(area: shapely.Polygon, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_places(area: shapely.Polygon, places_m: Floats) -> Floats:
     """Return the positions in an area that are nearest to positions ``(k, 2)``."""
     links = shapely.shortest_line(area, shapely.points(places_m))  # pyright: ignore[reportUnknownMemberType]
     return np.asarray(shapely.get_coordinates(links), dtype=np.float64)[::2]
 
 
-def positive(value: float, key: str, *, zero: bool = False) -> float:
-    """Return a finite number above zero, or from zero on."""
-    if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not zero):
-        least = "0 or more" if zero else "more than 0"
-        raise InputError(f"{value!r} is out of range", key=key, remedy=f"give {least}")
-    return value
-
-
-def _corners(ring: NDArray[np.float64]) -> NDArray[np.float64]:
+def _corners(ring: Floats) -> Floats:
     """Drop collinear vertices of a convex ring ``(k, 2)`` and order it counter-clockwise."""
     before, after = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
     turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -154,17 +128,17 @@ class Polygons:
     """Convex polygons in flat arrays."""
 
     # (v, 2) corners of all polygons, one polygon after the other, each counter-clockwise
-    corners_m: NDArray[np.float64]
+    corners_m: Floats
     first: NDArray[np.intp]  # (g + 1,): polygon i has the corners first[i] to first[i + 1] - 1
 
     @property
     def polygon_of(self) -> NDArray[np.intp]:
-        """Number of the polygon of each corner; (v,)."""
+        """Return the number of the polygon of each corner; (v,)."""
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     @property
     def following(self) -> NDArray[np.intp]:
-        """Number of the corner after each corner, round its polygon; (v,)."""
+        """Return the number of the corner after each corner, round its polygon; (v,)."""
         after = np.arange(1, len(self.corners_m) + 1)
         begun = np.diff(self.first) > 0
         after[self.first[1:][begun] - 1] = self.first[:-1][begun]
@@ -179,7 +153,7 @@ class Cells:
     """
 
     region: ConvexRegion  # What is partitioned
-    generators_m: NDArray[np.float64]  # (g, 2) distinct places of agents
+    generators_m: Floats  # (g, 2) distinct places of agents
     cell_of: NDArray[np.intp]  # (n,) number of each agent's cell
     multiplicity: NDArray[np.intp]  # (g,) how many agents share the cell
     inside: Polygons  # The cells within the region
@@ -187,23 +161,26 @@ class Cells:
     # centre is the origin, the radius is 1
     unclipped: Polygons
 
-    def corners_of(self, agent: int) -> NDArray[np.float64]:
+    def corners_of(self, agent: int) -> Floats:
         """Return the corners ``(k, 2)`` of one agent's cell, counter-clockwise."""
         cell = self.cell_of[agent]
         return self.inside.corners_m[self.inside.first[cell] : self.inside.first[cell + 1]]
 
 
-def voronoi_cells(region: ConvexRegion, agents_m: NDArray[np.float64]) -> Cells:
-    """Partition a region among agents: each cell is what is nearest to its generator.
+def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
+    """Partition a region among agents ``(n, 2)``: each cell is nearest to its generator.
 
-    The cost grows as n log n.
+    The computing time grows as n log n.
     """
-    # Shapes: agents_m (n, 2).
-    places = checked_places(region, agents_m, "agents")
-    generators, cell_of = merge_coincident(places, COINCIDENT * region.radius_m)
+    outside = np.flatnonzero(~region.contains(agents_m))
+    if len(outside):
+        x, y = agents_m[outside[0]]
+        raise InputError(f"({x:g}, {y:g}) is not in the region", key=f"agents[{outside[0]}]")
+    generators, cell_of = merge_coincident(agents_m, COINCIDENT * region.radius_m)
     # Around the centre and scaled, so that large coordinates cost no precision.
     unclipped = _diagram((generators - region.centre_m) / region.radius_m)
-    clipped = _clipped(unclipped, *_scaled_sides(region))
+    offsets = (region.offsets_m - region.normals @ region.centre_m) / region.radius_m
+    clipped = _clipped(unclipped, region.normals, offsets)
     return Cells(
         region,
         generators,
@@ -225,8 +202,11 @@ def adjacent_cells(cells: Cells) -> NDArray[np.intp]:
     one, other = order[:-1][same], order[1:][same]
     owner = diagram.polygon_of
     pair = np.sort(np.stack((owner[one], owner[other]), axis=1), axis=1)
-    ends = np.stack((start[one], stop[one]), axis=1)
-    return pair[_crosses(ends, *_scaled_sides(cells.region))]
+    region = cells.region
+    scaled = shapely.Polygon((region.corners_m - region.centre_m) / region.radius_m)
+    shapely.prepare(scaled)
+    edges = shapely.linestrings(np.stack((start[one], stop[one]), axis=1))
+    return pair[shapely.intersects(scaled, edges)]
 
 
 def agent_neighbours(cells: Cells) -> NDArray[np.intp]:
@@ -249,9 +229,7 @@ def agent_neighbours(cells: Cells) -> NDArray[np.intp]:
     return np.sort(np.array(linked, dtype=np.intp).reshape(-1, 2), axis=1)
 
 
-def merge_coincident(
-    places_m: NDArray[np.float64], within_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, NDArray[np.intp]]:
     """Group places that are at most a distance apart, directly or over others."""
     # Shapes: places_m (n, d); returns (g, d).
     tree = KDTree(places_m)
@@ -265,8 +243,8 @@ def merge_coincident(
     return places_m[first], group
 
 
-def _diagram(places: NDArray[np.float64]) -> Polygons:
-    """Cells of places (g, 2) near the origin, clipped to nothing inside the unit disc."""
+def _diagram(places: Floats) -> Polygons:
+    """Return the cells of positions (g, 2) near the origin; the unit disc is not clipped."""
     count = len(places)
     far = FAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     sites = shapely.multipoints(np.concatenate((places, far)))
@@ -278,18 +256,10 @@ def _diagram(places: NDArray[np.float64]) -> Polygons:
     return Polygons(closed[kept][::-1], np.concatenate(([0], np.cumsum(sizes))))
 
 
-def _scaled_sides(region: ConvexRegion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Normals and offsets of the region's sides in its own units."""
-    offsets = region.offsets_m - region.normals @ region.centre_m
-    return region.normals, offsets / region.radius_m
-
-
-def _clipped(
-    polygons: Polygons, normals: NDArray[np.float64], offsets: NDArray[np.float64]
-) -> Polygons:
+def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:
     """Clip polygons at half-planes ``normals @ q <= offsets``, one after the other, all at once.
 
-    Every polygon keeps its number, also if nothing is left of it.
+    Every polygon keeps its number, even if nothing is left of it.
     """
     for normal, offset in zip(normals, offsets, strict=True):
         corners = polygons.corners_m
@@ -310,21 +280,6 @@ def _clipped(
     return polygons
 
 
-def _crosses(
-    ends: NDArray[np.float64], normals: NDArray[np.float64], offsets: NDArray[np.float64]
-) -> NDArray[np.bool_]:
-    """Return whether segments (e, 2, 2) meet the region of all ``normals @ q <= offsets``; (e,)."""
-    beyond = ends @ normals.T - offsets
-    start, stop = beyond[:, 0], beyond[:, 1]
-    # Shares of the segment at which it enters and leaves each half-plane.
-    change = stop - start
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = -start / change
-    enters = np.where(change < 0.0, at, np.where((change == 0.0) & (start > 0.0), np.inf, 0.0))
-    leaves = np.where(change > 0.0, at, 1.0)
-    return np.maximum(enters.max(axis=1), 0.0) <= np.minimum(leaves.min(axis=1), 1.0)
-
-
 @dataclass(frozen=True, eq=False)
 class Boundary:
     """Closed boundaries of cells, counter-clockwise, each as seen from its centre.
@@ -332,23 +287,23 @@ class Boundary:
     A cell contains the whole straight line from its centre to any place of it.
     """
 
-    centres_m: NDArray[np.float64]  # (g, 2) the agent's place for each cell
+    centres_m: Floats  # (g, 2) the agent's place for each cell
     cell: NDArray[np.intp]  # (e,) number of the cell of each piece
-    start_m: NDArray[np.float64]  # (e, 2) both ends of each piece, relative to the cell's centre
-    end_m: NDArray[np.float64]
+    start_m: Floats  # (e, 2) both ends of each piece, relative to the cell's centre
+    end_m: Floats
     # (e,) angle between both ends in rad where the piece is an arc about the centre; 0 where it is
     # straight
-    angle: NDArray[np.float64]
+    angle: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
     """Integrals of a density over cells, taken about the cells' centres."""
 
-    mass: NDArray[np.float64]  # (g,) integral of the density
-    first: NDArray[np.float64]  # (g, 2) integral of the density times the offset from the centre
+    mass: Floats  # (g,) integral of the density
+    first: Floats  # (g, 2) integral of the density times the offset from the centre
     # (g,) integral of the density times the squared distance from the centre
-    second: NDArray[np.float64]
+    second: Floats
 
 
 def cell_boundary(cells: Cells, sensing_range_m: float | None = None) -> Boundary:
@@ -358,8 +313,7 @@ def cell_boundary(cells: Cells, sensing_range_m: float | None = None) -> Boundar
     end = start[cells.inside.following]
     if sensing_range_m is None:
         return Boundary(cells.generators_m, cell, start, end, np.zeros(len(cell)))
-    range_m = positive(sensing_range_m, "sensing_range_m")
-    return _within_range(cells.generators_m, cell, start, end, range_m)
+    return _within_range(cells.generators_m, cell, start, end, sensing_range_m)
 
 
 def region_boundary(region: ConvexRegion) -> Boundary:
@@ -374,10 +328,10 @@ def region_boundary(region: ConvexRegion) -> Boundary:
 
 
 def _within_range(
-    centres_m: NDArray[np.float64],
+    centres_m: Floats,
     cell: NDArray[np.intp],
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
+    start: Floats,
+    end: Floats,
     range_m: float,
 ) -> Boundary:
     """Replace what is beyond the range by arcs; arguments and result as in :class:`Boundary`."""
@@ -407,9 +361,7 @@ def _within_range(
     )
 
 
-def _arc(
-    start: NDArray[np.float64], end: NDArray[np.float64], range_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _arc(start: Floats, end: Floats, range_m: float) -> tuple[Floats, Floats, Floats]:
     """Project both ends (e, 2) of pieces beyond the range to its circle; ends and angles."""
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     angle = np.arctan2(cross, (start * end).sum(axis=1))

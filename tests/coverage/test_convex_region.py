@@ -7,7 +7,7 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from planopt.coverage.voronoi import ConvexRegion, checked_places, convex_region
+from planopt.coverage.voronoi import ConvexRegion, convex_region
 from planopt.errors import InputError
 
 SQUARE = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]])
@@ -49,18 +49,6 @@ def test_what_is_no_region(outline: shapely.Polygon | NDArray[np.float64], words
     with pytest.raises(InputError, match=words) as caught:
         convex_region(outline)
     assert caught.value.key == "world.outline_m"
-
-
-def test_places_outside_are_named() -> None:
-    """The first place that is outside or not finite is named by number."""
-    region = convex_region(SQUARE)
-    for bad in ([5.0, 1.0], [np.nan, 1.0], [np.inf, 1.0]):
-        with pytest.raises(InputError) as caught:
-            checked_places(region, np.array([[1.0, 1.0], bad]), "agents")
-        assert caught.value.key == "agents[1]"
-    for shape in ((0, 2), (3,), (2, 3)):
-        with pytest.raises(InputError, match="shape"):
-            checked_places(region, np.ones(shape), "agents")
 
 
 def test_corners_turn_left(hexagon: ConvexRegion) -> None:

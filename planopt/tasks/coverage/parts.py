@@ -69,10 +69,10 @@ def density_of(table: DensityTable, folder: Path) -> Density:
     if isinstance(table, UniformTable):
         return UniformDensity(table.weight_per_m2)
     if isinstance(table, GaussiansTable):
-        spread = np.array([each.std_m**2 * np.eye(2) for each in table.bumps])
+        stds = np.array([each.std_m for each in table.bumps])
         weights = np.array([each.weight for each in table.bumps])
         means = np.array([each.mean_m for each in table.bumps])
-        return GaussianMixture(weights, means, spread, table.floor_per_m2)
+        return GaussianMixture(weights, means, stds, table.floor_per_m2)
     if table.file is not None:
         return RasterDensity(read_raster(folder / table.file, table.variable))
     if table.values is None or len({len(row) for row in table.values}) != 1:

@@ -13,19 +13,18 @@ from planopt.coverage.assignment import HEXAGON
 from planopt.coverage.density import GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.geodesic import GeodesicGround, Ground
 from planopt.coverage.ground import ConvexGround
-from planopt.errors import InputError
 
 LEAP = 1.7
-"""Steps of this many times the way to the targets are tried first; they settle sooner."""
+"""Steps of this many times the offset to the targets are tried first; they settle sooner."""
 
 SETTLED = 1e-6
 """A deployment is settled when a step lowers the cost by less than this share."""
 
 MAX_STEPS = 500
-"""Steps until a start is taken as it is."""
+"""Limit of steps until a start is taken as it is."""
 
 CANDIDATES = 20
-"""Places per agent that random starts are drawn from."""
+"""Positions per agent that random starts are drawn from."""
 
 LEVELS = 200
 """Cells along either side of the region on which a mixture's least densities are taken."""
@@ -35,11 +34,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
-    """The places where a network should end."""
+    """The best final positions of a network."""
 
-    places_m: Floats  # (n, 2) places of the best start, settled
+    places_m: Floats  # (n, 2) positions of the best start, settled
     cost: float  # Their coverage cost H
-    lower_bound: float  # No n places cost less; 0 where nothing better is proved
+    lower_bound: float  # No n positions cost less; 0 where nothing better is proved
     costs: Floats  # (starts,) costs of all starts, settled
 
 
@@ -49,18 +48,14 @@ def best_deployment(
     starts: int,
     generator: np.random.Generator,
     *,
-    first_m: Floats | None = None,  # (n, 2)
+    first_m: Floats | None = None,  # (n, 2) the first start; random if None
 ) -> Deployment:
     """Find a deployment of low cost: settle several starts, then move single agents of the best."""
-    if count < 1 or starts < 1:
-        raise InputError(
-            f"{count} agents from {starts} starts", key="starts", remedy="give at least one of both"
-        )
     settled: list[tuple[Floats, float]] = []
     for number in range(starts):
-        given = number == 0 and first_m is not None
-        drawn = first_m if given and first_m is not None else draw_start(ground, count, generator)
-        settled.append(settle(ground, drawn))
+        first = first_m if number == 0 else None
+        start = draw_start(ground, count, generator) if first is None else first
+        settled.append(settle(ground, start))
     costs = np.array([cost for _, cost in settled])
     places, cost = settled[int(costs.argmin())]
     places, cost = _relocated(ground, places, cost)
@@ -87,9 +82,9 @@ def settle(ground: Ground, places_m: Floats) -> tuple[Floats, float]:
 
 
 def draw_start(ground: Ground, count: int, generator: np.random.Generator) -> Floats:
-    """Draw places ``(n, 2)`` one after the other, each with probability as what it saves there.
+    """Draw positions ``(n, 2)`` one after the other, with probabilities by the cost that they save.
 
-    That is the mass of a candidate times the squared distance to the nearest place drawn before.
+    That is the mass of a candidate times the squared distance to the nearest position before.
     """
     candidates, mass = _candidates(ground, CANDIDATES * count, generator)
     chosen = [int(generator.choice(len(candidates), p=mass / mass.sum()))]
@@ -107,7 +102,7 @@ def draw_start(ground: Ground, count: int, generator: np.random.Generator) -> Fl
 def _candidates(
     ground: Ground, count: int, generator: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Places (m, 2) where agents may be, and masses (m,) that stand for the density."""
+    """Return positions (m, 2) where agents may be, and their masses (m,)."""
     if isinstance(ground, GeodesicGround):
         return ground.ends_m, ground.mass
     corners = ground.hull.corners_m
@@ -121,10 +116,10 @@ def _candidates(
 
 
 def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
-    """Move one agent at a time beside another and settle, as long as that lowers the cost.
+    """Move one agent at a time next to another and settle, as long as that lowers the cost.
 
-    Tried are the agents that would be missed least, beside those that would profit most from help:
-    both judged by the cost of all agents but one, or with one twice a little apart.
+    The two agents whose removal raises the cost least are moved next to the two agents whose
+    doubling lowers it most.
     """
     count = len(places)
     if count < 3:
@@ -177,7 +172,7 @@ def cost_bound(ground: Ground, count: int) -> float:
 
 
 def _levels(ground: ConvexGround) -> tuple[Floats, Floats]:
-    """Densities that those of parts of a region are nowhere below, and areas of the parts."""
+    """Return lower bounds of the density on parts of a region, and the areas of the parts."""
     density, area = ground.density, np.array([ground.area_m2])
     corners = ground.region.corners_m
     first: Floats = corners.min(axis=0)

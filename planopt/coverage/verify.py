@@ -1,7 +1,7 @@
-"""Judge released moves of a network, without anything of what planned them.
+"""Verification of released moves of a network, independent of their planning.
 
-Each move is taken as it is driven: straight at a constant velocity, with an even acceleration, or
-turning on the spot and then straight. Positions between the ends of a step are judged as well.
+Each move is verified as it is driven: straight at a constant velocity, with an even acceleration,
+or turning on the spot and then straight. Positions between the ends of a step are verified as well.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ SLACK = 1e-6
 """Limits of motion may be exceeded by this share, distances to borders by this share of metres."""
 
 SAMPLES = 512
-"""Lengths up to a link's own at which its probability to fail is looked at as well."""
+"""Number of shorter lengths at which the probability that a link fails is evaluated as well."""
 
 LOOKS = 9
-"""Places of a move at which learnt maps of links to stations are looked at."""
+"""Positions of a move at which learnt channels of stations are evaluated."""
 
 SHORTEST_M = 0.01
-"""A link counts at least as this long."""
+"""Shorter links are evaluated at this length."""
 
 Floats = NDArray[np.float64]
 
@@ -40,9 +40,9 @@ class Fault:
     # contact, clearance, speed, acceleration, turn, motion (the ends of the move do not fit
     # together) or radio
     kind: str
-    agent: int  # Whose move
-    other: int | None  # The other agent of a contact; None else
-    value: float  # What was found, and what was allowed: m, m/s, m/s^2, rad/s or a probability
+    agent: int
+    other: int | None  # The other agent of a contact
+    value: float  # Found value and limit in m, m/s, m/s^2, rad/s, or a probability
     limit: float
 
 
@@ -72,7 +72,7 @@ def verify_moves(
     move, step = after_m - before_m, limits.time_step_s
     found: list[Fault] = []
 
-    def judge(kind: str, values: Floats, limit: float, slack: float) -> None:
+    def require(kind: str, values: Floats, limit: float, slack: float) -> None:
         """Add a fault for every agent with a value above a limit."""
         for agent in np.flatnonzero(values > limit + slack):
             found.append(Fault(kind, int(agent), None, float(values[agent]), limit))
@@ -82,21 +82,21 @@ def verify_moves(
         first, last = velocities_m_s
         control = before_m + 0.5 * step * first
         gap = np.linalg.norm(move - 0.5 * step * (first + last), axis=1)
-        judge("motion", gap, 0.0, SLACK * (1.0 + limits.speed_m_s * step))
+        require("motion", gap, 0.0, SLACK * (1.0 + limits.speed_m_s * step))
         speed = np.maximum(np.linalg.norm(first, axis=1), np.linalg.norm(last, axis=1))
         change, most = np.linalg.norm(last - first, axis=1) / step, limits.acceleration_m_s2
-        judge("acceleration", change, most, SLACK * most)
+        require("acceleration", change, most, SLACK * most)
     else:
         speed = np.linalg.norm(move, axis=1) / step
     if limits.turn_rate_rad_s is not None and headings_rad is not None:
         turn = np.abs(headings_rad[1] - headings_rad[0])
-        judge("turn", turn / step, limits.turn_rate_rad_s, SLACK * limits.turn_rate_rad_s)
+        require("turn", turn / step, limits.turn_rate_rad_s, SLACK * limits.turn_rate_rad_s)
         across = np.stack((-np.sin(headings_rad[1]), np.cos(headings_rad[1])), axis=1)
-        judge("motion", np.abs((move * across).sum(axis=1)), 0.0, SLACK)
+        require("motion", np.abs((move * across).sum(axis=1)), 0.0, SLACK)
         left = np.maximum(step - turn / limits.turn_rate_rad_s, SLACK * step)
         speed = np.linalg.norm(move, axis=1) / left
     if math.isfinite(limits.speed_m_s):
-        judge("speed", speed, limits.speed_m_s, SLACK * limits.speed_m_s)
+        require("speed", speed, limits.speed_m_s, SLACK * limits.speed_m_s)
     corners = np.stack((before_m, control, after_m), axis=1)
     swept = shapely.convex_hull(shapely.multipoints(corners))  # pyright: ignore[reportArgumentType, reportCallIssue]
     found += _border_faults(free, np.asarray(swept), max(limits.body_radius_m, limits.clearance_m))
@@ -105,12 +105,12 @@ def verify_moves(
         found += _contacts(np.asarray(swept), corners, 2.0 * limits.body_radius_m, timed)
     if radio is not None:
         failure = _failures(corners, radio)
-        judge("radio", failure, 1.0 - radio.p_min, SLACK * (1.0 - radio.p_min))
+        require("radio", failure, 1.0 - radio.p_min, SLACK * (1.0 - radio.p_min))
     return tuple(found)
 
 
 def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: float) -> list[Fault]:
-    """Agents whose swept areas (n,) leave the free area or come too near to its border."""
+    """Return faults of agents whose swept areas (n,) come too near to the free area's border."""
     away = np.asarray(shapely.distance(shapely.boundary(free), swept), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
     slack = SLACK * max(1.0, keep_m)
     within = np.asarray(shapely.covers(free.buffer(slack), swept), dtype=np.bool_)
@@ -122,7 +122,7 @@ def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: fl
 def _contacts(
     swept: NDArray[np.object_], corners: Floats, least_m: float, timed: bool
 ) -> list[Fault]:
-    """Pairs of agents that come as near as `least_m` at one time, or if not timed, at any times."""
+    """Return pairs of agents that come as near as `least_m` at one time, or if not timed, ever."""
     tree = shapely.STRtree(swept)
     pairs = tree.query(swept, predicate="dwithin", distance=least_m)
     found: list[Fault] = []
@@ -138,7 +138,7 @@ def _contacts(
 
 
 def _least_distance(corners: Floats) -> float:
-    """Least distance from the origin of the parabola with control points (3, 2)."""
+    """Return the least distance from the origin of the parabola with control points (3, 2)."""
     start, bend = corners[0], corners[0] - 2.0 * corners[1] + corners[2]
     slope = 2.0 * (corners[1] - corners[0])
     # |start + slope t + bend t^2|^2 is least at an end or where its derivative is zero.
@@ -158,10 +158,10 @@ def _least_distance(corners: Floats) -> float:
 
 
 def _failures(corners: Floats, radio: RadioLimits) -> Floats:
-    """Bounds (n,) on the probability that agents have no way to a station at some time of a step.
+    """Return bounds (n,) on the probability that agents have no path to a station during a step.
 
-    Links are as long as they get between any places of both ends' steps. Failures of the links of
-    a way are added; the best way counts.
+    Links are as long as they get between any positions of both ends' steps. Failures of the links
+    of a path are added; the best path counts.
     """
     count = len(corners)
     length = np.zeros((count, count))
@@ -176,7 +176,7 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
     if isinstance(link, LinkLaw):
         best = _fails(link, direct, radio.threshold_dbm).min(axis=1)
     else:
-        # Learnt maps are asked along the move; to one station all the time.
+        # Learnt channels are evaluated along the move; to one station all the time.
         t = np.linspace(0.0, 1.0, LOOKS)
         bend = np.stack(((1.0 - t) ** 2, 2.0 * t * (1.0 - t), t**2), axis=1)
         places = np.einsum("tk,nkx->tnx", bend, corners)
@@ -195,13 +195,13 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
 
 
 def _below(predicted: Prediction, threshold_dbm: float) -> Floats:
-    """Probabilities that predicted powers are below a threshold."""
+    """Return the probabilities that predicted powers are below a threshold."""
     score = (predicted.mean_db - threshold_dbm) / np.maximum(predicted.deviation_db, 1e-9)
     return 0.5 * np.asarray(erfc(score / math.sqrt(2.0)), dtype=np.float64)
 
 
 def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
-    """Largest probability that a link of at most these lengths (any shape) is below a threshold."""
+    """Return the largest probability that a link of at most these lengths is below a threshold."""
 
     def below(distance_m: Floats) -> Floats:
         slope = -10.0 * np.log10(distance_m)

@@ -13,7 +13,6 @@ from planopt.coverage.geodesic import geodesic_ground
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.optima import best_deployment, cost_bound, draw_start, settle
 from planopt.coverage.voronoi import ConvexRegion, convex_region
-from planopt.errors import InputError
 from planopt.world.raster import Raster
 from tests.coverage.scattered import scattered
 
@@ -114,10 +113,3 @@ def test_obstacles_and_repetition() -> None:
     assert ground.allows(one.places_m).all()
     np.testing.assert_array_equal(one.places_m, other.places_m)
     assert one.cost <= settle(ground, ground.nodes_m[:4])[1]
-
-
-def test_nothing_to_deploy(square: ConvexRegion) -> None:
-    """No agent and no start are refused."""
-    for count, starts in ((0, 1), (1, 0)):
-        with pytest.raises(InputError, match="starts"):
-            best_deployment(ConvexGround(square), count, starts, np.random.default_rng(0))

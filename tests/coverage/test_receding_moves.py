@@ -18,7 +18,7 @@ from planopt.coverage.control.programme import (
     solve_programme,
     solve_programmes,
 )
-from planopt.coverage.control.safe_sets import SafeSets, ground_sets, half_planes
+from planopt.coverage.control.safe_sets import UNBOUNDED, SafeSets, ground_sets, half_planes
 from planopt.coverage.geodesic import GeodesicGround, geodesic_ground
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.verify import verify_moves
@@ -53,7 +53,7 @@ def test_first_move_is_the_laws(square: ConvexRegion, horizon: int, gain: float)
     )
     law = law_moves(agents, targets, np.zeros(40, bool), Gains(1.0, gain), 0.5)
     np.testing.assert_allclose(moves.next_m, law, atol=1e-8)
-    free = half_planes(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0))
+    free = UNBOUNDED
     share = np.full(40, 0.5 * gain)
     found = solve_programme(agents, targets, share, horizon, 1e3, free)
     assert found is not None
@@ -170,7 +170,7 @@ def test_free_path_needs_no_programme() -> None:
     """The clipped law, repeated, is the optimum of the programme of agents with a free path."""
     rng = np.random.default_rng(2)
     starts, aims = rng.random((8, 2)) * 10.0, rng.random((8, 2)) * 10.0
-    free = half_planes(np.zeros(0, int), np.zeros((0, 2)), np.zeros(0))
+    free = UNBOUNDED
     for share in (0.1, 0.5, 1.0):
         found = solve_programme(starts, aims, np.full(8, share), 6, 0.8, free)
         assert found is not None

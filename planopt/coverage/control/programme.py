@@ -6,7 +6,7 @@ own position; velocities are in units of length per step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -20,17 +20,26 @@ BLOCK = 50
 VIOLATION = 1e-8
 """Constraints that are violated by more than this are added."""
 
+WITHIN = 1e-6
+"""Limits are kept with this relative spare, so that the solver's tolerance does not break them."""
+
+LEAST_UNIT = 1e-3
+"""An agent nearer to its aim than this share of the farthest one's distance is scaled by that."""
+
+NO_LIMIT = 1e3
+"""Radius of discs, in units of agents, that fill tables up."""
+
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class Programmes:
-    """Convex programmes of n agents with V variables in each of two dimensions, z of shape (V, 2).
+    """Convex programmes of n agents, each with variables z of shape (V, 2).
 
     Minimise ``1/2 z' hessian z + linear' z``, the same Hessian for both dimensions. Places
-    ``place_map @ z + place_offset`` stay in half-planes and discs, and displacements ``move_map @ z
-    + move_offset`` are at most as long as `longest`.
+    ``place_map @ z + place_offset`` stay in half-planes and discs, and displacements
+    ``move_map @ z + move_offset`` are at most as long as `longest`.
     """
 
     hessian: Floats  # (n, V, V), positive definite
@@ -51,13 +60,13 @@ class Programmes:
         return Programmes(**{k: v if k == "move_map" else v[agents] for k, v in every.items()})
 
 
-def solve_programmes(given: Programmes) -> Floats | None:
+def solve_programmes(programmes: Programmes) -> Floats | None:
     """Return the optima ``(n, V, 2)``, or None if Clarabel fails."""
-    best = np.asarray(np.linalg.solve(given.hessian, -given.linear), dtype=np.float64)
+    best = np.asarray(np.linalg.solve(programmes.hessian, -programmes.linear), dtype=np.float64)
     todo = np.arange(len(best))
-    active = tuple(np.zeros_like(each) for each in _violated(given, best))
+    active = tuple(np.zeros_like(each) for each in _violated(programmes, best))
     while True:
-        violated = _violated(given.of(todo), best[todo])
+        violated = _violated(programmes.of(todo), best[todo])
         new = [mask & ~known[todo] for mask, known in zip(violated, active, strict=True)]
         left = np.any([mask.any(axis=tuple(range(1, mask.ndim))) for mask in new], axis=0)
         if not left.any():
@@ -67,49 +76,55 @@ def solve_programmes(given: Programmes) -> Floats | None:
         todo = todo[left]
         for start in range(0, len(todo), BLOCK):
             agents = todo[start : start + BLOCK]
-            found = _solve_block(given.of(agents), *(known[agents] for known in active))
+            found = _solve_block(programmes.of(agents), *(known[agents] for known in active))
             if found is None:
                 return None
             best[agents] = found
 
 
-def _violated(given: Programmes, z: Floats) -> tuple[Mask, Mask, Mask]:
+def _violated(programmes: Programmes, z: Floats) -> tuple[Mask, Mask, Mask]:
     """Return which half-planes (n, K, N), discs (n, D, N) and lengths (n, R) z violates."""
-    places = given.place_map @ z + given.place_offset
-    heights = given.normals @ places.transpose(0, 2, 1) - given.rooms[..., None]
-    away = np.linalg.norm(places[:, None] - given.centres[:, :, None], axis=3)
-    lengths = np.linalg.norm(given.move_map @ z + given.move_offset, axis=2)
+    places = programmes.place_map @ z + programmes.place_offset
+    heights = programmes.normals @ places.transpose(0, 2, 1) - programmes.rooms[..., None]
+    away = np.linalg.norm(places[:, None] - programmes.centres[:, :, None], axis=3)
+    lengths = np.linalg.norm(programmes.move_map @ z + programmes.move_offset, axis=2)
     return (
         heights > VIOLATION,
-        away - given.radii[..., None] > VIOLATION,
-        lengths - given.longest > VIOLATION,
+        away - programmes.radii[..., None] > VIOLATION,
+        lengths - programmes.longest > VIOLATION,
     )
 
 
-def _solve_block(given: Programmes, planes: Mask, discs: Mask, ways: Mask) -> Floats | None:
+def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask) -> Floats | None:
     """Return the optima (n, V, 2) under some of the constraints by one sparse programme."""
     import clarabel
     from scipy.sparse import coo_array, csc_array
 
-    count = len(given.linear)
-    size: int = given.linear.shape[1]
+    count = len(programmes.linear)
+    size: int = programmes.linear.shape[1]
     agent, plane, step = np.nonzero(planes)
-    normals, offsets = given.normals[agent, plane], given.place_offset[agent, step]
-    flat = given.place_map[agent, step][:, :, None] * normals[:, None]
-    rooms = given.rooms[agent, plane] - (normals * offsets).sum(axis=1)
+    normals, offsets = programmes.normals[agent, plane], programmes.place_offset[agent, step]
+    flat = programmes.place_map[agent, step][:, :, None] * normals[:, None]
+    rooms = programmes.rooms[agent, plane] - (normals * offsets).sum(axis=1)
     disc_agent, disc, disc_step = np.nonzero(discs)
-    way_agent, way = np.nonzero(ways)
+    move_agent, move = np.nonzero(moves)
     # Cones are (radius, offset - matrix @ z).
-    matrix = np.concatenate((given.place_map[disc_agent, disc_step], given.move_map[way]))
-    from_centre = given.place_offset[disc_agent, disc_step] - given.centres[disc_agent, disc]
-    offset = np.concatenate((from_centre, given.move_offset[way_agent, way]))
-    radius = np.concatenate((given.radii[disc_agent, disc], given.longest[way_agent, way]))
+    matrix = np.concatenate(
+        (programmes.place_map[disc_agent, disc_step], programmes.move_map[move])
+    )
+    from_centre = (
+        programmes.place_offset[disc_agent, disc_step] - programmes.centres[disc_agent, disc]
+    )
+    offset = np.concatenate((from_centre, programmes.move_offset[move_agent, move]))
+    radius = np.concatenate(
+        (programmes.radii[disc_agent, disc], programmes.longest[move_agent, move])
+    )
     round_rows = np.zeros((len(matrix), 3, size, 2))
     round_rows[:, 1, :, 0] = round_rows[:, 2, :, 1] = -matrix
     rows = np.concatenate((flat, round_rows.reshape(-1, size, 2))).reshape(-1, 2 * size)
-    of_row = np.concatenate((agent, np.repeat(np.concatenate((disc_agent, way_agent)), 3)))
+    of_row = np.concatenate((agent, np.repeat(np.concatenate((disc_agent, move_agent)), 3)))
     sides = np.concatenate((rooms, np.column_stack((radius, offset)).ravel()))
-    hessian = np.einsum("ivw,xy->ivxwy", given.hessian, np.eye(2)).reshape(-1, 2 * size)
+    hessian = np.einsum("ivw,xy->ivxwy", programmes.hessian, np.eye(2)).reshape(-1, 2 * size)
     upper = hessian * np.tile(np.triu(np.ones((2 * size, 2 * size))), (count, 1))
 
     def sparse(dense: Floats, owner: NDArray[np.intp]) -> Any:
@@ -125,7 +140,7 @@ def _solve_block(given: Programmes, planes: Mask, discs: Mask, ways: Mask) -> Fl
     cones: list[Any] = [solver.NonnegativeConeT(len(rooms))]
     cones += [solver.SecondOrderConeT(3)] * len(matrix)
     solution: Any = solver.DefaultSolver(
-        sparse(upper, np.repeat(np.arange(count), 2 * size)), given.linear.ravel(),
+        sparse(upper, np.repeat(np.arange(count), 2 * size)), programmes.linear.ravel(),
         sparse(rows, of_row), sides, cones, settings,
     ).solve()  # fmt: skip
     if str(solution.status) not in ("Solved", "AlmostSolved"):
@@ -133,25 +148,13 @@ def _solve_block(given: Programmes, planes: Mask, discs: Mask, ways: Mask) -> Fl
     return np.asarray(solution.x, dtype=np.float64).reshape(count, size, 2)
 
 
-WITHIN = 1e-6
-"""Limits are kept with this relative spare, so that the solver's tolerance does not break them."""
-
-LEAST_UNIT = 1e-3
-"""An agent nearer to its aim than this share of the farthest one's distance is scaled by that."""
-
-NO_LIMIT = 1e3
-"""Radius of discs, in units of agents, that fill tables up."""
-
-Floats = NDArray[np.float64]
-
-
 @dataclass(frozen=True, eq=False)
 class Inertia:
     """The variables and constraints that a double integrator adds to a programme."""
 
-    velocities_m: Floats  # (n, 2) way that each agent would go in a step at its velocity
+    velocities_m: Floats  # (n, 2) velocity of each agent, per step
     change_m: float  # Largest change of that in a step
-    # (n,) in how many steps an agent stops from the largest speed it can have after the next
+    # (n,) number of steps in which an agent stops from the largest speed it can have after the next
     stop_steps: NDArray[np.intp]
 
 
@@ -190,14 +193,13 @@ def solve_programme(
     aims = ((aims_m - starts_m) / unit[:, None])[:, None]
     aims = aims + np.arange(1.0, horizon + 1.0)[:, None] * drifts
     weights, effort = stage_weights(share, horizon)
-    cost, none = _Cost(count, horizon), np.zeros((count, horizon, 2))
+    none = np.zeros((count, horizon, 2))
     most = np.repeat((1.0 - WITHIN) * most_m / unit[:, None], horizon, axis=1)
     if inertia is None:
         # Variables are places.
         place, shift = np.eye(horizon), none
         reserve = np.repeat(place[None], count, axis=0)
-        cost.add_squares(place, weights, aims)
-        cost.add_squares(changes, effort[:, None], drifts)
+        squares = [(place, weights, aims), (changes, effort[:, None], drifts)]
         kept = horizon if np.isfinite(most_m) else 0
         bounded, less, most = changes[:kept], none[:, :kept], most[:, :kept]
     else:
@@ -209,22 +211,29 @@ def solve_programme(
         reserve = place + 0.5 * inertia.stop_steps[:, None, None] * np.eye(horizon)
         last = np.zeros((count, horizon))
         last[:, -1] = 0.5 / share
-        cost.add_squares(place, weights - last, aims - shift)
-        # The place where the agent would stop, if it kept up with the aim.
-        cost.add_squares(
-            reserve, last, aims - shift + 0.5 * inertia.stop_steps[:, None, None] * drifts
-        )
-        cost.add_squares(np.eye(horizon) - 0.5 * changes, effort[:, None], drifts - 0.5 * now)
-        cost.add_squares(changes, 0.25 / share[:, None] ** 2, now)
+        # Last is the place where the agent would stop, if it kept up with the aim.
+        stop = 0.5 * inertia.stop_steps[:, None, None]
+        squares = [
+            (place, weights - last, aims - shift),
+            (reserve, last, aims - shift + stop * drifts),
+            (np.eye(horizon) - 0.5 * changes, effort[:, None], drifts - 0.5 * now),
+            (changes, 0.25 / share[:, None] ** 2, now),
+        ]
         # Places follow: each is between the one before, where that stops, and where it stops.
         bounded = np.concatenate((np.eye(horizon), changes))
         less = np.concatenate((none, now), axis=1)
         jolt = (1.0 - WITHIN) * inertia.change_m / unit[:, None]
         most = np.concatenate((most, np.repeat(jolt, horizon, axis=1)), axis=1)
+    hessian, linear = np.zeros((count, horizon, horizon)), none.copy()
+    for matrix, weight, goal in squares:
+        # weight * |matrix @ z - goal|^2
+        weighted = 2.0 * np.swapaxes(matrix * weight[:, :, None], 1, 2)
+        hessian += weighted @ matrix
+        linear -= weighted @ np.broadcast_to(goal, none.shape)
     normals, rooms, centres, radii = _tables(sets, starts_m, unit)
     programmes = Programmes(
-        cost.hessian,
-        cost.linear,
+        hessian,
+        linear,
         reserve,
         shift,
         normals,
@@ -242,37 +251,14 @@ def solve_programme(
     paths = np.concatenate((starts_m[:, None], starts_m[:, None] + places), axis=1)
     if inertia is None:
         return paths, np.diff(paths, axis=1, prepend=paths[:, :1])
-    ways = np.concatenate((inertia.velocities_m[:, None], found * unit[:, None, None]), axis=1)
-    return paths, ways
-
-
-@dataclass(eq=False)
-class _Cost:
-    """A sum of squares of `width` variables of each of `count` agents."""
-
-    count: int
-    width: int
-    hessian: Floats = field(init=False)
-    linear: Floats = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.hessian = np.zeros((self.count, self.width, self.width))
-        self.linear = np.zeros((self.count, self.width, 2))
-
-    def add_squares(self, matrix: Floats, weights: Floats, aims: Floats) -> None:
-        """Add ``weights (n, r) * |matrix @ z - aims (n, r, 2)|^2``.
-
-        The matrix is ``(r, width)``, or ``(n, r, width)`` if agents differ.
-        """
-        weighted = 2.0 * np.swapaxes(matrix * weights[:, :, None], 1, 2)
-        self.hessian += weighted @ matrix
-        self.linear -= weighted @ np.broadcast_to(aims, (self.count, matrix.shape[-2], 2))
+    rates = np.concatenate((inertia.velocities_m[:, None], found * unit[:, None, None]), axis=1)
+    return paths, rates
 
 
 def _tables(
     sets: SafeSets, starts_m: Floats, unit: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Normals, rooms, centres and radii of sets about starts in units, filled up for each agent."""
+    """Return normals, rooms, centres and radii of sets, about the starts and in their units."""
     count = len(starts_m)
     room = sets.offsets_m - (sets.normals * starts_m[sets.agent]).sum(axis=1)
     normals, rooms = _filled(
@@ -287,7 +273,7 @@ def _tables(
 def _filled(
     agent: NDArray[np.intp], vectors: Floats, values: Floats, count: int, filler: float
 ) -> tuple[Floats, Floats]:
-    """Vectors (k, 2) and values (k,) of agents as tables (n, most, 2) and (n, most)."""
+    """Return vectors (k, 2) and values (k,) of agents as tables (n, most, 2) and (n, most)."""
     order = np.argsort(agent, kind="stable")
     number = np.bincount(agent, minlength=count)
     column = np.arange(len(agent)) - np.repeat(np.cumsum(number) - number, number)

@@ -1,14 +1,14 @@
 """Trees of radio links that agents keep while they move.
 
 Each agent reaches a base station over its parent in a tree. The probabilities that links fail are
-added along the way (union bound), so that no independence of the links is needed. Each link
+added along the path (union bound), so that no independence of the links is needed. Each link
 may get longer until its share of the allowed sum is used up, and half of that is left to each end.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -18,29 +18,27 @@ from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariab
 from scipy.spatial import KDTree
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.coverage.control.safe_sets import SPARE, SafeSets, half_planes, joined
+from planopt.coverage.control.safe_sets import SPARE, UNBOUNDED, SafeSets, half_planes, joined
 from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, line_distances_m
 
 LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
-"""Lengths of links at which laws are evaluated; a link counts as long as the next one."""
+"""Lengths of links at which laws are evaluated; links are rounded up to the next one."""
 
 HOP = 0.02
-"""A link counts at least this share of what may fail, so that trees are not deeper than needed."""
+"""Least weight of a link as a share of the allowed failure, so that trees are not too deep."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class RadioTree:
-    """The links that carry the network, and the places where agents keep them."""
+    """The links that carry the network, and the sets in which agents keep them."""
 
     # (n,) the agent that each agent's link leads to; station k as -1 - k. An agent without
     # connection is its own parent.
     parent: NDArray[np.intp]
-    # (n,) bound on the probability that an agent has no connection over the tree now
-    failure: Floats
-    # Discs in which agents keep all links of the tree; empty for agents without connection
-    kept: SafeSets
+    failure: Floats  # (n,) bound on the probability that an agent has no connection over the tree
+    kept: SafeSets  # Agents in them keep all links of the tree; none for agents without connection
 
     @property
     def connected(self) -> NDArray[np.bool_]:
@@ -49,8 +47,7 @@ class RadioTree:
 
 
 def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = None) -> RadioTree:
-    """Choose the tree in which links to a station fail least, and where agents keep it."""
-    # Shapes: places_m (n, 2); stops_m (n, 2).
+    """Return the tree in which paths of agents (n, 2) to stations fail least."""
     stops = places_m if stops_m is None else stops_m
     count, allowed = len(places_m), 1.0 - radio.p_min
     between, mapped = _failures(radio.agent_link, radio), radio.station_link
@@ -75,7 +72,7 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
     depth = dict.fromkeys([count], 0)
     for agent in linked:
         depth[agent] = depth[up[agent]] + 1
-    # The largest sum and the most links of any way that goes over the agent.
+    # The largest sum and the most links of any path over the agent.
     most, deepest = failure.copy(), dict(depth)
     for agent in reversed(linked):
         if up[agent] != count:
@@ -83,7 +80,7 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
             deepest[up[agent]] = max(deepest[up[agent]], deepest[agent])
     parent = agents.copy()
     discs: list[tuple[int, Floats, float]] = []
-    planes = [half_planes(agents[:0], np.zeros((0, 2)), np.zeros(0))]
+    planes = [UNBOUNDED]
     for agent in linked:
         may_fail = fails[link[agent]] + (allowed - most[agent]) / deepest[agent]
         if up[agent] == count:
@@ -98,22 +95,20 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
             parent[agent] = up[agent]
             half = 0.5 * _longest(between, may_fail)
             discs += [(end, centres[link[agent]], half) for end in (agent, up[agent])]
-    balls = SafeSets(
-        agents[:0],
-        np.zeros((0, 2)),
-        np.zeros(0),
-        np.array([one[0] for one in discs], dtype=np.intp),
-        np.array([one[1] for one in discs]).reshape(-1, 2),
-        np.array([one[2] for one in discs]),
+    balls = replace(
+        UNBOUNDED,
+        disc_agent=np.array([one[0] for one in discs], dtype=np.intp),
+        centres_m=np.array([one[1] for one in discs]).reshape(-1, 2),
+        radii_m=np.array([one[2] for one in discs]),
     )
     kept = joined(balls, *planes)
     return RadioTree(parent, np.where(failure <= allowed, failure, 1.0)[:count], kept)
 
 
 def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: Floats) -> SafeSets:
-    """Return half-planes that hold an agent's reserve and no disc about nodes (m, 2).
+    """Return half-planes that contain an agent's reserve and no disc about nodes (m, 2).
 
-    The nearest disc gives one; those beyond are done with, and the nearest of the rest follows.
+    The nearest disc gives one, the nearest disc that is not beyond it the next one.
     """
     radius = (1.0 + SPARE) * radius_m
     normals, offsets = list[Floats](), list[float]()
@@ -133,7 +128,7 @@ def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: F
 
 
 def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:
-    """Probabilities that links of `LENGTHS_M` or shorter ones fail, the largest of them."""
+    """Return the largest probability that a link fails that is at most as long as `LENGTHS_M`."""
     decades = -10.0 * np.log10(LENGTHS_M)
     mean = law.theta[0] + law.theta[1] * decades
     path_loss = law.theta_covariance
@@ -146,12 +141,12 @@ def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:
 
 
 def _at(failures: Floats, lengths_m: Floats) -> Floats:
-    """Failures of links, at the next length of the table; 1 beyond it."""
+    """Return the failures of links at the next length of the table; 1 beyond it."""
     return np.append(failures, 1.0)[np.searchsorted(LENGTHS_M, lengths_m)]
 
 
 def _longest(failures: Floats, may_fail: float) -> float:
-    """The longest link of the table that fails with at most that probability; 0 if none does."""
+    """Return the longest link that fails with at most that probability; 0 if none does."""
     number = int(np.searchsorted(failures, may_fail, side="right"))
     return float(LENGTHS_M[number - 1]) if number else 0.0
 
@@ -159,9 +154,9 @@ def _longest(failures: Floats, may_fail: float) -> float:
 def _links(
     places: Floats, stops: Floats, longest_m: float
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Pairs (e, 2) of agents whose links may hold, and the least circles about both reserves.
+    """Return pairs (e, 2) of agents whose links may hold, and least circles about their reserves.
 
-    Returns the pairs, the centres (e, 2) and the diameters (e,): a link counts as long as that.
+    Circles have centres (e, 2) and diameters (e,): a link counts as long as that.
     """
     middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
     tree = KDTree(middle)
@@ -183,7 +178,7 @@ def _links(
             scaled = (u * u).sum(axis=1)[:, None] * v - (v * v).sum(axis=1)[:, None] * u
             offset = np.stack((scaled[:, 1], -scaled[:, 0]), axis=1)
             centre = a + offset / np.where(flat, 1.0, twice)[:, None]
-        # Any centre is valid with the radius that it needs; the least one is meant.
+        # Any centre is valid with the radius that it needs; the least one is chosen.
         radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
         better = radius < least
         best[better], least[better] = centre[better], radius[better]
@@ -193,10 +188,10 @@ def _links(
 def _tree(
     pairs: NDArray[np.intp], weights: Floats, fails: Floats, count: int
 ) -> tuple[NDArray[np.intp], Floats, list[int]]:
-    """Shortest ways from node `count` to all others over links (e, 2) with weights (e,).
+    """Return shortest paths from node `count` to all others over links (e, 2) with weights (e,).
 
-    Returns the link (n,) toward it, the sum of `fails` (n + 1,) along the way, and the agents that
-    are reached, in the order of their distance.
+    They are the link (n,) toward it, the sum of `fails` (n + 1,) along the path, and the agents
+    that are reached, in the order of their distance.
     """
     shape = (count + 1, count + 1)
     graph = csr_array((weights, (pairs[:, 0], pairs[:, 1])), shape=shape)

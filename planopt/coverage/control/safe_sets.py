@@ -1,8 +1,9 @@
-"""Convex sets in which agents move without asking each other: cells and corridors.
+"""Convex sets in which agents move independently of each other: cells and corridors.
 
-Each agent has a reserve, the straight line on which it can stop: its place, and with inertia the
-way on to where it would stand. A cell separates the reserves of agents; a corridor holds no border.
-The reserve is always within both, so that an agent may stop whatever the others do.
+Each agent has a reserve, the straight line on which it can stop: its position, and with inertia the
+line from there to where it would stand. A cell separates the reserves of agents; a corridor
+contains no border. The reserve is always within both, so that an agent may stop whatever the others
+do.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ TOUCHES = 1e-9
 """A border nearer to a seed than this share of the region's radius touches it."""
 
 LOOKS = 36
-"""Directions in which agents look for half-planes that matter."""
+"""Directions in which the nearest half-planes are kept."""
 
 NEARLY = 1.05
-"""A half-plane that ends a view this many times as far away as the first one is kept."""
+"""A half-plane at most this many times as far away as the nearest one in a direction is kept."""
 
 Floats = NDArray[np.float64]
 
@@ -39,25 +40,25 @@ Floats = NDArray[np.float64]
 class SafeSets:
     """The half-planes and discs that each agent stays in."""
 
-    agent: NDArray[np.intp]  # (k,) whose half-plane each is
+    agent: NDArray[np.intp]  # (k,) agent of each half-plane
     normals: Floats  # (k, 2) outward unit normals and (k,): the half-plane is normal @ q <= offset
     offsets_m: Floats
-    disc_agent: NDArray[np.intp]  # (l,) whose disc each is
+    disc_agent: NDArray[np.intp]  # (l,) agent of each disc
     centres_m: Floats  # (l, 2) and (l,)
     radii_m: Floats
 
     def share_inside(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return how much of the way from starts ``(n, 2)`` to ends is inside; (n,), 0 to 1.
+        """Return the share of the lines from starts ``(n, 2)`` to ends that is inside; (n,).
 
         Starts count as inside.
         """
         share = np.ones(len(starts_m))
-        way = ends_m - starts_m
-        rise = (self.normals * way[self.agent]).sum(axis=1)
+        move = ends_m - starts_m
+        rise = (self.normals * move[self.agent]).sum(axis=1)
         room = self.offsets_m - (self.normals * starts_m[self.agent]).sum(axis=1)
         out = rise > np.maximum(room, 0.0)
         np.minimum.at(share, self.agent[out], np.maximum(room[out], 0.0) / rise[out])
-        away, along = starts_m[self.disc_agent] - self.centres_m, way[self.disc_agent]
+        away, along = starts_m[self.disc_agent] - self.centres_m, move[self.disc_agent]
         square, middle = (along * along).sum(axis=1), (away * along).sum(axis=1)
         spare = np.maximum(self.radii_m**2 - (away * away).sum(axis=1), 0.0)
         out = square + 2.0 * middle > spare
@@ -70,7 +71,7 @@ class SafeSets:
         return share
 
     def holds(self, places_m: Floats, slack_m: float = 0.0) -> NDArray[np.bool_]:
-        """Return whether all places ``(n, j, 2)`` of each agent are in its set; (n,)."""
+        """Return whether all positions ``(n, j, 2)`` of each agent are in its set; (n,)."""
         inside = np.ones(len(places_m), dtype=np.bool_)
         height = np.einsum("kjx,kx->kj", places_m[self.agent], self.normals).max(axis=1)
         inside[self.agent[height > self.offsets_m + slack_m]] = False
@@ -89,8 +90,8 @@ class SafeSets:
     def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
         """Return the sets without half-planes that hardly matter near starts ``(n, 2)``.
 
-        Of `LOOKS` directions from its start an agent looks into, up to its reach (n,), those stay
-        that end the view first in one, or nearly. The result is to plan with, not to rely on.
+        Those stay that are the first, or nearly, in one of `LOOKS` directions from the start up to
+        the reach (n,). The result is for planning alone; moves are checked with the complete sets.
         """
         turn = np.linspace(0.0, 2.0 * np.pi, LOOKS, endpoint=False)
         slope = self.normals @ np.stack((np.cos(turn), np.sin(turn)))
@@ -127,24 +128,28 @@ def joined(*sets: SafeSets) -> SafeSets:
 
 def half_planes(agent: NDArray[np.intp], normals: Floats, offsets_m: Floats) -> SafeSets:
     """Return sets that consist of half-planes alone."""
-    nobody = np.zeros(0, dtype=np.intp)
-    return SafeSets(agent, normals, offsets_m, nobody, np.zeros((0, 2)), np.zeros(0))
+    return SafeSets(agent, normals, offsets_m, NOBODY, np.zeros((0, 2)), np.zeros(0))
+
+
+NOBODY = np.zeros(0, dtype=np.intp)
+UNBOUNDED = half_planes(NOBODY, np.zeros((0, 2)), np.zeros(0))
+"""Sets without any limit."""
 
 
 def separate_cells(
     places_m: Floats, stops_m: Floats, body_radius_m: float, reach_m: Floats
 ) -> SafeSets:
-    """Return for each agent a convex cell, inset by its body, so that no two agents meet.
+    """Return a convex cell of each agent, inset by its body, so that no two agents meet.
 
     The line between two agents is halfway between the nearest points of their reserves. For agents
     that stop at once that is the bisector, and the cell is the Voronoi cell.
     """
     # Shapes: places_m, stops_m (n, 2); reach_m (n,).
     if body_radius_m == 0.0 or len(places_m) < 2:
-        return half_planes(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
+        return UNBOUNDED
     pairs = _neighbours(places_m)
     if not np.array_equal(places_m, stops_m):
-        # Where an agent gets in a step, its present reserve included, about the middle of that.
+        # Agents whose reach in a step, present reserves included, overlaps.
         middle = 0.5 * (places_m + stops_m)
         wide = reach_m + 0.5 * np.linalg.norm(stops_m - places_m, axis=1) + body_radius_m
         found = KDTree(middle).query_pairs(  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
@@ -180,7 +185,7 @@ def separate_cells(
 
 
 def _neighbours(places_m: Floats) -> NDArray[np.intp]:
-    """Pairs (e, 2) of Voronoi neighbours among distinct places, the smaller number first."""
+    """Return pairs (e, 2) of Voronoi neighbours, the smaller number first."""
     count = len(places_m)
     every = np.stack(np.triu_indices(count, 1), axis=1)
     if count <= 4:
@@ -208,7 +213,7 @@ def ground_sets(
     keep_m: float,
     reach_m: float,
 ) -> SafeSets:
-    """Return for each agent a convex part of the ground that keeps off obstacles and border."""
+    """Return a convex part of the ground for each agent that keeps off obstacles and border."""
     # Shapes: places_m, stops_m (n, 2).
     slack_m = ON_BORDER * ground.hull.radius_m
     outside = ~np.asarray(shapely.dwithin(ground.free, shapely.points(places_m), slack_m))
@@ -230,10 +235,10 @@ def ground_sets(
             key="world.clearance_m",
             remedy="make the ground with that clearance",
         )
-    # As much of the way as is in reach and free.
-    way = aims_m - places_m
-    length = np.linalg.norm(way, axis=1)
-    ends = places_m + way * np.minimum(1.0, reach_m / np.where(length > 0.0, length, 1.0))[:, None]
+    # The part of the line to the aim that is in reach and free
+    line = aims_m - places_m
+    length = np.linalg.norm(line, axis=1)
+    ends = places_m + line * np.minimum(1.0, reach_m / np.where(length > 0.0, length, 1.0))[:, None]
     blind = np.flatnonzero(~ground.sees(places_m, ends))
     for which in blind:
         ends[which] = _last_free(ground, places_m[which], ends[which])
@@ -250,7 +255,7 @@ def ground_sets(
 
 
 def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
-    """The last place (2,) on a straight way before it leaves where agents may be."""
+    """Return the last allowed position (2,) on a straight line from an allowed one."""
     crossed = shapely.intersection(ground.border, shapely.LineString([start, end]))
     met = np.asarray(shapely.get_coordinates(crossed), dtype=np.float64)
     if not len(met):
@@ -261,7 +266,7 @@ def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
 
 
 def _border(free: shapely.Polygon) -> Floats:
-    """Sides (m, 2, 2) of a polygon with holes, the free area on their left."""
+    """Return the sides (m, 2, 2) of a polygon with holes, the free area on their left."""
     rings = shapely.get_rings(shapely.orient_polygons(free))
     places, ring = shapely.get_coordinates(rings, return_index=True)
     same = ring[1:] == ring[:-1]
@@ -271,10 +276,10 @@ def _border(free: shapely.Polygon) -> Floats:
 def _corridors(
     edges: Floats, seeds: Floats, keep_m: float, reach_m: float, touch_m: float
 ) -> SafeSets:
-    """Cut convex sets about seeds (n, 3, 2), triangles, that borders (m, 2, 2) do not enter.
+    """Return convex sets about seeds (n, 3, 2), triangles, that borders (m, 2, 2) do not enter.
 
-    The border's nearest point to the seed gives a half-plane; what of the border is beyond it is
-    done with, and the next nearest of the rest follows.
+    The border's nearest point to the seed gives a half-plane, the nearest point of the border that
+    is not beyond it the next one.
     """
     count = len(seeds)
     agent = np.repeat(np.arange(count), len(edges))
@@ -286,7 +291,7 @@ def _corridors(
     close = gap <= reach_m + keep_m
     agent, part, outward = agent[close], part[close], outward[close]
     here, there, gap = here[close], there[close], gap[close]
-    found: list[tuple[NDArray[np.intp], Floats, Floats]] = []
+    found = [UNBOUNDED]
     while len(agent):
         order = np.lexsort((gap, agent))
         first = order[np.append(True, agent[order[1:]] != agent[order[:-1]])]
@@ -307,8 +312,8 @@ def _corridors(
             continue
         base = (normal * there[first]).sum(axis=1)
         within = np.einsum("kjx,kx->kj", seeds[chosen], normal).max(axis=1)
-        found.append((chosen, normal, np.maximum(base - keep_m, within)))
-        # What is beyond the half-plane's own line is done with; the chosen part is.
+        found.append(half_planes(chosen, normal, np.maximum(base - keep_m, within)))
+        # Parts beyond the half-plane's own line need no further one, nor does the chosen part.
         row = np.zeros(count, dtype=np.intp)
         row[chosen] = np.arange(len(chosen))
         mine = row[agent]
@@ -322,19 +327,14 @@ def _corridors(
         part[beyond, (depth[cut, 1] < 0.0).astype(np.intp)] = crossing
         agent, part, outward = agent[left], part[left], outward[left]
         here, there, gap = _from_triangles(seeds[agent], part)
-    if not found:
-        return half_planes(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0))
-    return half_planes(
-        np.concatenate([one[0] for one in found]),
-        np.concatenate([one[1] for one in found]),
-        np.concatenate([one[2] for one in found]),
-    )
+    return joined(*found)
 
 
 def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float) -> Floats | None:
-    """A normal that separates a seed (3, 2) from a side that it touches.
+    """Return a normal that separates a seed (3, 2) from a side that it touches.
 
-    None if neither the side nor a flat triangle lies on such a line; with a single place one does.
+    None if neither the side nor a flat triangle lies on a separating line; for a single position
+    one does.
     """
     if ((seed - part[0]) @ outward <= touch_m).all():
         return outward
@@ -348,9 +348,9 @@ def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float
 
 
 def _from_triangles(seeds: Floats, parts: Floats) -> tuple[Floats, Floats, Floats]:
-    """Nearest points of triangles (k, 3, 2) and lines (k, 2, 2) that do not enter them.
+    """Return the nearest points (k, 2) of triangles (k, 3, 2) and lines (k, 2, 2), and distances.
 
-    Returns both points (k, 2) and their distances (k,).
+    The lines do not enter the triangles.
     """
     here, there = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 2))
     least = np.full(len(seeds), np.inf)

@@ -20,11 +20,12 @@ from scipy.stats import t
 
 from planopt.coverage.control.movers import braking_offsets_m, plan_moves
 from planopt.coverage.control.radio import radio_tree
+from planopt.coverage.control.safe_sets import UNBOUNDED
 from planopt.coverage.density import GaussianMixture, UniformDensity
 from planopt.coverage.events import packed_places
 from planopt.coverage.geodesic import Ground, geodesic_ground
 from planopt.coverage.ground import ConvexGround
-from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits, packing_reach_m
+from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits, packing_reach_m
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.verify import verify_moves
 from planopt.coverage.voronoi import convex_region
@@ -53,67 +54,37 @@ def drive(
 
     The event may move; plans hold its place over the horizon, or lead it.
     """
-    velocities, headings = np.zeros_like(agents), np.zeros(len(agents))
-    sums = {
-        "cost": 0.0,
-        "path": 0.0,
-        "energy": 0.0,
-        "faults": 0.0,
-        "bound": 0.0,
-        "final": 0.0,
-        "lag": 0.0,
-    }
-    inert = limits.acceleration_m_s2
+    motion, inert = Motion.at_rest(agents), limits.acceleration_m_s2
+    sums = dict.fromkeys(("cost", "path", "energy", "faults", "final", "lag"), 0.0)
     for _ in range(steps):
-        cover = ground.cover(agents)
-        targets, drifts = cover.targets_m.copy(), np.zeros_like(agents)
+        here = motion.places_m
+        cover = ground.cover(here)
+        targets, drifts = cover.targets_m.copy(), np.zeros_like(here)
         if event is not None:
-            third = len(agents) // 3
+            third = len(here) // 3
             aims = np.tile(event, (third, 1))
-            targets[:third] = ground.steered(agents[:third], aims, GAIN)
+            targets[:third] = ground.steered(here[:third], aims, GAIN)
             if event_m_s is not None:
                 drifts[:third] = event_m_s
                 event = event + limits.time_step_s * event_m_s
-        kept = None
+        kept = UNBOUNDED
         if radio is not None:
-            stops = agents if inert is None else agents + braking_offsets_m(velocities, inert)
-            kept = radio_tree(agents, radio, stops).kept
-        moves = plan_moves(
-            ground,
-            agents,
-            targets,
-            limits,
-            GAIN,
-            horizon,
-            velocities_m_s=velocities,
-            headings_rad=headings,
-            kept=kept,
-            target_velocities_m_s=drifts if lead else None,
-        )
-        after = moves.velocities_m_s
-        turned = headings, moves.headings_rad
-        speeds = None if inert is None else (velocities, after)
-        sums["faults"] += len(
-            verify_moves(
-                free,
-                agents,
-                moves.next_m,
-                limits,
-                velocities_m_s=speeds,
-                headings_rad=turned,
-                radio=radio,
-            )
-        )
+            speeds = motion.velocities_m_s
+            stops = here if inert is None else here + braking_offsets_m(speeds, inert)
+            kept = radio_tree(here, radio, stops).kept
+        after = plan_moves(
+            ground, motion, targets, limits, GAIN, horizon, kept=kept,
+            drifts_m_s=drifts if lead else None,
+        )  # fmt: skip
+        sums["faults"] += len(verify_moves(free, motion, after, limits, radio))
         sums["cost"] += cover.cost / steps
-        sums["path"] += float(np.linalg.norm(moves.next_m - agents, axis=1).sum())
-        sums["energy"] += float(((after - velocities) ** 2).sum())
-        sums["bound"] += moves.solved
+        sums["path"] += float(np.linalg.norm(after.places_m - here, axis=1).sum())
+        sums["energy"] += float(((after.velocities_m_s - motion.velocities_m_s) ** 2).sum())
         if event is not None:
-            off = np.linalg.norm(moves.next_m[: len(agents) // 3] - event, axis=1)
+            off = np.linalg.norm(after.places_m[: len(here) // 3] - event, axis=1)
             sums["lag"] += float(off.mean()) / steps
-        agents, velocities = moves.next_m, after
-        headings = moves.headings_rad
-    return sums | {"final": ground.cover(agents).cost}
+        motion = after
+    return sums | {"final": ground.cover(motion.places_m).cost}
 
 
 def spread(count: int, width_m: float, generator: np.random.Generator) -> NDArray[np.float64]:
@@ -135,7 +106,7 @@ def hall(generator: np.random.Generator) -> Ground:
 
 def faults(first_seed: int, runs: int, agents: int, steps: int) -> float:
     """Print how many moves were found at fault; return the number."""
-    total, bound = 0.0, 0.0
+    total = 0.0
     for seed in range(first_seed, first_seed + runs):
         generator = np.random.default_rng(seed)
         ground = hall(generator)
@@ -145,8 +116,8 @@ def faults(first_seed: int, runs: int, agents: int, steps: int) -> float:
         start = spread(agents, 36.0, generator)
         event = 30.0 + 60.0 * generator.random(2)
         sums = drive(ground, ground.free, start, limits, 8, steps, RADIO, event)  # type: ignore[attr-defined]
-        total, bound = total + sums["faults"], bound + sums["bound"]
-        print(f"seed {seed}: {total:.0f} faults so far, {bound:.0f} limited moves", flush=True)
+        total += sums["faults"]
+        print(f"seed {seed}: {total:.0f} faults so far", flush=True)
     return total
 
 
@@ -217,13 +188,13 @@ def packing(first_seed: int, seeds: int, steps: int, packed: bool = True) -> dic
                     np.linalg.norm(place - places[one]) > 3.0 * body for one in chosen
                 ):
                     chosen.append(number)
-            agents, middle = places[chosen], np.full((count, 2), 0.5 * SIDE_M)
+            motion, middle = Motion.at_rest(places[chosen]), np.full((count, 2), 0.5 * SIDE_M)
             for _ in range(steps):
-                aims = packed_places(agents, middle[0], body) if packed else middle
-                moves = plan_moves(ground, agents, aims, limits, GAIN, 5)
-                assert not verify_moves(square, agents, moves.next_m, limits)
-                agents = moves.next_m
-            away = np.linalg.norm(agents - middle, axis=1).max()
+                aims = packed_places(motion.places_m, middle[0], body) if packed else middle
+                after = plan_moves(ground, motion, aims, limits, GAIN, 5)
+                assert not verify_moves(square, motion, after, limits)
+                motion = after
+            away = np.linalg.norm(motion.places_m - middle, axis=1).max()
             ratios.append(float(away / ((radius - 1.0) * body)))
         table = np.array(ratios)
         reach = packing_reach_m(count, body) / ((radius - 1.0) * body)
@@ -344,7 +315,7 @@ def steps(agents: int, rounds: int) -> dict[str, float]:
         ("all to one place, double integrators", middle, MoveLimits(**plain, **inert)),
     ):
         jobs[name] = lambda aims=aims, limits=limits: plan_moves(
-            ground, places, aims, limits, GAIN, 10
+            ground, Motion.at_rest(places), aims, limits, GAIN, 10
         )
     times: dict[str, float] = {}
     for name, job in jobs.items():

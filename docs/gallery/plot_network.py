@@ -19,8 +19,9 @@ import numpy as np
 import shapely
 
 import planopt
-from planopt.coverage.control.movers import Gains, MoveLimits, coverage_aims, law_moves, plan_moves
+from planopt.coverage.control.movers import Gains, coverage_aims, law_moves, plan_moves
 from planopt.coverage.ground import ConvexGround
+from planopt.coverage.limits import Motion, MoveLimits
 from planopt.coverage.voronoi import convex_region
 from planopt.report import (
     animate_network,
@@ -103,7 +104,9 @@ for number in sizes:
         ("double integrators, to one place", middle, inert),
     ):
         limits = MoveLimits(speed_m_s=3.0, body_radius_m=1.0, **more)
-        jobs[word] = lambda p=places, g=ground, a=aims, m=limits: plan_moves(g, p, a, m, 0.5, 10)
+        jobs[word] = lambda p=places, g=ground, a=aims, m=limits: plan_moves(
+            g, Motion.at_rest(p), a, m, 0.5, 10
+        )
     for word, job in jobs.items():
         begun = process_time()
         job()

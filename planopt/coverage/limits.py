@@ -1,4 +1,4 @@
-"""Limits of the agents of a network: motion, bodies, and radio links by a law or by a map."""
+"""Motion of the agents of a network and its limits: bodies, and links by a law or by a map."""
 
 from __future__ import annotations
 
@@ -117,6 +117,22 @@ class MoveLimits:
             return 0.0
         steps = math.ceil(self.speed_m_s / (self.acceleration_m_s2 * self.time_step_s) - 1e-9)
         return 0.5 * steps * self.speed_m_s * self.time_step_s
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Positions, velocities and headings of agents."""
+
+    places_m: Floats  # (n, 2)
+    # (n, 2) velocities at the end of the last step. A double integrator changes its velocity evenly
+    # during a step; other agents have that of the step's end at once.
+    velocities_m_s: Floats
+    headings_rad: Floats  # (n,); used by unicycles alone
+
+    @classmethod
+    def at_rest(cls, places_m: Floats) -> Motion:
+        """Return the motion of agents that stand at positions ``(n, 2)``, with headings of 0."""
+        return cls(places_m, np.zeros_like(places_m), np.zeros(len(places_m)))
 
 
 def packing_reach_m(agents: int, body_radius_m: float) -> float:

@@ -21,10 +21,11 @@ from planopt.coverage.assignment import (
     fair_shares,
     propagate_flags,
 )
-from planopt.coverage.control.movers import Gains, Motion, Mover, Partition, coverage_aims
+from planopt.coverage.control.movers import Gains, Mover, Partition, coverage_aims
 from planopt.coverage.events import Event, Sensing, Watch, event_places, signals, watched
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.ground import neighbour_network
+from planopt.coverage.limits import Motion
 from planopt.coverage.network import Counting, LinkModel, Loss, Network, Tally, tally_step
 from planopt.errors import InputError
 
@@ -180,8 +181,7 @@ class NetworkController:
         # Members (n,) and estimates (k, 2) at the last assignment
         self._assigned_for: tuple[Mask, Floats] | None = None
         self._tally: Tally | None = None
-        start = scene.starts_m.astype(np.float64)
-        self.motion = Motion(start, np.zeros((agents, 2)), np.zeros(agents))
+        self.motion = Motion.at_rest(scene.starts_m.astype(np.float64))
 
     def step(
         self,

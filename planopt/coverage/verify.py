@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import erfc  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.prediction import Prediction
-from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
-from planopt.errors import InputError
+from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits
 
 SLACK = 1e-6
 """Limits of motion may be exceeded by this share, distances to borders by this share of metres."""
@@ -48,27 +47,13 @@ class Fault:
 
 def verify_moves(
     free: shapely.Polygon,
-    before_m: Floats,
-    after_m: Floats,
+    before: Motion,
+    after: Motion,
     limits: MoveLimits,
-    *,
-    velocities_m_s: tuple[Floats, Floats] | None = None,  # (n, 2)
-    headings_rad: tuple[Floats, Floats] | None = None,  # (n,) headings at both ends, of unicycles
     radio: RadioLimits | None = None,
 ) -> tuple[Fault, ...]:
     """Return all faults of one step of a network; none if it may be released."""
-    # Shapes: before_m, after_m (n, 2).
-    needed: dict[str, tuple[Floats, ...]] = {"positions": (before_m, after_m)}
-    if limits.acceleration_m_s2 is not None:
-        needed["velocities"] = velocities_m_s or ()
-    if limits.turn_rate_rad_s is not None:
-        needed["headings"] = headings_rad or ()
-    for key, pair in needed.items():
-        shape = (len(before_m),) if key == "headings" else (len(before_m), 2)
-        if len(pair) != 2 or not all(np.shape(one) == shape for one in pair):
-            raise InputError(f"two arrays of shape {shape} are needed", key=key)
-        if not all(np.isfinite(one).all() for one in pair):
-            raise InputError("a number is not finite", key=key)
+    before_m, after_m = before.places_m, after.places_m
     move, step = after_m - before_m, limits.time_step_s
     found: list[Fault] = []
 
@@ -78,8 +63,8 @@ def verify_moves(
             found.append(Fault(kind, int(agent), None, float(values[agent]), limit))
 
     control = before_m + 0.5 * move
-    if limits.acceleration_m_s2 is not None and velocities_m_s is not None:
-        first, last = velocities_m_s
+    if limits.acceleration_m_s2 is not None:
+        first, last = before.velocities_m_s, after.velocities_m_s
         control = before_m + 0.5 * step * first
         gap = np.linalg.norm(move - 0.5 * step * (first + last), axis=1)
         require("motion", gap, 0.0, SLACK * (1.0 + limits.speed_m_s * step))
@@ -88,10 +73,11 @@ def verify_moves(
         require("acceleration", change, most, SLACK * most)
     else:
         speed = np.linalg.norm(move, axis=1) / step
-    if limits.turn_rate_rad_s is not None and headings_rad is not None:
-        turn = np.abs(headings_rad[1] - headings_rad[0])
+    if limits.turn_rate_rad_s is not None:
+        heading = after.headings_rad
+        turn = np.abs(heading - before.headings_rad)
         require("turn", turn / step, limits.turn_rate_rad_s, SLACK * limits.turn_rate_rad_s)
-        across = np.stack((-np.sin(headings_rad[1]), np.cos(headings_rad[1])), axis=1)
+        across = np.stack((-np.sin(heading), np.cos(heading)), axis=1)
         require("motion", np.abs((move * across).sum(axis=1)), 0.0, SLACK)
         left = np.maximum(step - turn / limits.turn_rate_rad_s, SLACK * step)
         speed = np.linalg.norm(move, axis=1) / left

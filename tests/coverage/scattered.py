@@ -1,10 +1,11 @@
-"""Places drawn from a region."""
+"""Positions drawn from a region, and moves of agents."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.coverage.limits import Motion, MoveLimits
 from planopt.coverage.voronoi import ConvexRegion
 
 
@@ -18,3 +19,12 @@ def scattered(
         drawn = low + (high - low) * generator.random((4 * count, 2))
         found = np.concatenate((found, drawn[region.excess_m(drawn) < 0.0]))
     return found[:count]
+
+
+def swept(before: Motion, after: Motion, limits: MoveLimits) -> NDArray[np.float64]:
+    """Positions (9, n, 2) of agents during a step."""
+    share, bend = np.linspace(0.0, 1.0, 9)[:, None, None], np.zeros_like(before.places_m)
+    if limits.acceleration_m_s2 is not None:
+        bend = 0.5 * limits.time_step_s * (before.velocities_m_s - after.velocities_m_s)
+    move = after.places_m - before.places_m
+    return before.places_m + share * move + share * (1.0 - share) * bend

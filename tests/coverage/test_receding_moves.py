@@ -11,7 +11,7 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from planopt.coverage.control.movers import Gains, MoveLimits, law_moves, plan_moves
+from planopt.coverage.control.movers import Gains, law_moves, plan_moves
 from planopt.coverage.control.programme import (
     Inertia,
     Programmes,
@@ -21,10 +21,11 @@ from planopt.coverage.control.programme import (
 from planopt.coverage.control.safe_sets import UNBOUNDED, SafeSets, ground_sets, half_planes
 from planopt.coverage.geodesic import GeodesicGround, geodesic_ground
 from planopt.coverage.ground import ConvexGround
+from planopt.coverage.limits import Motion, MoveLimits
 from planopt.coverage.verify import verify_moves
 from planopt.coverage.voronoi import ConvexRegion
 from planopt.errors import InputError
-from tests.coverage.scattered import scattered
+from tests.coverage.scattered import scattered, swept
 
 Floats = NDArray[np.float64]
 KINDS = {
@@ -48,11 +49,10 @@ def test_first_move_is_the_laws(square: ConvexRegion, horizon: int, gain: float)
     """Without a binding limit the first move is that of the law, by closed form and programme."""
     agents = scattered(square, 40, np.random.default_rng(3))
     targets = scattered(square, 40, np.random.default_rng(4))
-    moves = plan_moves(
-        ConvexGround(square), agents, targets, MoveLimits(time_step_s=0.5), gain, horizon
-    )
+    motion, limits = Motion.at_rest(agents), MoveLimits(time_step_s=0.5)
+    after = plan_moves(ConvexGround(square), motion, targets, limits, gain, horizon)
     law = law_moves(agents, targets, np.zeros(40, bool), Gains(1.0, gain), 0.5)
-    np.testing.assert_allclose(moves.next_m, law, atol=1e-8)
+    np.testing.assert_allclose(after.places_m, law, atol=1e-8)
     free = UNBOUNDED
     share = np.full(40, 0.5 * gain)
     found = solve_programme(agents, targets, share, horizon, 1e3, free)
@@ -149,21 +149,18 @@ def test_drifting_targets_are_led(square: ConvexRegion, horizon: int) -> None:
     agents = scattered(square, 20, rng)
     aims, drifts = agents + 6.0 * rng.normal(size=(20, 2)), rng.normal(size=(20, 2))
     limits = MoveLimits(time_step_s=0.5, speed_m_s=1e3)
-    moves = plan_moves(
-        ConvexGround(square), agents, aims, limits, 0.8, horizon, target_velocities_m_s=drifts
-    )
+    motion, ground = Motion.at_rest(agents), ConvexGround(square)
+    after = plan_moves(ground, motion, aims, limits, 0.8, horizon, drifts_m_s=drifts)
     law = agents + 0.4 * (aims - agents) + 0.5 * drifts
     inside = np.asarray(square.contains(law) & square.contains(aims + 0.5 * horizon * drifts))
     assert inside.sum() > 10
-    np.testing.assert_allclose(moves.next_m[inside], law[inside], atol=1e-6)
+    np.testing.assert_allclose(after.places_m[inside], law[inside], atol=1e-6)
     # Along a straight line at its greatest speed, a double integrator keeps up with the target.
     here, speed = np.array([[20.0, 50.0]]), np.array([[2.0, 0.0]])
     inert = MoveLimits(speed_m_s=2.0, acceleration_m_s2=0.5)
-    moves = plan_moves(
-        ConvexGround(square), here, here, inert, 0.5, horizon,
-        velocities_m_s=speed, target_velocities_m_s=speed,
-    )  # fmt: skip
-    np.testing.assert_allclose(moves.next_m, [[22.0, 50.0]], atol=1e-4)
+    motion = Motion(here, speed, np.zeros(1))
+    after = plan_moves(ground, motion, here, inert, 0.5, horizon, drifts_m_s=speed)
+    np.testing.assert_allclose(after.places_m, [[22.0, 50.0]], atol=1e-4)
 
 
 def test_free_path_needs_no_programme() -> None:
@@ -204,79 +201,51 @@ def test_inertia_agrees_with_reference() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_bodies_never_touch(square: ConvexRegion, kind: str) -> None:
-    """Agents that all want the same place, then places opposite, stay apart all along."""
+    """Agents that all want the same position, then opposite ones, stay apart all along."""
     rng = np.random.default_rng(5)
     grid = np.stack(np.meshgrid(np.arange(8.0, 95.0, 16.0), np.arange(8.0, 95.0, 16.0)), axis=2)
-    agents = grid.reshape(-1, 2)[:24] + rng.random((24, 2))
+    motion = Motion.at_rest(grid.reshape(-1, 2)[:24] + rng.random((24, 2)))
     limits = MoveLimits(speed_m_s=4.0, body_radius_m=1.0, time_step_s=0.5, **KINDS[kind])
-    velocities, headings = np.zeros_like(agents), np.zeros(len(agents))
-    least, opposite = math.inf, 100.0 - agents
+    least, opposite = math.inf, 100.0 - motion.places_m
     for step in range(45):
-        targets = np.full_like(agents, 50.0) if step < 32 else opposite
-        moves = plan_moves(
-            ConvexGround(square),
-            agents,
-            targets,
-            limits,
-            1.0,
-            8,
-            velocities_m_s=velocities,
-            headings_rad=headings,
-        )
-        shares = np.linspace(0.0, 1.0, 9)[:, None, None]
-        bend = 0.25 * (velocities - moves.velocities_m_s) if kind == "double" else 0.0
-        swept = agents + shares * (moves.next_m - agents) + shares * (1.0 - shares) * bend
-        apart = np.linalg.norm(swept[:, :, None] - swept[:, None], axis=3)
-        least = min(least, float((apart + 99.0 * np.eye(24)).min()))
-        assert (square.excess_m(moves.next_m) <= -1.0 + 1e-9).all()
-        agents, velocities = moves.next_m, moves.velocities_m_s
-        headings = moves.headings_rad
-        assert (np.linalg.norm(velocities, axis=1) <= 4.0 + 1e-9).all()
+        targets = np.full_like(opposite, 50.0) if step < 32 else opposite
+        after = plan_moves(ConvexGround(square), motion, targets, limits, 1.0, 8)
+        places = swept(motion, after, limits)
+        apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
+        least, motion = min(least, float((apart + 99.0 * np.eye(24)).min())), after
+        assert (square.excess_m(after.places_m) <= -1.0 + 1e-9).all()
+        assert (np.linalg.norm(after.velocities_m_s, axis=1) <= 4.0 + 1e-9).all()
         if step == 31:
-            near = np.sort(np.linalg.norm(agents - 50.0, axis=1))
+            near = np.sort(np.linalg.norm(after.places_m - 50.0, axis=1))
             assert near[6] < 4.0
     assert 2.0 < least < 2.1
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_agents_pass_obstacles(blocks: GeodesicGround, kind: str) -> None:
-    """Agents get round obstacles to a place behind them, and never nearer to them than allowed."""
-    agents = np.array([[2.0, 2.0], [10.0, 27.0], [55.0, 2.0], [26.0, 15.0]])
+    """Agents get round obstacles to targets behind them, and never nearer to them than allowed."""
+    motion = Motion.at_rest(np.array([[2.0, 2.0], [10.0, 27.0], [55.0, 2.0], [26.0, 15.0]]))
     limits = MoveLimits(speed_m_s=2.0, body_radius_m=0.5, clearance_m=0.6, **KINDS[kind])
     aims = np.array([[45.0, 37.0], [57.0, 20.0], [5.0, 20.0], [46.0, 7.0]])
-    velocities, headings = np.zeros_like(agents), np.zeros(len(agents))
+    border = shapely.boundary(blocks.free)
     for _ in range(120):
-        targets = blocks.steered(agents, aims, 0.5)
-        moves = plan_moves(
-            blocks,
-            agents,
-            targets,
-            limits,
-            0.5,
-            8,
-            velocities_m_s=velocities,
-            headings_rad=headings,
-        )
-        speed = velocities if kind == "double" else moves.velocities_m_s
-        shares = np.linspace(0.0, 1.0, 9)[:, None, None]
-        bend = speed - (moves.next_m - agents)
-        swept = agents + shares * (moves.next_m - agents) + shares * (1.0 - shares) * bend
-        away = shapely.distance(shapely.boundary(blocks.free), shapely.points(swept))
-        assert away.min() > 0.6 - 1e-6
-        agents, velocities = moves.next_m, moves.velocities_m_s
-        headings = moves.headings_rad
-    assert np.linalg.norm(agents - aims, axis=1).max() < 0.1
+        targets = blocks.steered(motion.places_m, aims, 0.5)
+        after = plan_moves(blocks, motion, targets, limits, 0.5, 8)
+        places = shapely.points(swept(motion, after, limits))
+        assert shapely.distance(border, places).min() > 0.6 - 1e-6
+        motion = after
+    assert np.linalg.norm(motion.places_m - aims, axis=1).max() < 0.1
 
 
 def test_round_clearance_of_a_corner_is_kept() -> None:
     """An agent between the mitred and the round clearance of a corner does not cut the corner."""
     square, wall = shapely.box(0, 0, 30, 30), shapely.box(12, 10, 20, 20)
     ground = geodesic_ground(square, [wall], 2.0, clearance_m=1.0)
-    agents = np.array([[11.2, 9.36]])
-    assert 1.0 < float(wall.distance(shapely.Point(agents[0]))) < 1.03
+    motion = Motion.at_rest(np.array([[11.2, 9.36]]))
+    assert 1.0 < float(wall.distance(shapely.Point(11.2, 9.36))) < 1.03
     limits = MoveLimits(speed_m_s=2.0, body_radius_m=0.8, clearance_m=1.0)
-    moves = plan_moves(ground, agents, np.array([[10.0, 28.0]]), limits, 0.5, 6)
-    assert not verify_moves(ground.free, agents, moves.next_m, limits)
+    after = plan_moves(ground, motion, np.array([[10.0, 28.0]]), limits, 0.5, 6)
+    assert not verify_moves(ground.free, motion, after, limits)
 
 
 def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:
@@ -307,36 +276,30 @@ def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:
 
 def test_points_may_meet(square: ConvexRegion) -> None:
     """Agents without bodies all get to one place, also from one place."""
-    agents = np.array([[10.0, 10.0], [10.0, 10.0], [80.0, 30.0]])
+    motion = Motion.at_rest(np.array([[10.0, 10.0], [10.0, 10.0], [80.0, 30.0]]))
+    middle, limits = np.full((3, 2), 50.0), MoveLimits(speed_m_s=3.0)
     for _ in range(60):
-        moves = plan_moves(
-            ConvexGround(square), agents, np.full((3, 2), 50.0), MoveLimits(speed_m_s=3.0), 0.5, 4
-        )
-        agents = moves.next_m
-    np.testing.assert_allclose(agents, 50.0, atol=1e-6)
+        motion = plan_moves(ConvexGround(square), motion, middle, limits, 0.5, 4)
+    np.testing.assert_allclose(motion.places_m, 50.0, atol=1e-6)
 
 
 def test_double_integrators_can_always_stop(square: ConvexRegion) -> None:
     """A fast crowd whose targets jump keeps its acceleration, and stops clear of each other."""
     rng = np.random.default_rng(11)
     agents = np.stack(np.meshgrid(np.arange(30, 70, 8.0), np.arange(30, 70, 8.0)), axis=2)
-    agents = agents.reshape(-1, 2)
+    motion = Motion.at_rest(agents.reshape(-1, 2))
     limits = MoveLimits(speed_m_s=6.0, acceleration_m_s2=1.0, body_radius_m=1.0)
-    velocities = np.zeros_like(agents)
     for _ in range(25):
-        targets = scattered(square, len(agents), rng)
-        moves = plan_moves(
-            ConvexGround(square), agents, targets, limits, 0.8, 6, velocities_m_s=velocities
-        )
-        change = np.linalg.norm(moves.velocities_m_s - velocities, axis=1)
-        assert change.max() <= 1.0 + 1e-6
-        np.testing.assert_allclose(
-            moves.next_m - agents, 0.5 * (velocities + moves.velocities_m_s), atol=1e-6
-        )
-        agents, velocities = moves.next_m, moves.velocities_m_s
-        stops = agents + velocities * (0.5 * np.ceil(np.linalg.norm(velocities, axis=1)))[:, None]
-        ways = shapely.linestrings(np.stack((agents, stops), axis=1))
-        apart = shapely.distance(ways[:, None], ways) + 99.0 * np.eye(len(agents))
+        before = motion
+        targets = scattered(square, 25, rng)
+        motion = plan_moves(ConvexGround(square), before, targets, limits, 0.8, 6)
+        speeds, agents = motion.velocities_m_s, motion.places_m
+        assert np.linalg.norm(speeds - before.velocities_m_s, axis=1).max() <= 1.0 + 1e-6
+        mean = 0.5 * (before.velocities_m_s + speeds)
+        np.testing.assert_allclose(agents - before.places_m, mean, atol=1e-6)
+        stops = agents + speeds * (0.5 * np.ceil(np.linalg.norm(speeds, axis=1)))[:, None]
+        lines = shapely.linestrings(np.stack((agents, stops), axis=1))
+        apart = shapely.distance(lines[:, None], lines) + 99.0 * np.eye(len(agents))
         assert apart.min() > 2.0
         assert (square.excess_m(stops) <= -1.0 + 1e-6).all()
 
@@ -356,9 +319,7 @@ def test_wrong_input_is_named(
     """Touching bodies, agents that are too fast, and limits that do not fit are refused."""
     limits = {"speed_m_s": 1.0, "body_radius_m": 1.0, "acceleration_m_s2": 1.0} | more
     agents = [[10.0, 10.0], [10.0 + apart_m, 10.0]]
-    here, now = np.array(agents), np.full((2, 2), speed)
+    motion = Motion(np.array(agents), np.full((2, 2), speed), np.zeros(2))
     with pytest.raises(InputError) as caught:
-        plan_moves(
-            ConvexGround(square), here, here, MoveLimits(**limits), 0.5, 3, velocities_m_s=now
-        )
+        plan_moves(ConvexGround(square), motion, motion.places_m, MoveLimits(**limits), 0.5, 3)
     assert caught.value.key == key

@@ -7,16 +7,15 @@ import math
 import numpy as np
 import pytest
 import shapely
-from numpy.typing import NDArray
 
 from planopt.coverage.control.movers import braking_offsets_m, plan_moves
 from planopt.coverage.control.radio import radio_tree
+from planopt.coverage.control.safe_sets import UNBOUNDED
 from planopt.coverage.geodesic import geodesic_ground
 from planopt.coverage.ground import ConvexGround
-from planopt.coverage.limits import LinkLaw, MoveLimits, RadioLimits
+from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits
 from planopt.coverage.verify import Fault, verify_moves
 from planopt.coverage.voronoi import ConvexRegion
-from planopt.errors import InputError
 
 HALL = shapely.box(0, 0, 60, 40) - shapely.box(20, 10, 30, 25)
 KNOWN = LinkLaw(np.array([-10.0, 2.5]), 6.0, np.zeros((2, 2)))
@@ -28,9 +27,9 @@ def kinds(faults: tuple[Fault, ...]) -> set[str]:
     return {fault.kind for fault in faults}
 
 
-def places(*pairs: tuple[float, float]) -> NDArray[np.float64]:
-    """Places (n, 2)."""
-    return np.array(pairs)
+def places(*pairs: tuple[float, float]) -> Motion:
+    """Agents that stand at positions."""
+    return Motion.at_rest(np.array(pairs, dtype=float))
 
 
 def test_contact_between_the_ends_is_found() -> None:
@@ -51,12 +50,12 @@ def test_contact_between_the_ends_is_found() -> None:
 def test_parabolas_are_judged_as_driven() -> None:
     """A double integrator that swings near another between the ends touches it."""
     limits = MoveLimits(speed_m_s=9.0, acceleration_m_s2=20.0, body_radius_m=0.5)
-    before = after = places((5, 5), (5, 6.5))
-    velocities = places((0, 4), (0, 0)), places((0, -4), (0, 0))
-    (fault,) = verify_moves(HALL, before, after, limits, velocities_m_s=velocities)
-    assert fault.kind == "contact" and fault.value == pytest.approx(0.5)
-    slower = places((0, 1.9), (0, 0)), places((0, -1.9), (0, 0))
-    assert verify_moves(HALL, before, after, limits, velocities_m_s=slower) == ()
+    here, still = np.array([[5.0, 5.0], [5.0, 6.5]]), np.zeros(2)
+    for speed, touches in ((4.0, True), (1.9, False)):
+        up = np.array([[0.0, speed], [0.0, 0.0]])
+        found = verify_moves(HALL, Motion(here, up, still), Motion(here, -up, still), limits)
+        assert kinds(found) == ({"contact"} if touches else set())
+        assert not touches or found[0].value == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(
@@ -79,15 +78,14 @@ def test_borders_and_speed(after: tuple[float, float], found: set[str]) -> None:
 def test_motion_of_other_kinds() -> None:
     """Accelerations, turn rates and ends that do not fit together are found."""
     inert = MoveLimits(speed_m_s=4.0, acceleration_m_s2=1.0)
-    start, rest = places((5, 5)), places((0, 0))
+    start = places((5, 5))
     for after, velocity, found in (
         ((5.5, 5), (1, 0), set()),
         ((5.7, 5), (1, 0), {"motion"}),
         ((6, 5), (2, 0), {"acceleration"}),
     ):
-        pair = rest, places(velocity)
-        faults = verify_moves(HALL, start, places(after), inert, velocities_m_s=pair)
-        assert kinds(faults) == found
+        end = Motion(np.array([after]), np.array([velocity]), np.zeros(1))
+        assert kinds(verify_moves(HALL, start, end, inert)) == found
     unicycle = MoveLimits(speed_m_s=4.0, turn_rate_rad_s=math.pi / 2)
     for after, heading, found in (
         ((5, 5), math.pi / 2, set()),
@@ -97,9 +95,8 @@ def test_motion_of_other_kinds() -> None:
         ((1, 5), 0.0, set()),
         ((5, 5), 2.0, {"turn"}),
     ):
-        pair = np.zeros(1), np.array([heading])
-        faults = verify_moves(HALL, start, places(after), unicycle, headings_rad=pair)
-        assert kinds(faults) == found
+        end = Motion(np.array([after]), np.zeros((1, 2)), np.array([heading]))
+        assert kinds(verify_moves(HALL, start, end, unicycle)) == found
 
 
 def test_radio_is_judged_over_the_best_way() -> None:
@@ -107,17 +104,15 @@ def test_radio_is_judged_over_the_best_way() -> None:
     far, near = (59.5, 20.0), (30.0, 10.0)
     still = places(near, far)
     limits = MoveLimits()
-    assert verify_moves(shapely.box(0, 0, 60, 40), still, still, limits, radio=RADIO) == ()
+    assert verify_moves(shapely.box(0, 0, 60, 40), still, still, limits, RADIO) == ()
     alone = places(far)
-    (fault,) = verify_moves(shapely.box(0, 0, 60, 40), alone, alone, limits, radio=RADIO)
+    (fault,) = verify_moves(shapely.box(0, 0, 60, 40), alone, alone, limits, RADIO)
     length = math.hypot(*far)
     score = (-10.0 - 25.0 * math.log10(length) + 62.0) / 6.0
     assert fault.kind == "radio"
     assert fault.value == pytest.approx(0.5 * math.erfc(score / math.sqrt(2.0)), rel=1e-6)
     gone = places(near, (99.0, 59.0))
-    assert kinds(verify_moves(shapely.box(0, 0, 100, 60), still, gone, limits, radio=RADIO)) == {
-        "radio"
-    }
+    assert kinds(verify_moves(shapely.box(0, 0, 100, 60), still, gone, limits, RADIO)) == {"radio"}
 
 
 @pytest.mark.parametrize("kind", ["single", "double", "unicycle"])
@@ -128,63 +123,30 @@ def test_planned_moves_have_no_fault(kind: str) -> None:
     rng = np.random.default_rng(9)
     grid = np.stack(np.meshgrid(np.arange(4, 20, 4.0), np.arange(4, 20, 4.0)), axis=2)
     agents = grid.reshape(-1, 2) + rng.random((16, 2))
-    velocities, headings = np.zeros_like(agents), np.zeros(16)
+    motion = Motion.at_rest(agents)
     radio = RadioLimits(RADIO.stations_m, KNOWN, KNOWN, -48.0, 0.9)
     wall = shapely.box(10.8, 20.5, 30, 30)
     ground = geodesic_ground(shapely.box(0, 0, 100, 100), [wall], 5.0, clearance_m=1.0)
-    loosest, held, away = 0.0, 0, agents
+    loosest, away = 0.0, agents
     for step in range(24):
         if step % 8 == 0:
             away = 200.0 * (rng.random((16, 2)) - 0.2)
-        targets = ground.steered(agents, np.clip(away, 2.0, 98.0), 0.5)
-        stops = agents + braking_offsets_m(velocities, 1.0) if kind == "double" else agents
-        tree = radio_tree(agents, radio, stops)
+        here = motion.places_m
+        targets = ground.steered(here, np.clip(away, 2.0, 98.0), 0.5)
+        stops = here + braking_offsets_m(motion.velocities_m_s, 1.0) if kind == "double" else here
+        tree = radio_tree(here, radio, stops)
         assert tree.connected.all()
         loosest = max(loosest, float(tree.failure.max()))
-        moves = plan_moves(
-            ground,
-            agents,
-            targets,
-            limits,
-            0.5,
-            6,
-            velocities_m_s=velocities,
-            headings_rad=headings,
-            kept=tree.kept,
-        )
-        turned = headings, moves.headings_rad
-        speeds = (velocities, moves.velocities_m_s) if kind == "double" else None
-        faults = verify_moves(
-            ground.free,
-            agents,
-            moves.next_m,
-            limits,
-            velocities_m_s=speeds,
-            headings_rad=turned,
-            radio=radio,
-        )
-        assert faults == ()
-        held += moves.solved
-        agents, velocities = moves.next_m, moves.velocities_m_s
-        headings = moves.headings_rad
-    # Radio and cells have been in the way: otherwise nothing was tested.
-    assert 0.06 < loosest <= 0.1 and held > 50
-
-
-def test_wrong_shapes_are_refused() -> None:
-    """Missing velocities, numbers that are not finite and shapes that do not fit are named."""
-    start = places((5, 5))
-    with pytest.raises(InputError) as caught:
-        verify_moves(HALL, start, start, MoveLimits(speed_m_s=1.0, acceleration_m_s2=1.0))
-    assert caught.value.key == "velocities"
-    with pytest.raises(InputError) as caught:
-        verify_moves(HALL, start, places((5, math.nan)), MoveLimits())
-    assert caught.value.key == "positions"
+        after = plan_moves(ground, motion, targets, limits, 0.5, 6, kept=tree.kept)
+        assert verify_moves(ground.free, motion, after, limits, radio) == ()
+        motion = after
+    # Radio has been in the way: otherwise nothing was tested.
+    assert 0.06 < loosest <= 0.1
 
 
 def test_tree_counts_failures_of_the_whole_way() -> None:
     """The bound is the sum over the way, and what links may still fail is divided over it."""
-    chain = places((22, 0), (44, 0), (66, 0))
+    chain = places((22, 0), (44, 0), (66, 0)).places_m
     radio = RadioLimits(RADIO.stations_m, KNOWN, KNOWN, -62.0, 0.7)
     tree = radio_tree(chain, radio)
     assert tree.parent.tolist() == [-1, 0, 1]
@@ -202,24 +164,15 @@ def test_tree_counts_failures_of_the_whole_way() -> None:
 
 def test_law_without_radio_fails_where_tree_holds(square: ConvexRegion) -> None:
     """Radio binds: the same agents without the tree lose their connection."""
-    agents = places((10, 10), (14, 10), (10, 14))
-    ground, targets = ConvexGround(square), np.full((3, 2), 95.0)
-    for kept in (True, False):
-        now, lost = agents, 0
+    start, limits = places((10, 10), (14, 10), (10, 14)), MoveLimits(speed_m_s=3.0)
+    hall, targets = shapely.box(0, 0, 100, 100), np.full((3, 2), 95.0)
+    for keeps in (True, False):
+        now, lost = start, 0
         for _ in range(40):
-            tree = radio_tree(now, RADIO)
-            moves = plan_moves(
-                ground,
-                now,
-                targets,
-                MoveLimits(speed_m_s=3.0),
-                0.5,
-                5,
-                kept=tree.kept if kept else None,
-            )
-            hall = shapely.box(0, 0, 100, 100)
-            lost += len(verify_moves(hall, now, moves.next_m, MoveLimits(), radio=RADIO))
-            now = moves.next_m
-        assert (lost == 0) == kept
-        if kept:
-            assert np.linalg.norm(now, axis=1).max() > 30.0
+            kept = radio_tree(now.places_m, RADIO).kept if keeps else UNBOUNDED
+            after = plan_moves(ConvexGround(square), now, targets, limits, 0.5, 5, kept=kept)
+            lost += len(verify_moves(hall, now, after, limits, RADIO))
+            now = after
+        assert (lost == 0) == keeps
+        if keeps:
+            assert np.linalg.norm(now.places_m, axis=1).max() > 30.0

@@ -13,7 +13,7 @@ import pytest
 import shapely
 
 import planopt
-from planopt.coverage.limits import packing_reach_m
+from planopt.coverage.limits import Motion, packing_reach_m
 from planopt.coverage.simulation import ABSENT
 from planopt.coverage.verify import verify_moves
 from planopt.errors import InputError
@@ -344,7 +344,8 @@ def _links_are_drawn(kept, lost):
             assert grown
             reached += grown
             ends = [pair for pair in ends if pair[0] not in grown]
-        alone = verify_moves(shapely.box(0, 0, 200, 150), here, here, content.limits, radio=radio)
+        still = Motion.at_rest(here)
+        alone = verify_moves(shapely.box(0, 0, 200, 150), still, still, content.limits, radio)
         assert np.array_equal(lonely, here[[fault.agent for fault in alone]])
     assert len(pictures[0].links(29)[1]) == 0 < len(pictures[1].links(29)[1])
     figure = draw_network(pictures[1])

@@ -11,10 +11,16 @@ from numpy.typing import NDArray
 
 from planopt.coverage.control.programme import Inertia, solve_programme
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.control.safe_sets import SafeSets, ground_sets, joined, separate_cells
+from planopt.coverage.control.safe_sets import (
+    UNBOUNDED,
+    SafeSets,
+    ground_sets,
+    joined,
+    separate_cells,
+)
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.ground import Cover
-from planopt.coverage.limits import MoveLimits, RadioLimits
+from planopt.coverage.limits import Motion, MoveLimits, RadioLimits
 from planopt.coverage.voronoi import merge_coincident
 from planopt.errors import InputError
 
@@ -107,52 +113,36 @@ def _clipped_moves(agents: Floats, targets: Floats, share: Floats, most_m: float
     return agents + move * np.minimum(1.0, most_m / np.where(length > 0.0, length, 1.0))[:, None]
 
 
-@dataclass(frozen=True, eq=False)
-class NetworkMoves:
-    """The first moves of plans of all agents."""
-
-    next_m: Floats  # (n, 2) positions after the move
-    # (n, 2) velocities on arrival. A double integrator changes its velocity evenly during a step;
-    # other agents have that of the step's end at once.
-    velocities_m_s: Floats
-    headings_rad: Floats  # (n,) headings on arrival; unicycles alone change them
-    solved: int  # Number of agents that needed a programme; the paths of others are free
-
-
 def plan_moves(
     ground: Ground,
-    positions_m: Floats,  # (n, 2) present positions
+    motion: Motion,
     targets_m: Floats,  # (n, 2)
     limits: MoveLimits,
     gain_per_s: float | Floats,
     horizon: int,
     *,
-    velocities_m_s: Floats | None = None,  # (n, 2) present velocities; zero if None
-    headings_rad: Floats | None = None,  # (n,) present headings of unicycles; zero if None
-    kept: SafeSets | None = None,  # Further sets that agents stay in
-    target_velocities_m_s: Floats | None = None,  # (n, 2); zero if None
-) -> NetworkMoves:
-    """Plan the moves of all agents over a horizon, with targets that stand or drift.
+    kept: SafeSets = UNBOUNDED,  # Further sets that agents stay in
+    drifts_m_s: Floats | None = None,  # (n, 2) velocities of the targets; zero if None
+) -> Motion:
+    """Plan the moves of all agents over a horizon; return the motion after the first move.
 
     The first move equals that of the law ``k (target - p)`` as long as no limit binds. Bodies never
     touch, and keep off obstacles and the border, during the whole move; stopping always stays
     possible.
     """
-    count, step_s = len(positions_m), limits.time_step_s
-    share = np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64) * step_s, (count,))
-    none = np.zeros((count, 2))
-    rates = none if velocities_m_s is None else step_s * velocities_m_s
-    headings = np.zeros(count) if headings_rad is None else headings_rad
-    drifts = none if target_velocities_m_s is None else step_s * target_velocities_m_s
-    task = _Task(ground, positions_m, targets_m, drifts, limits, np.minimum(share, 1.0), horizon)
+    places, step_s = motion.places_m, limits.time_step_s
+    share = np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64) * step_s, (len(places),))
+    drifts = np.zeros_like(places) if drifts_m_s is None else step_s * drifts_m_s
+    task = _Task(ground, places, targets_m, drifts, limits, np.minimum(share, 1.0), horizon, kept)
     if limits.acceleration_m_s2 is not None:
-        after, rates = _inert_moves(task, rates, kept)
-        return NetworkMoves(after, rates / step_s, headings, count)
-    after, sets, solved = _instant_moves(task, kept)
+        after, rates = _inert_moves(task, step_s * motion.velocities_m_s)
+        return Motion(after, rates / step_s, motion.headings_rad)
+    after, sets = _instant_moves(task)
+    headings = motion.headings_rad
     if limits.turn_rate_rad_s is not None:
-        after, headings = _driven(positions_m, after, headings, limits)
-    move = sets.share_inside(positions_m, after)[:, None] * (after - positions_m)
-    return NetworkMoves(positions_m + move, move / step_s, headings, solved)
+        after, headings = _driven(places, after, headings, limits)
+    move = sets.share_inside(places, after)[:, None] * (after - places)
+    return Motion(places + move, move / step_s, headings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,31 +156,30 @@ class _Task:
     limits: MoveLimits
     share: Floats  # (n,) share of the distance to its target that an agent covers in a step
     horizon: int
+    kept: SafeSets  # Further sets that agents stay in
 
     @property
     def most_m(self) -> float:
         """Return the largest move in a step."""
         return self.limits.speed_m_s * self.limits.time_step_s
 
-    def sets(
-        self, stops: Floats, step_m: Floats, reach_m: float, kept: SafeSets | None
-    ) -> SafeSets:
+    def sets(self, stops: Floats, step_m: Floats, reach_m: float) -> SafeSets:
         """Return all sets that agents with reserves to stops (n, 2) stay in."""
         cells = separate_cells(self.places, stops, self.limits.body_radius_m, step_m)
         keep_m = self.limits.keep_m
         free = ground_sets(self.ground, self.places, stops, self.targets, keep_m, reach_m)
-        return joined(cells, free, *([] if kept is None else [kept]))
+        return joined(cells, free, self.kept)
 
 
-def _instant_moves(task: _Task, kept: SafeSets | None) -> tuple[Floats, SafeSets, int]:
+def _instant_moves(task: _Task) -> tuple[Floats, SafeSets]:
     """Plan moves of agents whose velocity may jump; they stop at once.
 
-    Returns the ends of the first moves (n, 2), the sets to stay in, and the number of programmes.
+    Returns the ends of the first moves (n, 2), and the sets to stay in.
     """
     places, share, drifts = task.places, task.share, task.drifts
     step_m = share * np.linalg.norm(task.targets - places, axis=1)
     step_m = np.minimum(task.most_m, step_m + np.linalg.norm(drifts, axis=1))
-    sets = task.sets(places, step_m, float(task.horizon * step_m.max()), kept)
+    sets = task.sets(places, step_m, float(task.horizon * step_m.max()))
     after = _clipped_moves(places, task.targets, share, task.most_m)
     clear = (sets.share_inside(places, task.targets) >= 1.0) & ~drifts.any(axis=1)
     who = np.flatnonzero(~clear)
@@ -201,10 +190,10 @@ def _instant_moves(task: _Task, kept: SafeSets | None) -> tuple[Floats, SafeSets
             drifts_m=drifts[who],
         )  # fmt: skip
         after[who] = places[who] if found is None else found[0][:, 1]
-    return after, sets, len(who)
+    return after, sets
 
 
-def _inert_moves(task: _Task, now: Floats, kept: SafeSets | None) -> tuple[Floats, Floats]:
+def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
     """Plan moves of double integrators with velocities (n, 2) per step.
 
     Returns positions and velocities (n, 2) after the first move. Agents brake where no other move
@@ -225,7 +214,7 @@ def _inert_moves(task: _Task, now: Floats, kept: SafeSets | None) -> tuple[Float
     inertia = Inertia(now, change, later.astype(np.intp))
     # A step and then the longest reserve; over the horizon that of the largest speed.
     reach_m = most * (horizon + 0.5 * math.ceil(most / change))
-    sets = task.sets(stops, fastest * (1.0 + 0.5 * later), reach_m, kept)
+    sets = task.sets(stops, fastest * (1.0 + 0.5 * later), reach_m)
     path, rates = _braking(places, now, change, horizon)
     reserves = path + 0.5 * later[:, None, None] * rates
     wide = sets.widened(np.concatenate((path, reserves), axis=1))
@@ -293,15 +282,6 @@ def _driven(
     return places + share[:, None] * offset, headings + np.clip(turn, -most, most)
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Positions, velocities and headings of agents."""
-
-    places_m: Floats  # (n, 2)
-    velocities_m_s: Floats  # (n, 2) velocities at the end of the last step
-    headings_rad: Floats  # (n,); used by unicycles alone
-
-
 class Mover(Protocol):
     """The law by which agents move toward their targets in one step."""
 
@@ -358,23 +338,17 @@ class RecedingMover:
         drifts_m_s: Floats,
     ) -> Motion:
         """Return the motion after the first move of a plan."""
-        step_s, kept = self.limits.time_step_s, None
+        step_s, kept = self.limits.time_step_s, UNBOUNDED
         most = self.limits.acceleration_m_s2
         if self.radio is not None:
             stops = motion.places_m
             if most is not None:
-                stops = stops + braking_offsets_m(motion.velocities_m_s * step_s, most * step_s**2)
+                rates = motion.velocities_m_s * step_s
+                stops = stops + braking_offsets_m(rates, most * step_s**2)
             kept = radio_tree(motion.places_m, self.radio, stops).kept
-        moves = plan_moves(
-            ground,
-            motion.places_m,
-            targets_m,
-            self.limits,
-            self.gains.shares(responds, step_s) / step_s,
-            self.horizon,
-            velocities_m_s=motion.velocities_m_s,
-            headings_rad=motion.headings_rad,
-            kept=kept,
-            target_velocities_m_s=drifts_m_s if self.lead else None,
-        )
-        return Motion(moves.next_m, moves.velocities_m_s, moves.headings_rad)
+        gains = self.gains.shares(responds, step_s) / step_s
+        drifts = drifts_m_s if self.lead else None
+        return plan_moves(
+            ground, motion, targets_m, self.limits, gains, self.horizon, kept=kept,
+            drifts_m_s=drifts,
+        )  # fmt: skip

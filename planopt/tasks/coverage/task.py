@@ -16,8 +16,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.coverage.assignment import NONE
-from planopt.coverage.control.movers import Motion
-from planopt.coverage.limits import packing_reach_m
+from planopt.coverage.limits import Motion, packing_reach_m
 from planopt.coverage.optima import best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
 from planopt.coverage.verify import verify_moves
@@ -157,15 +156,8 @@ def faults(result: TaskResult) -> list[str]:
     reasons = list[str]()
     for step in range(len(run.costs)):
         who = np.flatnonzero(run.states[step] != ABSENT)
-        both = [(each[step, who], each[step + 1, who]) for each in moving]
-        found = verify_moves(
-            cast("shapely.Polygon", free),
-            *both[0],
-            limits,
-            velocities_m_s=both[1],
-            headings_rad=both[2],
-            radio=problem.radio,
-        )
+        before, after = (Motion(*(each[at, who] for each in moving)) for at in (step, step + 1))
+        found = verify_moves(cast("shapely.Polygon", free), before, after, limits, problem.radio)
         reasons += [
             f"{STEPS_FILE}: {agent_name(int(who[fault.agent]))} has a fault of {fault.kind} in "
             f"step {step}: {fault.value:.6g}, {fault.limit:g} is allowed"

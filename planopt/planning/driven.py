@@ -1,8 +1,8 @@
-"""Starts, tasks and last resorts of a robot that cannot turn or stop at will.
+"""Initial guesses and refinement tasks of a robot with dynamics.
 
-The search finds ways of a robot that can. Its inputs are found by following such a way; what that
-cuts or swings out at corners is for the refinement to mend. The last plan, one step later and then
-stopping, is always a way that the robot can drive.
+The search finds paths of a single integrator. Inputs that follow such a path give an initial guess,
+which may come too near to obstacles at corners. The remainder of the previous plan, then braking,
+can always be driven.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planopt.world.separation import SeparatingLines, joined_lines, separating_l
 
 
 def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
-    """Structure of the rows of the robot's dynamics; None for the single integrator."""
+    """Return the structure of the rows of the dynamics; None for the single integrator."""
     robot = problem.robots[0]
     if robot.moves_freely:
         return None
@@ -36,7 +36,7 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
 def driven_starts(
     judge: Judge, situation: StepContext, starts: list[Guess], warm: Plan | None
 ) -> list[Guess]:
-    """Starts that the robot can drive, best first; those that come too near to something last."""
+    """Return guesses that the robot can drive, best first; those that are not clear come last."""
     problem = judge.problem
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     found: list[Guess] = []
@@ -52,7 +52,7 @@ def driven_starts(
 
 
 def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """A verified last plan, one step later and then stopping; None if there is none."""
+    """Return the remainder of a verified previous plan, then braking; None without one."""
     shifted = shifted_drive(problem, warm)
     if shifted is None or warm is None or warm.verdict is not Verdict.VERIFIED:
         return None
@@ -60,7 +60,7 @@ def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
 
 
 def driven_start(judge: Judge, situation: StepContext, drive: Drive) -> Guess:
-    """A drive as a start."""
+    """Return a drive as an initial guess."""
     candidate = drive_candidate(judge, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
     path = candidate.path_m
     moved = verify_motion(judge.problem, judge.index, judge.state, drive.positions_m, drive)
@@ -78,7 +78,7 @@ def motion_task(
     drive: Drive,
     still: SeparatingLines | None,
 ) -> MotionTask:
-    """Return what a refinement needs; `still` are separating lines at standstill."""
+    """Return the motion of a refinement; `still` are separating lines at standstill."""
     last = drive.states[-1]
     end = standstill_m(problem, last)[None]
     reach = LINE_REACH_STEPS * problem.step_length_m
@@ -88,7 +88,7 @@ def motion_task(
 
 
 def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return where the robot stands (2,) that stops from `state` (s,), or a little beyond."""
+    """Return the resting position (2,) after braking from `state` (s,), or a little beyond."""
     points = problem.robots[0].dynamics.stop_points(tuple(state), problem.planner.step_s)
     return np.array(points[-1] if points else state[:2], dtype=np.float64)
 
@@ -96,7 +96,7 @@ def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.flo
 def refined_drive(
     problem: Problem, state: NDArray[np.float64], inputs: NDArray[np.float64] | None
 ) -> Drive | None:
-    """Return where the inputs that a solver returned lead; None of a single integrator."""
+    """Return the trajectory of a solver's inputs; None for the single integrator."""
     if inputs is None:
         return None
     return rolled_out(problem.robots[0].dynamics, state, inputs, problem.planner.step_s)

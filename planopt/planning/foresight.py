@@ -1,7 +1,16 @@
-"""Bounds on tracking: paths for a whole run of robots that know what will come."""
+"""Bounds on tracking: paths for a whole run of robots that know the future.
+
+The clairvoyant knows the power of every place, multipath included, and the path of the target. The
+oracle knows path loss, shadowing and the target's path, but not the multipath, and is the bound
+that a planner can approach. Either maximises the information that arrives, or (``_log``) the
+expected logarithm of one plus that information times the variance of the first estimate. A dynamic
+programme over (step, node) maximises the sum over the run; several robots take turns until no path
+changes.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -20,53 +29,24 @@ from planopt.targets.sensor import sensing_information
 from planopt.world.lattice import MOVES, RoadMap
 
 ROUNDS = 5
-"""Turns of several robots at most."""
+"""Maximum number of rounds of several robots."""
 
 
 class FollowingPlanner:
-    """Follows a path that is given for the whole run."""
+    """Follows a path for the whole run."""
 
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         self._path_m = path_m
 
     def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Release the next steps; arguments as of the horizon planner, `warm` is not used."""
+        """Return the plan of the next steps; `warm` is not used."""
         begun, first = perf_counter(), situation.history.steps
         ahead = self._path_m[first : first + situation.problem.planner.horizon]
         return released(judge, held(situation, list(ahead)), begun)
 
 
-def oracle_paths(
-    problem: Problem, truth: Truth, target_m: NDArray[np.float64]
-) -> list[NDArray[np.float64]]:
-    """Return paths by the information that is expected to arrive, multipath unknown."""
-    # Shapes: target_m (T + 1, 2); returns (T, 2).
-    return _paths(problem, truth, target_m, knows_multipath=False, saturates=False)
-
-
-def oracle_log_paths(
-    problem: Problem, truth: Truth, target_m: NDArray[np.float64]
-) -> list[NDArray[np.float64]]:
-    """Return the same by the expected logarithm; as :func:`oracle_paths`."""
-    return _paths(problem, truth, target_m, knows_multipath=False, saturates=True)
-
-
-def clairvoyant_paths(
-    problem: Problem, truth: Truth, target_m: NDArray[np.float64]
-) -> list[NDArray[np.float64]]:
-    """Return paths by the information that will arrive; as :func:`oracle_paths`."""
-    return _paths(problem, truth, target_m, knows_multipath=True, saturates=False)
-
-
-def clairvoyant_log_paths(
-    problem: Problem, truth: Truth, target_m: NDArray[np.float64]
-) -> list[NDArray[np.float64]]:
-    """Return the same by the expected logarithm; as :func:`oracle_paths`."""
-    return _paths(problem, truth, target_m, knows_multipath=True, saturates=True)
-
-
 def require_foreseeable(problem: Problem) -> None:
-    """Raise an InputError where bounds are not defined: no target, or robots that are not free."""
+    """Raise an InputError if bounds are not defined for a problem."""
     several = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
     if (
         not any(term.sensor for term in problem.terms)
@@ -93,22 +73,22 @@ def _paths(
     knows_multipath: bool,
     saturates: bool,
 ) -> list[NDArray[np.float64]]:
-    """Return the path (T, 2) of each robot."""
+    """Return the path (T, 2) of each robot that tracks a target (T + 1, 2)."""
     require_foreseeable(problem)
     sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
     threshold, ahead = problem.stations[0].true_threshold_dbm, target_m[1:]
     unknown = float(np.std(truth.raster.values - truth.mean_dbm))
 
     def arriving(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return P(packet arrives) at places (n, 2), by what is known."""
+        """Return P(packet arrives) at places (n, 2)."""
         if knows_multipath or unknown == 0.0:
             return (true_power_dbm(truth, places_m) >= threshold).astype(np.float64)
         return score_probability((mean_power_dbm(truth, places_m) - threshold) / unknown)
 
-    def told(places_m: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    def informing(places_m: NDArray[np.float64], step: int) -> NDArray[np.float64]:
         """Return the information of a packet from places (n, 2), in units of the first one."""
         sensed = sensing_information(sensor, places_m, ahead[step])
-        # Of one coordinate, so that it adds to the inverse of the first variance.
+        # For one coordinate, so that it adds to the inverse of the first variance.
         return 0.5 * problem.targets[0].position_std_m ** 2 * sensed
 
     roads: list[tuple[RoadMap, int, NDArray[np.float64]]] = []
@@ -123,16 +103,22 @@ def _paths(
         before = [path.copy() for path in paths]
         for number, (road_map, first, chance) in enumerate(roads):
             others = gained.sum(axis=0) - gained[number]
-            packets = np.array([told(road_map.nodes_m, step) for step in range(len(ahead))])
-            # The expected logarithm, given what is expected of the others: a packet that is likely
-            # to be lost is worth little, however near it is sent.
-            worth = np.log1p(packets / (1.0 + others[:, None])) if saturates else packets
-            nodes = best_nodes(road_map, first, chance * worth)
+            packets = np.array([informing(road_map.nodes_m, step) for step in range(len(ahead))])
+            # The expected logarithm given the expectation of the others: a packet that is likely
+            # to be lost has a small reward, however near it is sent.
+            reward = np.log1p(packets / (1.0 + others[:, None])) if saturates else packets
+            nodes = best_nodes(road_map, first, chance * reward)
             paths[number] = road_map.nodes_m[nodes]
             gained[number] = chance[nodes] * packets[np.arange(len(ahead)), nodes]
         if all(np.array_equal(*each) for each in zip(before, paths, strict=True)):
             break
     return paths
+
+
+oracle_paths = partial(_paths, knows_multipath=False, saturates=False)
+oracle_log_paths = partial(_paths, knows_multipath=False, saturates=True)
+clairvoyant_paths = partial(_paths, knows_multipath=True, saturates=False)
+clairvoyant_log_paths = partial(_paths, knows_multipath=True, saturates=True)
 
 
 def best_nodes(road_map: RoadMap, first: int, rewards: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -27,7 +27,7 @@ from planopt.world.workspace import Obstacle, Workspace
 
 
 def build_roads(problem: Problem, anchor_m: NDArray[np.float64]) -> RoadMap:
-    """Build the graph, with a node at `anchor_m` (2,)."""
+    """Return the lattice graph of a problem, with a node at `anchor_m` (2,)."""
     try:
         lattice = build_lattice(
             problem.workspace,
@@ -51,7 +51,7 @@ def node_at(road_map: RoadMap, place_m: NDArray[np.float64]) -> int:
 def nodes_in_reach(
     road_map: RoadMap, index: ObstacleIndex, problem: Problem, position_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Nodes that one step from an off-lattice place can end at, and how long it is to each."""
+    """Return the nodes within one step of a position off the lattice, and their distances."""
     rows, columns, clear = moves_from(
         index,
         road_map.lattice,
@@ -65,16 +65,16 @@ def nodes_in_reach(
 
 
 BISECTIONS = 16
-"""The widest clearance is found to this many bits."""
+"""Bisections of the widest clearance."""
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
-    """Return whether a way from start to goal keeps a clearance."""
+    """Return whether a path from start to goal keeps a clearance."""
     polygons = [each.polygon for each in problem.workspace.obstacles if each is not without]
     covered = shapely.union_all(shapely.buffer(polygons, clearance_m))
     free = shapely.box(*problem.workspace.bounds_m).difference(covered)
     start, goal = shapely.Point(problem.robots[0].start_m), shapely.Point(problem.goal_m)
-    # Both may lie on the very edge of what the clearance leaves.
+    # Both may lie on the border of free space.
     return any(
         part.distance(start) <= CLEARANCE_PAD_M and part.distance(goal) <= CLEARANCE_PAD_M
         for part in shapely.get_parts(free)
@@ -106,7 +106,7 @@ def widest_clearance_m(
 def obstacles_met(
     problem: Problem, index: ObstacleIndex, path_m: NDArray[np.float64], first: int = 0
 ) -> list[str]:
-    """A reason for every place (n, 2) of a path, and every way between, that is not clear.
+    """Return a reason for every position and segment of a path (n, 2) that is not clear.
 
     The path begins after step `first`.
     """
@@ -135,19 +135,20 @@ def obstacles_met(
 
 
 DIRECTIONS, LENGTHS = 48, 8
-"""Moves that are tried: directions all around, and lengths up to the longest step."""
+"""Candidate moves: directions, and lengths up to the longest step."""
 
 NEARER_M = 1e-9
-"""A move comes no nearer to anything than the robot is by more than this."""
+"""Tolerance of the distance that a move must keep."""
 
 
 def leaving_path(
     problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Return the places (N, 2) of a robot that moves out of its way in one step and stands there.
+    """Return the path (N, 2) of one step out of violated clearances, bounds or separations.
 
-    Of the moves that come no nearer to anything than the robot is now, the shortest of those that
-    lack least at their end. Out of obstacles that it is in they may lead through these.
+    Drift or a new obstacle may bring a robot to a place from which no plan is sound. Of the moves
+    that come no nearer to anything, the shortest with the least violation at its end is taken; it
+    may lead through obstacles that contain the robot. None if nothing is violated or improved.
     """
     # Shapes: position_m (2,).
     horizon = problem.planner.horizon
@@ -172,7 +173,7 @@ def leaving_path(
     allowed &= gap >= min(float(gap[0]), 0.0) - NEARER_M
     allowed[0] = True
     rows = np.flatnonzero(allowed)
-    # Rows are in order of length: of equal ones the first is the shortest.
+    # Rows are in order of length.
     best = int(rows[np.argmin(np.round(lacks[rows], 6))])
     return None if best == 0 else ways[best, 1:]
 
@@ -180,9 +181,9 @@ def leaving_path(
 def _inside_m(
     index: ObstacleIndex, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], ObstacleIndex]:
-    """Return how deep places (n, 2) are in the first one's obstacles; all other obstacles.
+    """Return the depth of places (n, 2) in the obstacles of the first one, and other obstacles.
 
-    Obstacles that meet these count to them. None where the first place is on a border at most.
+    Obstacles that intersect these count to them.
     """
     points = np.asarray(shapely.points(places_m), np.object_)
     about = index.tree.query(points[0], predicate="within")
@@ -199,7 +200,7 @@ def _inside_m(
 
 
 def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> float:
-    """Return by how much a place (2,) is too near to what moves, before the first step."""
+    """Return by how much a position (2,) is too near to moving discs before the first step."""
     if not len(moving):
         return 0.0
     away = np.linalg.norm(position_m - moving.centres_m[:, 0], axis=-1)
@@ -217,7 +218,7 @@ def _too_near_m(moving: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.
 
 
 def _outside_m(workspace: Workspace, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far each place (n, 2) is out of bounds; (n,)."""
+    """Return the distance of each place (n, 2) from the bounds; (n,)."""
     bounds = np.reshape(workspace.bounds_m, (2, 2))
     beyond = np.maximum(np.maximum(bounds[0] - places_m, places_m - bounds[1]), 0.0)
     return np.linalg.norm(beyond, axis=1)

@@ -1,8 +1,8 @@
 """One receding-horizon step for a sum of terms: initial guesses, and the fallbacks over them.
 
-The cascade refines starts in turn, the best first, until a candidate is verified, and goes on only
-to starts that may lead to something better. Without a verified candidate it falls back on the rest
-of the last plan or on stopping.
+Initial guesses are refined in turn, the best first, until a candidate is verified; further guesses
+follow only if they may lead to a better one. Without a verified candidate the remainder of the
+previous plan or stopping is released.
 """
 
 from __future__ import annotations
@@ -28,39 +28,37 @@ from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.problems.problem import Problem
 
 CLOSE_SHARE = 0.01
-"""Ways that have climbed gain a few percent more when refined, all about as much: one that is
-behind by more than this share of the best seldom ends ahead of it."""
+"""A guess optimised in batch that is worse by more than this share seldom becomes the best."""
 
 MERGED_STEPS = 2.0
-"""A start that is nowhere farther than so many longest steps from a refined path leads to it."""
+"""Guesses within this many longest steps of a refined path lead to it."""
 
 
 def is_worth_following(
     start: Guess, best: Guess, refined_m: Sequence[NDArray[np.float64]], longest_m: float
 ) -> bool:
-    """Return whether `start`, that has climbed, may lead to something better."""
+    """Return whether a guess optimised in batch may lead to a better plan."""
     if start.value < best.value - CLOSE_SHARE * abs(best.value):
         return False
     return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in refined_m)
 
 
 DRIVEN_ROUNDS = 12
-"""At most so often the best drive is refined again, about its own sides of obstacles: lines about
-a start that follows a way hold it back at corners."""
+"""Maximum number of further refinements of the best drive, with separating lines about itself."""
 
 SETTLED_SHARE = 3e-3
-"""It is not refined again where that gained less."""
+"""Relative gain below which there is no further refinement."""
 
 
 class FallbackCascade:
-    """Makes a plan of starts; keeps the solvers that refine them."""
+    """Chooses a candidate from initial guesses; keeps the solvers that refine them."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
         coupled = bends_guesses(problem) and problem.planner.horizon > 1
         self._followed = COUPLED_GUESSES if coupled else 1
         self._driven = not problem.robots[0].moves_freely
-        # To a goal, what one more round gains is lost again where the next pivot is seen.
+        # To a goal a further gain is lost again with the next pivot.
         again = self._driven and problem.task != "reach"
         self._rounds = DRIVEN_ROUNDS if again else 0
         refines = problem.planner.name in METHODS and problem.can_be_polished
@@ -74,7 +72,7 @@ class FallbackCascade:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """Try each fallback in turn; return the first verified candidate, else the least bad."""
+        """Return the first verified candidate of the guesses and fallbacks, else the safest one."""
         tried: list[Candidate] = []
         verified: list[Candidate] = []
         for number, start in enumerate(starts):
@@ -122,12 +120,12 @@ class FallbackCascade:
         return best_of(judge, tried, warm)
 
     def _is_settled(self, starts: list[Guess], number: int, verified: list[Candidate]) -> bool:
-        """Return whether start `number` need not be followed, there being verified candidates."""
+        """Return whether guess `number` need not be refined, given verified candidates."""
         if self._driven:
             return False
         if number >= min(self._followed, len(starts)):
             return True
-        # Only of ways that have climbed does the worth tell where they lead.
+        # Only values of guesses optimised in batch predict those of their refinements.
         refined = [candidate.path_m for candidate in verified]
         longest = self._problem.step_length_m
         return can_climb(self._problem) and not is_worth_following(
@@ -137,7 +135,7 @@ class FallbackCascade:
     def _by_way_to_good_place(
         self, situation: StepContext, judge: Judge, tried: list[Candidate], budget: Budget
     ) -> list[Candidate]:
-        """Go straight to a place that the verifier says was missed."""
+        """Return candidates that go straight to a place within reach that keeps the constraint."""
         found: list[Candidate] = []
         for path in ways_to_good_place(judge, tried):
             way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
@@ -160,7 +158,7 @@ class FallbackCascade:
         verified: list[Candidate],
         budget: Budget,
     ) -> list[Candidate]:
-        """Refine the best again, from the measurements and sides of obstacles nearest to it."""
+        """Refine the best candidate again, from the measurements and lines nearest to it."""
         if self.refinement is None:
             return []
         best = max(verified, key=judge.worth)
@@ -179,7 +177,7 @@ class HorizonPlanner:
         self.cascade = FallbackCascade(problem, ground)
 
     def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Plan from where the robot is."""
+        """Return a plan from the robot's state; `warm` is the previous plan."""
         begun = perf_counter()
         budget = budget_from(self.problem, begun)
         shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
@@ -198,9 +196,9 @@ class HorizonPlanner:
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _way_out(self, situation: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
-        """The way (N, 2) to the nearest unmeasured place, where no start measures anything.
+        """Return the path (N, 2) to the nearest unmeasured place if no guess measures anything.
 
-        None where one does, where a term asks for more than measurements, or none is left.
+        None for terms that are not about measurements, or if no unmeasured place is left.
         """
         terms = self.problem.terms
         if not any(term.is_measured for term in terms) or not all(
@@ -217,7 +215,7 @@ class HorizonPlanner:
     def _released(
         self, situation: StepContext, judge: Judge, start: Guess, warm: Plan | None, begun_s: float
     ) -> Plan | None:
-        """The plan of a start as it is; None if it is not verified."""
+        """Return the plan of an unrefined guess; None if it is not verified."""
         if not self.problem.robots[0].moves_freely:
             start = driven_starts(judge, situation, [start], warm)[0]
         rung = Rung.PLAN if self.cascade.refinement is None else Rung.LATTICE

@@ -58,14 +58,14 @@ from planopt.world.raster import Raster, cell_centres_m
 from planopt.world.raster_files import read_raster
 
 DRAWN_STREAM = 3
-"""Random stream of starts; ground truth, measurements and robots have others."""
+"""Random stream of starts."""
 
 MOST_DRAWS = 10_000
-"""Limit of the number of draws of a place or path."""
+"""Maximum number of draws of a place or path."""
 
 
 def with_drawn_starts(problem: Problem, seed: int) -> Problem:
-    """Return the problem with drawn starts of robots and target, if it asks for them."""
+    """Return the problem with drawn starts of robots and target, if these are random."""
     spread = any(robot.start_spread_m > 0.0 for robot in problem.robots)
     moved = any(target.start_distance_m is not None for target in problem.targets)
     if not spread and not moved:
@@ -152,7 +152,7 @@ def _is_free(
 def free_target_path(
     problem: Problem, draw_path: Callable[[], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Draw a target's states (n + 1, 4), again until they are free if the problem asks for it."""
+    """Draw a target's states (n + 1, 4), until they are in free space if that is required."""
     if not problem.targets[0].stays_free:
         return draw_path()
     index = index_obstacles(problem.workspace)
@@ -171,7 +171,7 @@ def free_target_path(
 def free_places(
     problem: Problem, count: int, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw `count` places uniformly from the workspace outside obstacles; (count, 2)."""
+    """Draw places (count, 2) uniformly from the free workspace."""
     index = index_obstacles(problem.workspace)
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     kept: list[NDArray[np.float64]] = []
@@ -193,14 +193,14 @@ def free_places(
 
 @dataclass(frozen=True, eq=False)
 class TeamSeeds:
-    """Random streams of a team, apart from those of ground truth and measurements."""
+    """Random streams of a team."""
 
     target: np.random.Generator  # Target path, its first estimate and the sensors' noise
-    planners: tuple[np.random.Generator, ...]  # One for each robot, for planners that draw
+    planners: tuple[np.random.Generator, ...]  # One for each robot
 
 
 def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
-    """Return the streams of `seed`, unused."""
+    """Return the random streams of a seed."""
     target, planners = np.random.SeedSequence(seed, spawn_key=(1,)).spawn(2)
     return TeamSeeds(
         np.random.default_rng(target),
@@ -229,7 +229,7 @@ class InitialData:
 def draw_initial_data(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> InitialData:
-    """Draw the ground truth, and take or read the first measurements."""
+    """Draw the ground truth, and the first measurements unless these are supplied."""
     if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
         raise InputError(
             f"is {seed!r}, should be a whole number, at least 0",
@@ -305,7 +305,7 @@ def _fitted_truth(
 
 
 def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 0) -> Truth | None:
-    """Draw the ground truth of one station; None if there is none, or one to be fitted to a log."""
+    """Draw the ground truth of one station; None without one, or if it is fitted to a log."""
     setup, radio = problem.channel.truth, problem.stations[station]
     if isinstance(setup, RasterTruth):
         setup = raster_truth_of(setup, radio)
@@ -349,7 +349,7 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
 
 
 def _require_quantity(setup: RasterTruth, raster: Raster) -> None:
-    """Refuse a map whose file says that it has another quantity."""
+    """Raise an InputError for a map of another quantity."""
     other = {"gain": "dBm", "power": "dB"}[setup.quantity]
     spread = raster.quantity.startswith("standard deviation")
     if raster.unit not in (other, "1") and not spread:
@@ -426,9 +426,9 @@ def _numbers(key: str, values: object) -> NDArray[np.float64]:
 def with_measurements(
     problem: Problem, measurements: UserMeasurements | None
 ) -> tuple[Problem, tuple[Measurements, ...] | None]:
-    """Return a problem without first measurements of its own, and those of the user by station.
+    """Return a problem without its own first measurements, and those of the user by station.
 
-    Return the problem and None if the user has none.
+    Without measurements of the user, return the problem and None.
     """
     if measurements is None:
         return problem, None
@@ -464,7 +464,7 @@ def measurements_by_station(
 
 
 def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Belief:
-    """Fit the channel of one of the problem's stations to measurements and condition on them."""
+    """Return the belief of one station's channel, fitted to measurements."""
     site = problem.stations[station].site
     if problem.channel.given is not None:
         fit, posterior = _given(problem, problem.channel.given, measurements, station)
@@ -477,7 +477,7 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
 def _given(
     problem: Problem, known: GivenParameters, measurements: Measurements, station: int
 ) -> tuple[ChannelFit, ChannelPosterior]:
-    """Condition on measurements with known parameters; unknown path loss is estimated."""
+    """Return the posterior with known parameters; unknown path loss is estimated."""
     radio = problem.stations[station]
     path_loss_known = known.k_pl_db is not None
     parameters = ChannelParameters(
@@ -513,14 +513,14 @@ def _given(
 
 
 def learn_stations(problem: Problem, measurements: Sequence[Measurements]) -> Belief:
-    """Fit the channel of every station to its first measurements."""
+    """Return the belief of every station's channel, fitted to its measurements."""
     beliefs = [learn(problem, own, station) for station, own in enumerate(measurements)]
     return replace(beliefs[0], further=tuple(beliefs[1:]))
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Ground truth by station, and the initial belief, of one seed."""
+    """Ground truth by station and initial belief of one seed."""
 
     truths: tuple[Truth, ...]  # Empty if the problem has none
     belief: Belief
@@ -536,7 +536,7 @@ def prepare(
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Add measurements of each station to a belief, except those nearer than the spacing."""
+    """Return a belief with measurements by station, except those nearer than the spacing."""
     if not any(len(each) for each in measured):
         return belief
     rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)

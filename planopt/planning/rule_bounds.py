@@ -1,7 +1,7 @@
-"""The rule of connectivity in a refinement: what the local model must reach, and when it lied.
+"""Bounds of the rule of connectivity in a refinement, corrected by the local model's error.
 
-The margins and sums asked of the local model are corrected by how much it is off at the start, and
-again from a returned path that misses the bound.
+The required margins and sums are corrected by the error at the initial guess, and again at a
+returned path that misses the bound.
 """
 
 from __future__ import annotations
@@ -20,21 +20,20 @@ from planopt.planning.values.local_value import local_value
 from planopt.planning.values.rule_rows import RuleRows
 
 LOCAL_PAD_DB = 0.04
-"""Margin asked of the local model, corrected at the start, beyond the bound: it is off by less at
-nine of ten returned points (48 neighbours, 1,000 measurements, xi 4, beta 20 m)."""
+"""Margin added to the corrected bound: nine of ten returned paths have a smaller error (48
+neighbours, 1,000 measurements, xi 4, beta 20 m)."""
 
 GIVEN_UP_DB = 1e-3
-"""A larger slack says that the solver found no better place; a smaller one is its tolerance."""
+"""Smaller slacks are the solver's tolerance."""
 
 MISSING_DB_COST = 100.0
-"""What a missing dB counts in the solver, where the bound cannot be kept."""
+"""Cost of a missing dB in the solver if the bound cannot be kept."""
 
 
 def with_bounds(task: PathTask, situation: StepContext, rows: RuleRows) -> PathTask:
-    """Ask for the bounds where the start keeps them, and for the least missing dB elsewhere.
+    """Return the task with bounds that the guess keeps, and the least missing dB elsewhere.
 
-    A start that keeps a bound with less than is wanted stays feasible. Bounded slack is open to all
-    steps, at its price.
+    The initial guess stays feasible. Bounded slack is available to all steps at its price.
     """
     if rows.weight is not None:
         return _with_total(task, situation, rows)
@@ -57,10 +56,10 @@ def with_bounds(task: PathTask, situation: StepContext, rows: RuleRows) -> PathT
 def lacks(
     situation: StepContext, rows: RuleRows, point: RefinedPath, *, firmly: bool = False
 ) -> bool:
-    """Return whether a returned path misses a bound where the solver thought that it keeps it.
+    """Return whether a returned path misses a bound that it keeps by the local model.
 
-    With `firmly` also where it keeps a step's bound by less than the search's predictions are off:
-    the proof may find it missed, and then looks for places that keep it, which is dear.
+    With `firmly` a margin within the error of the search's predictions counts as missed, since its
+    verification may be expensive.
     """
     if not len(point.slack_db) or not np.isfinite(point.path_m).all():
         return False
@@ -77,7 +76,7 @@ def lacks(
 def recentred(
     task: PathTask, situation: StepContext, rows: RuleRows, point: RefinedPath
 ) -> PathTask:
-    """The task from a returned path on: its neighbours, and the error measured there."""
+    """Return the task about a returned path, corrected by the error there."""
     task = moved(task, situation, rows, point.path_m)
     if rows.weight is not None:
         return replace(task, total_bound=_wanted_total(task, situation, rows)[0])
@@ -88,7 +87,7 @@ def recentred(
 def moved(
     task: PathTask, situation: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
 ) -> PathTask:
-    """The task from another path (N, 2) on, with the channel near it."""
+    """Return the task about another path (N, 2), with the channel near it."""
     return replace(task, path_m=path_m, evaluate=local_value(situation, path_m, rows))
 
 
@@ -109,9 +108,9 @@ def _with_total(task: PathTask, situation: StepContext, rows: RuleRows) -> PathT
 def _slack(
     situation: StepContext, scale: float, missing_db: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """Return how much slack each row has, and what a dB of it counts in the solver.
+    """Return the limit of each row's slack, and its cost per dB in the solver.
 
-    Where a start misses more than is allowed, as much as it takes; then slack is dear.
+    Rows that the guess misses by more than is allowed have no limit, and slack a high cost.
     """
     rule = situation.problem.constraints.rule
     allowed = rule.slack_max_db or 0.0
@@ -124,10 +123,9 @@ def _slack(
 def _wanted(
     task: PathTask, situation: StepContext, rows: RuleRows
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the local margins wanted for the bound, and local and exact ones at the start.
+    """Return the required local margins, and the local and exact ones of the guess.
 
-    Where the local model is too optimistic by e at the start, it is asked for e more, and for
-    less where it is not optimistic enough.
+    The local model's error at the guess is added to the requirement.
     """
     margins = task.evaluate(task.path_m).margins
     if margins is None:
@@ -137,7 +135,7 @@ def _wanted(
 
 
 def _wanted_total(task: PathTask, situation: StepContext, rows: RuleRows) -> tuple[float, float]:
-    """Return the local sum wanted for the bound, and the sum at the start."""
+    """Return the required local sum, and that of the guess."""
     total = task.evaluate(task.path_m).total
     if total is None:
         raise AssertionError("a bounded sum is there")
@@ -146,7 +144,7 @@ def _wanted_total(task: PathTask, situation: StepContext, rows: RuleRows) -> tup
 
 
 def _per_db(rows: RuleRows, power: Prediction) -> float:
-    """Return the sum's slope by the lowering of the threshold in dB; not zero."""
+    """Return the slope of the sum by the lowering of the threshold in dB; not zero."""
     if rows.weight is None:
         raise AssertionError("no sum is bounded")
     score = (power.mean_db - rows.threshold_dbm) / power.deviation_db
@@ -155,5 +153,5 @@ def _per_db(rows: RuleRows, power: Prediction) -> float:
 
 
 def _slack_of_sum(rows: RuleRows, power: Prediction) -> float:
-    """Return by how many dB the sum misses its bound, at first order."""
+    """Return the shortfall of the sum in dB, to first order."""
     return (rows.total - rows.sum_of(power)) / _per_db(rows, power)

@@ -1,4 +1,4 @@
-"""The ground of a run: obstacles, lattice, and its graph. Built once, never changed."""
+"""The geometry of a run: obstacles and lattice, built once."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Ground:
 def build_ground(
     problem: Problem, anchor_m: NDArray[np.float64], beside: Ground | None = None
 ) -> Ground:
-    """Build the geometry of a problem, with a node of the lattice at `anchor_m` (2,).
+    """Return the geometry of a problem, with a node of the lattice at `anchor_m` (2,).
 
-    Robots of one workspace share the obstacles of the ground `beside` that another has.
+    The obstacles are taken from the ground `beside` of another robot, if there is one.
     """
     workspace = problem.workspace
     return Ground(
@@ -44,17 +44,16 @@ def build_ground(
 def first_moves(
     ground: Ground, problem: Problem, position_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Nodes that one step from an off-lattice place can end at, and how long it is to each."""
+    """Return the nodes within one step of a position off the lattice, and their distances."""
     return nodes_in_reach(ground.road_map, ground.index, problem, position_m)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Geometry of a problem that is to reach a goal, ready for planning."""
+    """Geometry of a problem with a goal."""
 
-    # Obstacles and lattice; its nodes are anchored at the goal, which is one of them
-    ground: Ground
-    goal_node: int  # The goal's number in the lattice
+    ground: Ground  # With a node of the lattice at the goal
+    goal_node: int  # Number of this node
     ways: CostToGo  # Shortest ways round the obstacles to the goal
 
     @property
@@ -75,10 +74,10 @@ class Scene:
 
 def build_scene(
     problem: Problem,
-    place_m: NDArray[np.float64] | None = None,  # (2,) where the robot is now; None at the start
+    place_m: NDArray[np.float64] | None = None,  # (2,) the robot's position; None: the start
     beside: Ground | None = None,
 ) -> Scene:
-    """Build the geometry of a problem's first robot."""
+    """Return the geometry of a problem's first robot; raise a NoPlanError without a path."""
     clearance, goal_m = problem.constraints.clearance_m, problem.goal_m
     goal = np.asarray(goal_m)
     ground = build_ground(problem, goal, beside)
@@ -101,7 +100,7 @@ def build_scene(
     here = np.asarray(problem.robots[0].start_m) if place_m is None else place_m
     nodes, _ = first_moves(ground, problem, here)
     if nodes.size == 0 and place_m is not None:
-        # An obstacle that became known lies about the robot: it has to leave it first.
+        # The robot must first leave an obstacle that became known.
         return scene
     if nodes.size == 0 or not np.isfinite(scene.ways.cost_m[nodes]).any():
         raise NoPlanError(_why_no_way(problem, lattice.spacing_m, here))
@@ -111,10 +110,7 @@ def build_scene(
 def build_scenes(
     problem: Problem, places_m: Sequence[NDArray[np.float64]] | None = None
 ) -> tuple[Scene, ...] | None:
-    """Build the geometry of each robot that is to reach a goal; None where none is.
-
-    Parameters as of :func:`build_scene`, with a place (2,) of each robot.
-    """
+    """Return the geometry of each robot with a goal, at positions (2,); None without goals."""
     if problem.task != "reach":
         return None
     scenes: list[Scene] = []
@@ -132,7 +128,7 @@ def build_scenes(
 
 
 def _why_no_way(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
-    """Return whether obstacles cut the goal off, or the lattice is too coarse for the way."""
+    """Return whether obstacles cut the goal off, or the lattice is too coarse."""
     start_m = tuple(place_m.tolist())
     what = "start_m" if start_m == problem.robots[0].start_m else "the place"
     robot = replace(problem.robots[0], start_m=start_m)
@@ -151,7 +147,7 @@ def _why_no_way(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]
 def free_ends(
     problem: Problem, ground: Ground, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return whether the straight way from a place (2,) to each of `ends_m` (n, 2) is free; (n,).
+    """Return whether the segment from a position (2,) to each of `ends_m` (n, 2) is free; (n,).
 
     Raises
     ------

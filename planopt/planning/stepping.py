@@ -1,7 +1,7 @@
-"""The robots of a run between its steps: beliefs, tracks, plans, and the next plans of them.
+"""The robots of a run between its steps: beliefs, tracks and plans.
 
-Whatever drives robots, the simulation or a loop of a user's own, alternates two calls of a
-:class:`Stepper`: :meth:`Stepper.plan`, and :meth:`Stepper.observe` with what came of it.
+The simulation, or a user's own loop, alternates two calls of a :class:`Stepper`:
+:meth:`Stepper.plan`, and :meth:`Stepper.observe` with the outcome.
 """
 
 from __future__ import annotations
@@ -28,18 +28,14 @@ from planopt.world.workspace import Obstacle
 
 @dataclass(frozen=True, eq=False)
 class TeamMoment:
-    """The states, beliefs and last plans of all robots."""
+    """The knowledge of each robot at one step."""
 
-    # Of each robot: what it believes of the channel, its state (s,), what it knows of the target,
-    # what has happened on the run before, and the plan that led here or None
     beliefs: Sequence[Belief]
-    states: Sequence[NDArray[np.float64]]
-    watched: Sequence[Aim]
+    states: Sequence[NDArray[np.float64]]  # (s,)
+    watched: Sequence[Aim]  # Estimates of the target
     histories: Sequence[History]
-    warm: Sequence[Plan | None]
-    # (k, 2) of each robot: where it has been after each step of the run so far; none at all before
-    # the first step
-    driven_m: Sequence[NDArray[np.float64]] = ()
+    warm: Sequence[Plan | None]  # Previous plans
+    driven_m: Sequence[NDArray[np.float64]] = ()  # (k, 2) positions after the steps so far
 
     @property
     def driven(self) -> int:
@@ -48,10 +44,10 @@ class TeamMoment:
 
 
 PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
-"""From where all robots are, and what they know, to a plan for each and the inputs of it."""
+"""From the knowledge of all robots to a plan for each and its external inputs."""
 
 Planning = Callable[[Problem, Sequence[NDArray[np.float64]]], PlanStep]
-"""From the problem with the obstacles known now, and the states of all robots, to what plans."""
+"""From the problem with the obstacles known now and the states of all robots to a planner."""
 
 
 class Stepper:
@@ -77,12 +73,12 @@ class Stepper:
         self._warm: list[Plan | None] = [None for _ in numbers]
 
     def plan(self) -> list[Plan]:
-        """Plan from where the robots are; a plan for each."""
+        """Return a plan for each robot."""
         now = problem_at(self.problem, len(self.connected))
         if now is not self.problem:
             self._know(now)
         warm = self._warm
-        # A plan that is not made leaves none to go on from.
+        # After an error there is no previous plan.
         self._warm = [None for _ in warm]
         moment = TeamMoment(
             beliefs=self.beliefs,
@@ -114,13 +110,13 @@ class Stepper:
         return plans
 
     def _know(self, problem: Problem) -> None:
-        """Plan from now on in the workspace of `problem`: all that rests on it is made anew."""
+        """Use the workspace of `problem` from now on, with a new planner."""
         self._plan_step = self._planning(problem, [driven[-1] for driven in self.states])
         self.problem = problem
         self.owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
 
     def add_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
-        """Take in obstacles that are known from now on."""
+        """Add obstacles that are known from now on."""
         now_s = len(self.connected) * self.problem.planner.step_s
         workspace = self.problem.workspace
         later = [replace(one, known_from_s=now_s) for one in obstacles]
@@ -130,7 +126,7 @@ class Stepper:
     def place(
         self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
     ) -> None:
-        """Begin at `states`, after measurements there; arguments as of :meth:`observe`."""
+        """Set the initial states, and add measurements there."""
         self.beliefs = self._learnt(measured)
         self.states = [[state] for state in states]
 
@@ -161,8 +157,8 @@ class Stepper:
         """Return the beliefs of all robots after measurements of each, by station."""
         if self.problem.channel.share_measurements:
             # One update serves all robots.
-            told = [each for each in measured if each]
-            everyone = [reduce(join, station) for station in zip(*told, strict=True)]
+            taken = [each for each in measured if each]
+            everyone = [reduce(join, station) for station in zip(*taken, strict=True)]
             return [learn_measured(self.problem, self.beliefs[0], everyone)] * len(self.beliefs)
         return [
             learn_measured(self.problem, belief, taken)
@@ -170,10 +166,10 @@ class Stepper:
         ]
 
     def _goes_on(self, number: int, state: NDArray[np.float64]) -> bool:
-        """Return whether a robot may go on from its last plan.
+        """Return whether a robot may continue its previous plan.
 
-        A robot that was carried off its plan cannot drive the rest of it if it has dynamics, and
-        does not keep to what the others keep clear for it.
+        Off its plan, a robot with dynamics cannot drive the remainder, and others do not keep clear
+        of it.
         """
         plan, robot = self._warm[number], self.problem.robots[number]
         if plan is None:

@@ -26,7 +26,7 @@ if "--processor-time" in sys.argv:
 from courier_teams import drawn_problem
 
 from planopt import NoPlanError, Problem, load, simulate
-from planopt.planning.results import summary_of
+from planopt.planning.loop.results import summary_of
 from planopt.studies.bench.cases import library_names
 
 STRESS_STEPS = 12

@@ -9,10 +9,10 @@ from planopt.errors import NoPlanError as NoPlanError
 from planopt.errors import OutputError as OutputError
 from planopt.errors import PlanoptError as PlanoptError
 from planopt.planning.explain.explain import explain as explain
+from planopt.planning.loop.results import Run as Run
+from planopt.planning.loop.results import Solution as Solution
 from planopt.planning.plan import Plan as Plan
 from planopt.planning.plan import Verdict as Verdict
-from planopt.planning.results import Run as Run
-from planopt.planning.results import Solution as Solution
 from planopt.planning.solve import Planner as Planner
 from planopt.problems.channel_setup import BaseStation as BaseStation
 from planopt.problems.channel_setup import ChannelSetup as ChannelSetup

@@ -24,11 +24,11 @@ from planopt.planning.initial_data import (
     with_drawn_starts,
     with_measurements,
 )
-from planopt.planning.loop.target_watch import expected_target, watch_target
+from planopt.planning.loop.results import Solution
 from planopt.planning.plan import Plan
-from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper
+from planopt.planning.target_watch import expected_target, watch_target
 from planopt.planning.team.couriers import planning
 from planopt.problems.load import require_motion, with_overrides
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings

@@ -17,9 +17,9 @@ from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements, join
 from planopt.planning.history import History, history_of
 from planopt.planning.initial_data import learn_measured
-from planopt.planning.loop.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.plan import Plan, Rung
 from planopt.planning.reservations import has_separation
+from planopt.planning.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem, problem_at, problem_of_robot

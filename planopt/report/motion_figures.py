@@ -10,7 +10,7 @@ import numpy as np
 
 from planopt.channel.belief import Belief
 from planopt.planning.certificate import BlockedWay
-from planopt.planning.results import Run, Solution
+from planopt.planning.loop.results import Run, Solution
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.report.maps import draw_ground, draw_moving, draw_places, map_window, window_about
 from planopt.report.motion_map import (

@@ -15,8 +15,8 @@ from planopt.channel.belief import Belief
 from planopt.planning.certificate import BlockedWay, Hole
 from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
 from planopt.planning.loop.metrics import true_serving_dbm
+from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan
-from planopt.planning.results import Run
 from planopt.problems.problem import Problem
 from planopt.report.animation import animate
 from planopt.report.maps import (

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.loop.log import StepLog
+from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.reservations import (
     driven_motion,
     least_moving_clearances_m,
     least_separations_m,
 )
-from planopt.planning.results import Run
 from planopt.problems.problem import Problem
 from planopt.report.panel import (
     BAND_WORDS,

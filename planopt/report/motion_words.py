@@ -12,7 +12,7 @@ from planopt.planning.certificate import (
     goal_in_words,
     holes_in_words,
 )
-from planopt.planning.explain.explanation import Crossing
+from planopt.planning.explanation import Crossing
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Verdict
 from planopt.problems.problem import Problem, problem_of_robot
@@ -20,8 +20,8 @@ from planopt.report.tables import reliability_lines
 from planopt.short_repr import shown_number
 
 if TYPE_CHECKING:
+    from planopt.planning.loop.results import Run, Solution
     from planopt.planning.plan import Plan
-    from planopt.planning.results import Run, Solution
 
 COLUMNS = 3
 """Number of metrics in a line."""

@@ -14,7 +14,7 @@ import numpy as np
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import parts_of
 from planopt.planning.loop.log import Outcome
-from planopt.planning.results import NOT_DONE, RunSummary, short_summary
+from planopt.planning.loop.results import NOT_DONE, RunSummary, short_summary
 from planopt.problems.load import with_changes
 from planopt.problems.problem import Problem
 from planopt.problems.settings import (

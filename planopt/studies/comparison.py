@@ -22,7 +22,7 @@ from planopt.files.typed_json import decoded, encoded, finite
 from planopt.files.writing import replaced_results, strict_text, write_text, write_whole
 from planopt.planning.files.result_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
-from planopt.planning.results import RunSummary
+from planopt.planning.loop.results import RunSummary
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 from planopt.short_repr import short_repr

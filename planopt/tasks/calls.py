@@ -16,7 +16,7 @@ from planopt.problems.tasks import MOTION, TaskProblem, named_task
 from planopt.tasks.task import TaskResult, perform, read_result, reasons_against
 
 if TYPE_CHECKING:
-    from planopt.planning.results import Run, Solution
+    from planopt.planning.loop.results import Run, Solution
     from planopt.studies.comparison import Comparison
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from planopt.errors import NoPlanError
 from planopt.planning.certificate import BlockedError
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, save_no_plan
-from planopt.planning.results import Run, RunSummary, Solution, summary_of
+from planopt.planning.loop.results import Run, RunSummary, Solution, summary_of
 from planopt.problems.load import problem_to_dict, with_overrides
 from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem, problem_from_tables

@@ -20,7 +20,7 @@ from planopt.files.typed_json import whole_number
 from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
 from planopt.keys import Name, Table, located
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
-from planopt.planning.results import RunSummary, short_summary
+from planopt.planning.loop.results import RunSummary, short_summary
 from planopt.problems.settings import ReportSettings
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.results import Run
 from planopt.planning.plan import Rung
-from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems.problem import Problem, problem_from_tables

@@ -17,7 +17,7 @@ from planopt.channel import measure
 from planopt.errors import InputError
 from planopt.planning.initial_data import prepare, team_seeds
 from planopt.planning.loop.metrics import true_serving_dbm
-from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.target_watch import watch_target
 from planopt.problems.problem import Problem
 from planopt.robots.models import Unicycle
 from planopt.targets.sensor import sense

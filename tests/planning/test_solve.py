@@ -9,8 +9,8 @@ import pytest
 
 from planopt import load
 from planopt.errors import InputError
+from planopt.planning.loop.results import Solution
 from planopt.planning.plan import Verdict
-from planopt.planning.results import Solution
 from planopt.planning.solve import solve
 
 

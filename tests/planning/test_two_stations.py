@@ -13,9 +13,9 @@ from planopt import check
 from planopt.errors import NoPlanError
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.results import Run
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
 from planopt.problems.constraints import ConnectivityRule

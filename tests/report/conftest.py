@@ -30,7 +30,7 @@ from planopt.extend import Rung, Termination
 from planopt.objectives import ReachObjective
 from planopt.planning.certificate import Certificate
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
-from planopt.planning.results import RunSummary, summary_of
+from planopt.planning.loop.results import RunSummary, summary_of
 from planopt.planning.values.context import Aim
 from planopt.studies.comparison_rows import Row
 from planopt.world.raster import Raster

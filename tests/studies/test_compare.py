@@ -13,7 +13,7 @@ from planopt import Comparison, InputError, compare, load
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Metrics, Outcome
 from planopt.planning.loop.metrics import COSTS as COST_METRICS
-from planopt.planning.results import summary_of
+from planopt.planning.loop.results import summary_of
 from planopt.studies.comparison_rows import Row, log_ratios, mean_interval, tabulate
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6

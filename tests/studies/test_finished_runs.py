@@ -12,7 +12,7 @@ import pytest
 
 from planopt import Comparison, Problem, compare, load
 from planopt.files.writing import write_whole
-from planopt.planning.results import RunSummary
+from planopt.planning.loop.results import RunSummary
 from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables
 from planopt.studies import compare as compare_module

@@ -17,7 +17,7 @@ from planopt.cli import main
 from planopt.commands.compare import seed_range, swept
 from planopt.files.typed_json import encoded
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.results import RunSummary, summary_of
+from planopt.planning.loop.results import RunSummary, summary_of
 from planopt.problems.load import with_changes
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of

@@ -34,8 +34,8 @@ from planopt.planning.files.saved import (
     saved_from,
 )
 from planopt.planning.initial_data import with_drawn_starts
+from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.results import Run, Solution
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load_motion, problem_to_dict
 from planopt.problems.problem import Problem, problem_at, problem_of_robot

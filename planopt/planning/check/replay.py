@@ -33,14 +33,14 @@ from planopt.planning.initial_data import InitialData, draw_initial_data, learn_
 from planopt.planning.loop.drive import World, drive, true_world
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
-from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Pivot, Plan, Rung, Verdict
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.searches import GoalGrid
 from planopt.planning.proof.verify import verify
 from planopt.planning.reservations import beside, others_of
-from planopt.planning.results import Run, Solution
 from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
+from planopt.planning.target_watch import watch_target
 from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue

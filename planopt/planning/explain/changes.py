@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from time import process_time
 from typing import Literal
 
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explanation import Relaxation
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.problem import Problem
 

@@ -14,15 +14,15 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of
 from planopt.planning.explain.changes import Trials, deadline_s
-from planopt.planning.explain.explanation import Crossing, Explanation, Relaxation
 from planopt.planning.explain.no_path import explain_blocked, explain_no_path, is_open
 from planopt.planning.explain.violations import Case, explain_violated
+from planopt.planning.explanation import Crossing, Explanation, Relaxation
 from planopt.planning.free_space import is_joined
 from planopt.planning.initial_data import prepare
+from planopt.planning.loop.results import Solution
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.proof.context import connectivity_law
 from planopt.planning.reservations import beside, others_of, planned_motion
-from planopt.planning.results import Solution
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solve import solve, solve_on

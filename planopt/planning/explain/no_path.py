@@ -20,7 +20,7 @@ from planopt.planning.explain.changes import (
     constraint_key,
     rounded,
 )
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explanation import Relaxation
 from planopt.planning.free_space import is_joined, widest_clearance_m
 from planopt.planning.scene import build_scene
 from planopt.planning.search.node_margins import NodeMargins

@@ -22,7 +22,7 @@ from planopt.planning.explain.changes import (
     least_amount,
     violated_keys,
 )
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explanation import Relaxation
 from planopt.planning.history import BEGINNING
 from planopt.planning.plan import Plan
 from planopt.planning.proof.context import (

@@ -22,7 +22,7 @@ from planopt.errors import InputError
 from planopt.files.npz import read_npz
 from planopt.files.tables import LARGEST, REMEDY
 from planopt.files.writing import write_whole
-from planopt.planning.results import Run
+from planopt.planning.loop.results import Run
 
 BELIEF_FILE = "belief.npz"
 

@@ -24,7 +24,7 @@ from planopt.planning.certificate import (
     excused_steps,
     worst_of_robots,
 )
-from planopt.planning.explain.explanation import Crossing, Relaxation
+from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.files.record import (
     OMITTED,
     Computed,
@@ -39,8 +39,8 @@ from planopt.planning.files.record import (
 from planopt.planning.files.run_tables import drive_table
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import COSTS, run_holes, run_reliability
+from planopt.planning.loop.results import Run, RunSummary, Solution, summary_of
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
-from planopt.planning.results import Run, RunSummary, Solution, summary_of
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 from planopt.files.tables import REMEDY, Column, Data, dataframe, table_of
 from planopt.planning.loop.log import StepLog, TargetLog
+from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan
-from planopt.planning.results import Run, Solution
 from planopt.problems.problem import Problem
 from planopt.problems.robot import Robot
 from planopt.robots.dynamics import Drive, Dynamics

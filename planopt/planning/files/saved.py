@@ -21,7 +21,7 @@ from planopt.files.reading import read_text
 from planopt.files.tables import REMEDY, Column, Data, read_table, write_tables
 from planopt.files.writing import replaced_results, strict_text, write_text
 from planopt.planning.certificate import BlockedWay
-from planopt.planning.explain.explanation import Crossing, Relaxation
+from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
     Arrays,
@@ -49,8 +49,8 @@ from planopt.planning.files.run_tables import (
     drive_of,
     tables_of,
 )
+from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Pivot, Plan, Verdict
-from planopt.planning.results import Run, Solution
 from planopt.planning.values.context import Aim
 from planopt.problems.load import problem_from_dict, problem_to_dict
 from planopt.problems.problem import Problem

@@ -21,10 +21,10 @@ from planopt.planning.initial_data import (
     with_measurements,
 )
 from planopt.planning.loop.drive import drive, true_world
-from planopt.planning.loop.target_watch import watch_target
+from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan
-from planopt.planning.results import Run
 from planopt.planning.scene import Scene, build_scenes
+from planopt.planning.target_watch import watch_target
 from planopt.planning.team.couriers import planning
 from planopt.problems.load import with_overrides
 from planopt.problems.planner_kinds import planner_kind

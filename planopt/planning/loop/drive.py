@@ -21,10 +21,10 @@ from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import Progress, run_ending
 from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log
 from planopt.planning.loop.metrics import robot_run, true_serving_dbm
-from planopt.planning.loop.target_watch import TargetWatch
+from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan
-from planopt.planning.results import Run
 from planopt.planning.stepping import Planning, Stepper
+from planopt.planning.target_watch import TargetWatch
 from planopt.planning.values.exploration import workspace_region
 from planopt.problems.problem import Problem
 from planopt.targets.sensor import sense

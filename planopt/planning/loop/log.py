@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
-from planopt.planning.loop.target_watch import TargetWatch
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.context import search_power
+from planopt.planning.target_watch import TargetWatch
 from planopt.robots.dynamics import Drive
 from planopt.short_repr import short_repr
 from planopt.targets.information_filter import predict

@@ -32,6 +32,7 @@ from planopt.planning.reservations import (
     reserved_motion,
 )
 from planopt.planning.scene import Ground, build_ground
+from planopt.planning.search.steering import ConnectionSteering, GoalSteering, Steering
 from planopt.planning.stepping import TeamMoment
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.values.context import (
@@ -46,7 +47,6 @@ from planopt.planning.values.context import (
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.steered_path import SteeringWay, steering_way
-from planopt.planning.values.steering import ConnectionSteering, GoalSteering, Steering
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs

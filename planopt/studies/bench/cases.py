@@ -22,10 +22,10 @@ from planopt.planning.check.check import check_motion
 from planopt.planning.files.saved import read_object
 from planopt.planning.initial_data import Prepared, prepare, team_seeds, with_drawn_starts
 from planopt.planning.loop.drive import first_steps, true_world
-from planopt.planning.loop.target_watch import watch_target
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.solve import solve_on
+from planopt.planning.target_watch import watch_target
 from planopt.planning.team.couriers import planning
 from planopt.problems.library import list_problems
 from planopt.problems.load import load_motion, with_overrides

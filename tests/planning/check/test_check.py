@@ -15,9 +15,9 @@ from planopt.planning.certificate import Certificate
 from planopt.planning.check.check import CheckResult
 from planopt.planning.files.result_json import no_plan_json
 from planopt.planning.files.saved import FORMAT, write_result
+from planopt.planning.loop.results import Run
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.verify import STANDING
-from planopt.planning.results import Run
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems.channel_setup import ArrayTruth
 

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 import planopt
-from planopt.planning.explain.explanation import Relaxation
+from planopt.planning.explanation import Relaxation
 
 
 @pytest.mark.parametrize(

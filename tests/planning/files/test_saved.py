@@ -17,7 +17,7 @@ from planopt.planning.files.belief_file import known_before_steps
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
 from planopt.planning.files.saved import read_saved
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.results import Run, Solution
+from planopt.planning.loop.results import Run, Solution
 from planopt.planning.solve import solve
 
 HEADER = (

@@ -22,8 +22,8 @@ from planopt.errors import InputError
 from planopt.planning.files.result_json import run_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome, StepLog
+from planopt.planning.loop.results import Run
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.results import Run
 from planopt.problems.channel_setup import LoggedMeasurements
 
 SEEDS = (0, 1, 2)

@@ -13,8 +13,8 @@ from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.objectives import TermsObjective
 from planopt.planning.loop.metrics import run_metrics
-from planopt.planning.loop.target_watch import aim_of, counted, watch_target
-from planopt.planning.results import summary_of
+from planopt.planning.loop.results import summary_of
+from planopt.planning.target_watch import aim_of, counted, watch_target
 from planopt.targets.information_filter import predict, predicted_information
 
 STEPS = 6

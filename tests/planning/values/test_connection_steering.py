@@ -22,8 +22,8 @@ from planopt.objectives.until_connected import (
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.scene import build_ground
+from planopt.planning.search.steering import ConnectionSteering
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.planning.values.steering import ConnectionSteering
 from planopt.world.clearance import is_clear, swept_clearance_m
 
 THRESHOLD_DBM = -33.0

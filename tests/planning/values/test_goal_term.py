@@ -13,9 +13,9 @@ from terms_scene import ENERGY, LEARNING, judge_of, situation_of, terms_problem
 
 from planopt import InputError, check, load, load_result, simulate, solve
 from planopt.planning.proof.context import search_prediction
+from planopt.planning.search.steering import GoalSteering
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.steered_path import SteeringWay
-from planopt.planning.values.steering import GoalSteering
 from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables
 from planopt.world.clearance import index_obstacles

@@ -10,8 +10,8 @@ import shapely
 from terms_scene import judge_of, situation_of, terms_problem
 
 from planopt.channel.posterior import extend
+from planopt.planning.search.steering import Steering
 from planopt.planning.values.steered_path import SteeringWay
-from planopt.planning.values.steering import Steering
 from planopt.world.clearance import clearance_m, index_obstacles, swept_clearance_m
 from planopt.world.workspace import Obstacle
 

@@ -18,7 +18,7 @@ from planopt.channel.belief import Belief
 from planopt.channel.ground_truth import Truth
 from planopt.errors import A_FOLDER, InputError, path_of
 from planopt.planning.certificate import BlockedWay
-from planopt.planning.explain.explanation import Crossing, Relaxation
+from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan, Verdict

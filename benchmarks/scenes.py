@@ -13,7 +13,7 @@ import numpy as np
 
 from planopt import Measurements, Plan, Problem, load
 from planopt.channel import Belief, Truth, condition, measure
-from planopt.channel.belief import update
+from planopt.channel.posterior import update
 from planopt.planning.initial_data import Prepared, free_places, prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planopt import Plan, Problem
 from planopt.channel import Belief, ChannelParameters, Truth, condition, measure
-from planopt.channel.belief import update
+from planopt.channel.posterior import update
 from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.moments import Region
 from planopt.planning.candidates import Judge

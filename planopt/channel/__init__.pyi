@@ -1,6 +1,5 @@
 """Public names of the radio channel; each is imported from its module when it is first used."""
 
-from planopt.channel.belief import Belief as Belief
 from planopt.channel.channel_map import PosteriorMap as PosteriorMap
 from planopt.channel.channel_map import posterior_map as posterior_map
 from planopt.channel.connectivity_law import connected_to_any as connected_to_any
@@ -21,16 +20,17 @@ from planopt.channel.ground_truth import true_power_dbm as true_power_dbm
 from planopt.channel.held_out import HeldOutReport as HeldOutReport
 from planopt.channel.held_out import held_out_report as held_out_report
 from planopt.channel.held_out import predictors_of as predictors_of
+from planopt.channel.joint import DeliveredData as DeliveredData
 from planopt.channel.joint import JointPrediction as JointPrediction
+from planopt.channel.joint import LongestOutage as LongestOutage
+from planopt.channel.joint import Traffic as Traffic
+from planopt.channel.joint import delivered_data as delivered_data
 from planopt.channel.joint import joint_prediction as joint_prediction
+from planopt.channel.joint import longest_outage as longest_outage
 from planopt.channel.joint import predict_readings as predict_readings
 from planopt.channel.joint import sample_power as sample_power
+from planopt.channel.long_logs import receiver_offsets as receiver_offsets
 from planopt.channel.measurements import Measurements as Measurements
-from planopt.channel.outage import DeliveredData as DeliveredData
-from planopt.channel.outage import LongestOutage as LongestOutage
-from planopt.channel.outage import Traffic as Traffic
-from planopt.channel.outage import delivered_data as delivered_data
-from planopt.channel.outage import longest_outage as longest_outage
 from planopt.channel.parameter_uncertainty import MarginalPosterior as MarginalPosterior
 from planopt.channel.parameter_uncertainty import marginalise as marginalise
 from planopt.channel.parameters import ChannelParameters as ChannelParameters
@@ -39,6 +39,7 @@ from planopt.channel.path_connectivity import FirstPassage as FirstPassage
 from planopt.channel.path_connectivity import JointConnectivity as JointConnectivity
 from planopt.channel.path_connectivity import first_passage as first_passage
 from planopt.channel.path_connectivity import joint_connectivity as joint_connectivity
+from planopt.channel.posterior import Belief as Belief
 from planopt.channel.posterior import ChannelPosterior as ChannelPosterior
 from planopt.channel.posterior import at_time as at_time
 from planopt.channel.posterior import condition as condition
@@ -52,4 +53,3 @@ from planopt.channel.sensitivity import sensitivity_curves as sensitivity_curves
 from planopt.channel.shadow_fields import conditional_field as conditional_field
 from planopt.channel.shadow_fields import scattered_field_db as scattered_field_db
 from planopt.channel.shadow_fields import shadow_field_db as shadow_field_db
-from planopt.channel.vecchia import receiver_offsets as receiver_offsets

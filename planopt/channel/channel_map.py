@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from planopt.channel.cholesky import one_blas_thread
-from planopt.channel.local_channel import predict_nearby
+from planopt.channel.kriging import predict_nearby
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import connection_probability

@@ -1,11 +1,14 @@
-"""Joint prediction of power at several places: mean, covariance, samples, and further readings.
+"""Joint prediction of power at several places: moments, samples, longest outage, delivered data.
 
-Errors of a prediction are correlated along a path, so that joint events (all connected, none
-connected, longest outage) need their covariance.
+Errors of a prediction are correlated along a path, so that joint events need their covariance. The
+longest outage and the data delivered by a deadline have no closed form: they are sampled. Packets
+are sent at the given places, where multipath is drawn independently. A leg is connected if the
+place it ends at is, as in the metrics of the closed loop.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,9 +20,15 @@ from planopt.channel.kriging import predict_noiseless
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
-from planopt.channel.parameters import regressors, require_count, require_places
+from planopt.channel.parameters import (
+    leg_lengths_m,
+    regressors,
+    require_count,
+    require_finite,
+    require_places,
+)
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction
+from planopt.channel.prediction import CONFIDENCE, Prediction, binomial_interval, bound_quantile
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
@@ -183,3 +192,301 @@ def predict_readings(
     variance = found.deviation_db**2 + posterior.parameters.multipath_std_db**2
     variance += rounded_variance_db2(readings.resolution_db)
     return Prediction(found.mean_db, np.sqrt(variance))
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class SampledDistribution:
+    """Independent draws of one number.
+
+    Attributes
+    ----------
+    draws
+        ``(count,)`` in the order drawn, count at least 2.
+    """
+
+    draws: NDArray[np.float64]
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        if self.draws.ndim != 1 or len(self.draws) < 2:
+            raise InputError(
+                f"draws of shape {self.draws.shape} are no distribution",
+                key="count",
+                remedy="draw at least 2",
+            )
+
+    @property
+    def count(self) -> int:
+        """Return the number of draws."""
+        return len(self.draws)
+
+    def mean(self) -> Interval:
+        """Return the mean with its interval by the central limit theorem."""
+        value = float(self.draws.mean())
+        half = _half_width() * float(self.draws.std(ddof=1)) / math.sqrt(self.count)
+        return Interval(value, value - half, value + half)
+
+    def quantile(self, share: float) -> Interval:
+        """Return the value not exceeded with probability `share`; the interval by ranks.
+
+        Raises
+        ------
+        InputError
+            `share` is not from 0 to 1.
+        """
+        if not 0.0 <= share <= 1.0:
+            raise InputError(f"{share!r} is no probability", key="share", remedy="give 0 to 1")
+        half = _half_width() * math.sqrt(share * (1.0 - share) / self.count)
+        shares = np.clip([share, share - half, share + half], 0.0, 1.0)
+        value, low, high = np.quantile(self.draws, shares, method="inverted_cdf").tolist()
+        return Interval(value, low, high)
+
+    def exceedance(self, limit: float) -> Interval:
+        """Return P(more than `limit`) with Clopper and Pearson's interval."""
+        above = float((self.draws > limit).sum())
+        return Interval(above / self.count, *binomial_interval(above, self.count))
+
+
+def _half_width() -> float:
+    """Return half the width of a normal confidence interval in standard deviations."""
+    return bound_quantile(0.5 + 0.5 * CONFIDENCE)
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """Data to be sent, as a fluid.
+
+    Attributes
+    ----------
+    link_bps
+        Rate while connected, above 0.
+    waiting_bits
+        Initial content of the buffer.
+    source_bps
+        Arrival rate of new data.
+    buffer_bits
+        Capacity of the buffer; arrivals beyond it are lost.
+
+    Raises
+    ------
+    InputError
+        A number is negative or NaN, or `waiting_bits` exceeds the buffer.
+    """
+
+    link_bps: float
+    waiting_bits: float = 0.0
+    source_bps: float = 0.0
+    buffer_bits: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.link_bps < math.inf:
+            raise InputError(
+                f"{self.link_bps!r} is no rate",
+                key="link_bps",
+                remedy="give a value above 0, e.g. 1e6",
+            )
+        if not 0.0 <= self.source_bps < math.inf:
+            raise InputError(
+                f"{self.source_bps!r} is no rate",
+                key="source_bps",
+                remedy="give a value of at least 0, e.g. 1e5",
+            )
+        if not 0.0 <= self.waiting_bits < math.inf or not self.waiting_bits <= self.buffer_bits:
+            raise InputError(
+                f"{self.waiting_bits!r} bits cannot wait in a buffer of {self.buffer_bits!r}",
+                key="waiting_bits",
+                remedy="give bits from 0 on, no more than buffer_bits",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class LongestOutage:
+    """The longest stretch without connection; draw k of both belongs to the same channel.
+
+    Attributes
+    ----------
+    metres
+        Length of the stretch that is longest by length.
+    seconds
+        Duration of the stretch that is longest by duration.
+    """
+
+    metres: SampledDistribution
+    seconds: SampledDistribution
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, eq=False)
+class DeliveredData:
+    """The data delivered by the deadline; draw k of all arrays belongs to the same channel.
+
+    Attributes
+    ----------
+    delivered_bits
+        Received.
+    lost_bits
+        Arrived at a full buffer.
+    waiting_bits
+        Still in the buffer.
+    """
+
+    delivered_bits: SampledDistribution
+    lost_bits: SampledDistribution
+    waiting_bits: SampledDistribution
+
+    __repr__ = short_repr
+
+
+def longest_outage(
+    posterior: ChannelPosterior,
+    positions_m: ArrayLike,
+    times_s: ArrayLike,
+    threshold_dbm: float,
+    count: int,
+    generator: np.random.Generator,
+) -> LongestOutage:
+    """Return the distribution of the longest outage along a path.
+
+    Parameters
+    ----------
+    posterior
+        The channel conditional on measurements.
+    positions_m
+        ``(h, 2)`` metres, h >= 2, where packets are sent; the robot starts at the first.
+    times_s
+        ``(h,)`` times at these positions, increasing.
+    threshold_dbm
+        Least power of a connection.
+    count
+        Number of channels to draw, at least 2.
+    generator
+        Source of randomness.
+
+    Raises
+    ------
+    InputError
+        An argument is invalid.
+    """
+    places, times = _path(positions_m, times_s)
+    connected = _connected(posterior, places, threshold_dbm, count, generator)
+    return LongestOutage(
+        SampledDistribution(longest_runs(leg_lengths_m(places), connected)),
+        SampledDistribution(longest_runs(np.diff(times), connected)),
+    )
+
+
+def delivered_data(
+    posterior: ChannelPosterior,
+    positions_m: ArrayLike,
+    times_s: ArrayLike,
+    threshold_dbm: float,
+    traffic: Traffic,
+    deadline_s: float,
+    count: int,
+    generator: np.random.Generator,
+) -> DeliveredData:
+    """Return the distribution of the data delivered by a deadline along a path.
+
+    Parameters
+    ----------
+    posterior, positions_m, times_s, threshold_dbm, count, generator
+        As in :func:`longest_outage`.
+    traffic
+        Rates and buffer.
+    deadline_s
+        On the clock of `times_s`, between its first and last.
+
+    Raises
+    ------
+    InputError
+        An argument is invalid.
+    """
+    places, times = _path(positions_m, times_s)
+    if not times[0] <= deadline_s <= times[-1]:
+        raise InputError(
+            f"the path is from {times[0]:g} to {times[-1]:g} s, the deadline at {deadline_s!r} s",
+            key="deadline_s",
+            remedy="repeat the last place at later times if the robot waits there",
+        )
+    connected = _connected(posterior, places, threshold_dbm, count, generator)
+    durations = np.diff(np.minimum(times, deadline_s))
+    delivered, lost, waiting = sent_and_lost(durations, connected, traffic)
+    return DeliveredData(
+        SampledDistribution(delivered), SampledDistribution(lost), SampledDistribution(waiting)
+    )
+
+
+def longest_runs(
+    leg_sizes: NDArray[np.float64],  # (h - 1,)
+    connected: NDArray[np.bool_],  # (count, h)
+) -> NDArray[np.float64]:
+    """Return the greatest sum of `leg_sizes` over successive disconnected legs; ``(count,)``."""
+    current = np.zeros(len(connected))
+    longest = np.zeros(len(connected))
+    for size, now in zip(leg_sizes, connected[:, 1:].T, strict=True):
+        current = np.where(now, 0.0, current + size)
+        longest = np.maximum(longest, current)
+    return longest
+
+
+def sent_and_lost(
+    durations_s: NDArray[np.float64],  # (h - 1,)
+    connected: NDArray[np.bool_],  # (count, h)
+    traffic: Traffic,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return bits delivered, lost, and left in the buffer, exact for a fluid; each ``(count,)``.
+
+    Rates are constant on a leg, so the buffer fills or empties monotonically.
+    """
+    waiting = np.full(len(connected), traffic.waiting_bits)
+    delivered = np.zeros(len(connected))
+    lost = np.zeros(len(connected))
+    for duration, now in zip(durations_s, connected[:, 1:].T, strict=True):
+        offered = waiting + traffic.source_bps * duration
+        sent = np.where(now, np.minimum(traffic.link_bps * duration, offered), 0.0)
+        waiting = np.minimum(offered - sent, traffic.buffer_bits)
+        delivered += sent
+        lost += offered - sent - waiting
+    return delivered, lost, waiting
+
+
+def _path(
+    positions_m: ArrayLike, times_s: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return validated positions and times."""
+    places = require_places(positions_m, 2)
+    times = np.asarray(times_s, dtype=np.float64)
+    if times.shape != (len(places),):
+        raise InputError(
+            f"times of shape {times.shape} for {len(places)} places",
+            key="times_s",
+            remedy="give one for each place",
+        )
+    if not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
+        raise InputError(
+            "times must be finite and increase", key="times_s", remedy="sort the places by time"
+        )
+    return places, times
+
+
+def _connected(
+    posterior: ChannelPosterior,
+    places_m: NDArray[np.float64],
+    threshold_dbm: float,
+    count: int,
+    generator: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Draw connections at places (h, 2); ``(count, h)``."""
+    threshold = require_finite(threshold_dbm, "threshold_dbm")
+    return sample_power(posterior, places_m, count, generator) >= threshold

@@ -6,7 +6,8 @@ there is no factor: theta comes from Vecchia's approximation and a prediction fr
 measurements, at a cost that does not depend on their number.
 
 Path loss is estimated by generalised least squares from products of whitened columns, or by
-ordinary least squares, which does not depend on xi, beta and omega.
+ordinary least squares, which does not depend on xi, beta and omega. A robot's :class:`Belief` is
+the fit of the parameters and the posterior.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.cholesky import lower_factor, whiten
+from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.least_squares import MIN_REGRESSOR_SPREAD_DB, receiver_columns
 from planopt.channel.gaussian_sites import (
     MIN_NOISE_VARIANCE_DB2,
@@ -29,8 +31,8 @@ from planopt.channel.gaussian_sites import (
     intervals,
     needs_site,
 )
-from planopt.channel.kriging import predict, predict_noiseless
-from planopt.channel.local_channel import nearest_to_path
+from planopt.channel.kriging import nearest_to_path, predict, predict_noiseless
+from planopt.channel.long_logs import VecchiaInformation, neighbour_sites, vecchia_information
 from planopt.channel.measurement_covariance import (
     Origins,
     covariance_db2,
@@ -43,8 +45,6 @@ from planopt.channel.measurements import Measurements, Table, as_measurements, j
 from planopt.channel.neighbours import PlaceIndex
 from planopt.channel.parameters import ChannelParameters, regressors, require_finite
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.channel.vecchia import VecchiaInformation, vecchia_information
-from planopt.channel.window_sites import neighbour_sites
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
@@ -63,7 +63,7 @@ MAX_INFORMATION_CONDITION = 1e10
 
 MOST_JOINT_SITES = 300
 """Beyond this many censored or coarsely rounded measurements their sites are matched window by
-window (:mod:`planopt.channel.window_sites`): a joint sweep costs the cube of their number."""
+window (:mod:`planopt.channel.long_logs`): a joint sweep costs the cube of their number."""
 
 EXACT_LIMIT = 5_000
 """Maximum number of measurements with a factor, which takes 200 MB, and 450 MB with room to
@@ -517,3 +517,41 @@ def _one_site(posterior: ChannelPosterior, one: Measurements) -> Sites:
     prediction = predict_noiseless(posterior, one)
     prior = LatentPrior.known_mean(prediction.mean_db, np.diag(prediction.deviation_db**2))
     return interval_sites(prior, intervals(one), noise).as_measurements()
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Knowledge of a station's channel, and of the channels of further stations.
+
+    Attributes
+    ----------
+    fit
+        Fit of the parameters to the initial measurements.
+    posterior
+        Posterior of all measurements so far.
+    further
+        Belief about each further station of the problem, in its order, without further ones.
+    """
+
+    fit: ChannelFit
+    posterior: ChannelPosterior
+    further: tuple[Belief, ...] = ()
+
+    __repr__ = short_repr
+
+    @property
+    def posteriors(self) -> tuple[ChannelPosterior, ...]:
+        """Return the posterior of each station, in the problem's order."""
+        return (self.posterior, *(belief.posterior for belief in self.further))
+
+
+def update(belief: Belief, more: Measurements, *further: Measurements) -> Belief:
+    """Add measurements of the first and of further stations (Algorithm 1 of [GM11]); no refit."""
+    return replace(
+        belief,
+        posterior=extend(belief.posterior, more),
+        further=tuple(
+            replace(other, posterior=extend(other.posterior, taken))
+            for other, taken in zip(belief.further, further, strict=True)
+        ),
+    )

@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.kriging import kriging_terms
-from planopt.channel.local_channel import LocalChannel
+from planopt.channel.kriging import LocalChannel, kriging_terms
+from planopt.channel.long_logs import offsets_given_theta
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     own_variance_db2,
@@ -23,7 +23,6 @@ from planopt.channel.measurement_covariance import (
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, combine
-from planopt.channel.vecchia import offsets_given_theta
 
 TILES_AT_ONCE = 64
 """Tiles solved together: their matrices fit into a processor's cache."""

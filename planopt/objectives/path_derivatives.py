@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.local_channel import LocalChannel, LocalGrid
+from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.parameters import require_places
 from planopt.objectives.measuring import Gates
 from planopt.objectives.moments import blind_variance_db2

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity_law import LEAST_DEVIATION_DB, any_score_derivatives
-from planopt.channel.local_channel import LocalChannel
+from planopt.channel.kriging import LocalChannel
 from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, score_probability

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.joint import joint_prediction
-from planopt.channel.local_channel import LocalChannel
+from planopt.channel.kriging import LocalChannel
 from planopt.channel.parameters import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import score_probability

@@ -13,7 +13,6 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief, update
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
@@ -33,7 +32,7 @@ from planopt.channel.measurements import (
     as_received,
 )
 from planopt.channel.parameters import PRIOR_N_PL, ChannelParameters
-from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
+from planopt.channel.posterior import EXACT_LIMIT, Belief, ChannelPosterior, condition, update
 from planopt.channel.power_log import LogFormat, read_log
 from planopt.errors import InputError
 from planopt.objectives.measuring import MeasuringRule

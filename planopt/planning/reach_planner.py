@@ -15,7 +15,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
+from planopt.channel.posterior import Belief
 from planopt.planning.candidates import (
     Budget,
     Candidate,

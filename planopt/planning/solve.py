@@ -11,9 +11,9 @@ from typing import Any, NoReturn, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.measurements import Measurements
+from planopt.channel.posterior import Belief
 from planopt.errors import InputError
 from planopt.parts import parts_of
 from planopt.planning.initial_data import (

@@ -13,8 +13,8 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements, join
+from planopt.channel.posterior import Belief
 from planopt.planning.history import History, history_of
 from planopt.planning.initial_data import learn_measured
 from planopt.planning.plan import Plan, Rung

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.calibration import EDGES, ReliabilityBin
 from planopt.channel.channel_map import PosteriorMap
 from planopt.channel.estimation.channel_fit import ChannelFit
@@ -17,6 +16,7 @@ from planopt.channel.estimation.correlation_fit import BINS, empirical_correlati
 from planopt.channel.held_out import HeldOutScore
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station, regressors, station_distance_m
+from planopt.channel.posterior import Belief
 from planopt.errors import InputError
 from planopt.problems.problem import Problem
 from planopt.report.maps import (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planopt.channel.belief import Belief
+from planopt.channel.posterior import Belief
 from planopt.planning.certificate import BlockedWay
 from planopt.planning.loop.results import Run, Solution
 from planopt.problems.problem import Problem, problem_of_robot

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
+from planopt.channel.posterior import Belief
 from planopt.planning.certificate import BlockedWay, Hole
 from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
 from planopt.planning.loop.metrics import true_serving_dbm

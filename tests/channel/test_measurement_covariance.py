@@ -21,8 +21,7 @@ from planopt.channel import (
     joint_prediction,
     posterior_derivatives,
 )
-from planopt.channel.kriging import predict
-from planopt.channel.local_channel import LocalChannel, predict_nearby
+from planopt.channel.kriging import LocalChannel, predict, predict_nearby
 from planopt.channel.measurement_covariance import (
     covariance_db2,
     measured_origins,

@@ -13,8 +13,7 @@ from planopt.channel import (
     joint_prediction,
     receiver_offsets,
 )
-from planopt.channel.kriging import predict
-from planopt.channel.local_channel import LocalChannel
+from planopt.channel.kriging import LocalChannel, predict
 from planopt.channel.measurements import join
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import EXACT_LIMIT

@@ -15,7 +15,7 @@ from planopt.channel import (
     measurement_covariance,
     receiver_offsets,
 )
-from planopt.channel import vecchia as module
+from planopt.channel import long_logs as module
 from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import regressors

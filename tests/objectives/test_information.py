@@ -7,8 +7,7 @@ import pytest
 from path_scene import CHANNEL, NOTHING, PATH, START, drawn, measured_at, moved, power_at
 
 from planopt.channel.joint import joint_prediction
-from planopt.channel.kriging import kriging_terms, predict
-from planopt.channel.local_channel import LocalChannel, LocalGrid
+from planopt.channel.kriging import LocalChannel, LocalGrid, kriging_terms, predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.parameters import Station, regressors

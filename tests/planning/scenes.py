@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 import shapely
 
-from planopt.channel.belief import Belief
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import ChannelPosterior, condition
+from planopt.channel.posterior import Belief, ChannelPosterior, condition
 from planopt.objectives import ReachObjective
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.initial_data import Prepared

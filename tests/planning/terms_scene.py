@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from sending_term import SendingTerm
 
-from planopt.channel.belief import Belief
+from planopt.channel.posterior import Belief
 from planopt.extend import casadi_term
 from planopt.planning.candidates import Judge
 from planopt.planning.initial_data import prepare

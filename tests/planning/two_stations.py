@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planopt.channel.belief import Belief
+from planopt.channel.posterior import Belief
 from planopt.planning.initial_data import Prepared
 from planopt.problems.channel_setup import BaseStation
 from planopt.problems.problem import Problem

@@ -9,8 +9,8 @@ from typing import Literal, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.long_logs import ReceiverOffset
 from planopt.channel.parameters import ChannelParameters
-from planopt.channel.vecchia import ReceiverOffset
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 

@@ -35,6 +35,7 @@ from planopt.channel.estimation.least_squares import (
 )
 from planopt.channel.estimation.likelihood import Covariance
 from planopt.channel.estimation.reml import EXACT_ROWS, RemlFit, reml_fit
+from planopt.channel.long_logs import receiver_offsets
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.parameters import (
     PRIOR_N_PL,
@@ -45,7 +46,6 @@ from planopt.channel.parameters import (
     mean_model,
 )
 from planopt.channel.posterior import condition
-from planopt.channel.vecchia import receiver_offsets
 from planopt.errors import InputError
 
 PRIOR_K_PL_STD_DB = 20.0

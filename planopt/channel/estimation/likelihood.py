@@ -22,7 +22,7 @@ is then EP's log probability of the intervals together with the Gaussian measure
 each rounded one, so that it tends to the density of the exact power. At EP's fixed point the sites
 do not move the value to first order, so the gradient is that with sites as measurements, plus the
 direct effect of omega^2 on the intervals. In one window the sites are joint, theta integrated out;
-in several they are matched window by window (:mod:`planopt.channel.window_sites`) about the current
+in several they are matched window by window (:mod:`planopt.channel.long_logs`) about the current
 mean.
 """
 
@@ -53,6 +53,12 @@ from planopt.channel.gaussian_sites import (
     intervals,
     rounded_variance_db2,
 )
+from planopt.channel.long_logs import (
+    SITE_BESIDE,
+    IntervalRows,
+    WindowSites,
+    window_sites,
+)
 from planopt.channel.measurement_covariance import (
     RECEIVER_OFFSET_STD_DB,
     Origins,
@@ -71,12 +77,6 @@ from planopt.channel.neighbours import (
     surrounding_windows,
 )
 from planopt.channel.parameters import ChannelParameters, MeanModel
-from planopt.channel.window_sites import (
-    SITE_BESIDE,
-    IntervalRows,
-    WindowSites,
-    window_sites,
-)
 
 Covariance = tuple[float, float, float]
 """xi^2 (dB^2), omega^2 (dB^2), beta (m)."""

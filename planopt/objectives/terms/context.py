@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.local_channel import LocalChannel, LocalGrid
+from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.measuring import Gates, KnownLinks, MeasuringRule

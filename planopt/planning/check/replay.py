@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition
+from planopt.channel.posterior import Belief, condition
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.files.compare import differences, in_words

@@ -8,9 +8,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.cholesky import one_blas_thread
-from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of
 from planopt.planning.explain.changes import Trials, deadline_s

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
+from planopt.channel.posterior import Belief
 from planopt.errors import InputError
 from planopt.files.npz import read_npz
 from planopt.files.tables import LARGEST, REMEDY

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.ground_truth import Truth, measure
 from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.errors import NoPlanError
 from planopt.planning.certificate import BlockedError, BlockedWay
 from planopt.planning.loop.clairvoyant import run_costs

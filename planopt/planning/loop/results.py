@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
 from planopt.channel.ground_truth import Truth
+from planopt.channel.posterior import Belief
 from planopt.errors import A_FOLDER, InputError, path_of
 from planopt.planning.certificate import BlockedWay
 from planopt.planning.explanation import Crossing, Relaxation

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity_law import ConnectivityLaw, UncertainParameters
-from planopt.channel.kriging import predict
-from planopt.channel.local_channel import NEIGHBOURS_BEYOND, predict_nearby
+from planopt.channel.kriging import NEIGHBOURS_BEYOND, predict, predict_nearby
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.channel.prediction import Prediction

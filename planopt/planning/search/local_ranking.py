@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.local_channel import LocalChannel, LocalGrid
+from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.moments import LocalPaths, Pull
 from planopt.objectives.terms.context import Paths

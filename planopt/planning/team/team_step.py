@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.belief import Belief
+from planopt.channel.posterior import Belief
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Steers
 from planopt.planning.candidates import Judge

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.connectivity_law import ConnectivityLaw
-from planopt.channel.local_channel import LocalChannel, LocalGrid
+from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.objectives.path_derivatives import PathDerivatives, add_own_blocks

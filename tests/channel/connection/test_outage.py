@@ -21,7 +21,7 @@ from planopt.channel import (
     joint_prediction,
     longest_outage,
 )
-from planopt.channel.outage import SampledDistribution, longest_runs, sent_and_lost
+from planopt.channel.joint import SampledDistribution, longest_runs, sent_and_lost
 from planopt.channel.path_connectivity import prefix_probabilities
 from planopt.planning.loop.metrics import longest_outage_m
 

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from planopt.channel import ChannelParameters, Measurements, Station, condition, local_channel
-from planopt.channel.local_channel import (
+from planopt.channel import ChannelParameters, Measurements, Station, condition, kriging
+from planopt.channel.kriging import (
     GROUP,
     GROUP_SHARE,
     LocalChannel,
@@ -105,13 +105,13 @@ def test_fewer_measurements_never_lower_the_deviation():
 def test_places_far_apart_do_not_share(monkeypatch):
     """Factors stay small where places are spread out; each place has its nearest all the same."""
     sizes = []
-    whitened_by = local_channel.whitened_by
+    whitened_by = kriging.whitened_by
 
     def recorded(covariance, columns):
         sizes.append(len(covariance))
         return whitened_by(covariance, columns)
 
-    monkeypatch.setattr(local_channel, "whitened_by", recorded)
+    monkeypatch.setattr(kriging, "whitened_by", recorded)
     posterior = condition(PARAMETERS, measured(400), theta="known")
     axes = np.meshgrid([0.0, 35.0, 65.0, 100.0], [0.0, 50.0, 100.0])
     spread = np.stack(axes, axis=-1).reshape(-1, 2)

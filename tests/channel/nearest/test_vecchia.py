@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from planopt.channel import ChannelParameters, Measurements, Station
+from planopt.channel.long_logs import vecchia_information
 from planopt.channel.measurement_covariance import (
     RECEIVER_OFFSET_STD_DB,
     measured_origins,
@@ -11,7 +12,6 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.neighbours import BESIDE, BLOCK, PlaceIndex
 from planopt.channel.parameters import regressors
-from planopt.channel.vecchia import vecchia_information
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

@@ -8,13 +8,13 @@ from scipy.stats import multivariate_normal, norm
 
 from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.gaussian_sites import gaussian_sites, intervals
+from planopt.channel.long_logs import SITE_BESIDE, IntervalRows, neighbour_sites, window_sites
 from planopt.channel.measurement_covariance import (
     measured_origins,
     own_covariance_db2,
 )
 from planopt.channel.neighbours import place_blocks, surrounding_windows
 from planopt.channel.parameters import regressors
-from planopt.channel.window_sites import SITE_BESIDE, IntervalRows, neighbour_sites, window_sites
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.channel.local_channel import LocalChannel
+from planopt.channel.kriging import LocalChannel
 from planopt.objectives.stage_power import StagePredictor
 from planopt.planning.programme.evaluation import margins_of
 from planopt.targets.rounding import Derivatives

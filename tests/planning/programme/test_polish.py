@@ -23,8 +23,7 @@ from scipy.optimize import brentq, minimize
 from scipy.stats import norm
 from stage_margins_of import stage_margins
 
-from planopt.channel.kriging import predict
-from planopt.channel.local_channel import LocalChannel
+from planopt.channel.kriging import LocalChannel, predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from stage_margins_of import stage_margins
 
-from planopt.channel.kriging import predict
-from planopt.channel.local_channel import LocalChannel
+from planopt.channel.kriging import LocalChannel, predict
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import condition

@@ -9,7 +9,7 @@ import pytest
 from scenes import verified
 from scipy.special import ndtr
 
-from planopt.channel.belief import Belief
+from planopt.channel.posterior import Belief
 from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.planning.plan import Verdict

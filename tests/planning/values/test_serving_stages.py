@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planopt.channel.connectivity_law import ConnectivityLaw
-from planopt.channel.local_channel import LocalChannel
+from planopt.channel.kriging import LocalChannel
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior, condition

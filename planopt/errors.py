@@ -11,16 +11,16 @@ from pathlib import Path
 from typing import Any
 
 A_FOLDER = 'give the name of a folder, such as "run"'
-"""What to do where a result cannot be saved for want of a folder's name."""
+"""Remedy where the name of a folder is missing."""
 
 LONGEST_WORD = 300
-"""Names in messages are cut beyond this; the paths of files are rarely longer."""
+"""Longer words in messages are cut; paths of files are rarely longer."""
 
 LONGEST_MESSAGE = 1200
-"""Messages are cut in the middle beyond this."""
+"""Longer messages are cut in the middle."""
 
 LISTED = 12
-"""Of names that a message lists, so many are shown."""
+"""Number of names that a message lists."""
 
 
 class PlanoptError(Exception):
@@ -29,8 +29,8 @@ class PlanoptError(Exception):
     Parameters
     ----------
     text
-        What it says. Names and values in it may come from any file, so that it is shortened and
-        made printable: no terminal codes, no lone surrogates.
+        The message. Names and values in it may come from any file: it is shortened and made
+        printable, without terminal codes and lone surrogates.
     """
 
     def __init__(self, text: str = "") -> None:
@@ -72,7 +72,7 @@ def path_of(key: str, value: Any, remedy: str) -> Path:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return names as a message lists them: those that fit, and how many more there are."""
+    """Return names for a message: the first ones, and the number of others."""
     known = list(names)
     shown = ", ".join(_cut(name, LONGEST_WORD // 5) for name in known[:LISTED])
     more = len(known) - LISTED
@@ -118,37 +118,24 @@ class InputError(PlanoptError):
         self.key = None if key is None else printable(key)
         self.row = row
         self.remedy = None if remedy is None else printable(remedy)
-        where = ", ".join(
-            part
-            for part in (
-                self.file,
-                None if row is None else f"line {row}",
-                None if key is None else f"key {key}",
-            )
-            if part is not None
-        )
+        line, place = row and f"line {row}", None if key is None else f"key {key}"
+        where = ", ".join(str(part) for part in (self.file, line, place) if part is not None)
         text = f"{where}: {self.message}" if where else self.message
         super().__init__(text if remedy is None else f"{text} ({self.remedy})")
 
-    def located(self, file: Path | str) -> InputError:
-        """The same error with its file filled in, for code that did not know it."""
+    def located(self, file: Path | str | None, remedy: str | None = None) -> InputError:
+        """Return the error with file and remedy filled in where they are unknown."""
         return InputError(
             self.message,
-            file=self.file if self.file is not None else file,
+            file=file if self.file is None else self.file,
             key=self.key,
             row=self.row,
-            remedy=self.remedy,
+            remedy=remedy if self.remedy is None else self.remedy,
         )
 
     def remedied(self, remedy: str) -> InputError:
-        """The same error with a remedy, for code that knew none."""
-        return InputError(
-            self.message,
-            file=self.file,
-            key=self.key,
-            row=self.row,
-            remedy=self.remedy if self.remedy is not None else remedy,
-        )
+        """Return the error with a remedy if it has none."""
+        return self.located(None, remedy)
 
 
 class OutputError(PlanoptError):

@@ -76,14 +76,13 @@ def compare(
     from planopt.problems.settings import DEFAULT_SEEDS
     from planopt.problems.tasks import task_of
     from planopt.report import comparison_text
-    from planopt.studies.compare import Lists, default_seeds, exit_code, own_settings, settings_of
+    from planopt.studies.compare import Lists, default_seeds, own_settings, settings_of
     from planopt.studies.compare import compare as compared
     from planopt.studies.comparison import (
         COMPARISON,
         comparison_json,
         no_comparison_json,
         require_pyarrow,
-        save_comparison,
         save_no_comparison,
     )
     from planopt.studies.study import require_backend
@@ -132,13 +131,13 @@ def compare(
             show(json, data, f"{loaded[0].name}: no plan: {error}")
             return NO_PLAN
         if folder is not None:
-            save_comparison(comparison, folder, parquet=parquet)
+            comparison.save(folder, parquet=parquet)
         text = "" if json else f"{comparison_text(comparison)}\n{_where_all_is(folder)}"
         show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:
             if new is not None:
                 _draw(comparison, new)
-    return exit_code(comparison)
+    return comparison.exit_code
 
 
 def _draw(comparison: Comparison, folder: Path) -> None:

@@ -144,11 +144,6 @@ def compare(
     )
 
 
-def exit_code(comparison: Comparison) -> int:
-    """Return 0 if all runs did their task, 3 if some step is not verified, 4 if some run failed."""
-    return max(run.exit_code for run in comparison.runs)
-
-
 def _shared(item: Item) -> Any:
     """Return the data that all settings of one seed share; the error if there is no plan."""
     problem, seed = item
@@ -248,34 +243,25 @@ def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
 
 
 def chosen_seeds(seeds: object) -> list[int]:
-    """Return the required seeds, or as many of them."""
-    remedy = "a number of seeds such as 30, or seeds such as [0, 1] or range(100, 200)"
-    if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool):
-        seeds = range(int(cast("int", seeds)))
-    if isinstance(seeds, str | Mapping) or not isinstance(seeds, Iterable):
-        raise InputError(
-            f"is {seeds!r}, should be whole numbers, at least 0", key="seeds", remedy=remedy
-        )
-    chosen: list[int] = []
-    for number, seed in enumerate(cast("Iterable[object]", seeds)):
-        if not isinstance(seed, int | np.integer) or isinstance(seed, bool):
+    """Return the required seeds, of which `seeds` may also be the number."""
+
+    def is_whole(value: object) -> bool:
+        return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+    if is_whole(seeds):
+        seeds = range(cast("int", seeds))
+    is_list = isinstance(seeds, Iterable) and not isinstance(seeds, str | Mapping)
+    chosen = list(cast("Iterable[Any]", seeds)) if is_list else [seeds]
+    for number, seed in enumerate(chosen):
+        if not is_whole(seed) or seed < 0 or seed in chosen[:number]:
             raise InputError(
-                f"is {seed!r}, should be a whole number, at least 0",
-                key=f"seeds[{number}]",
-                remedy=remedy,
+                f"is {seed!r}, should be a whole number, at least 0, and there once",
+                key=f"seeds[{number}]" if is_list and not is_whole(seed) else "seeds",
+                remedy="a number of seeds such as 30, or seeds such as [0, 1] or range(100, 200)",
             )
-        chosen.append(int(cast("int", seed)))
     if not chosen:
-        raise InputError(
-            "there is none, so nothing to compare",
-            key="seeds",
-            remedy="give a number of seeds, such as 30",
-        )
-    if min(chosen) < 0 or len(set(chosen)) < len(chosen):
-        raise InputError(
-            f"{chosen} has a negative or repeated seed", key="seeds", remedy="0, 1, ..."
-        )
-    return chosen
+        raise InputError("there is none, so nothing to compare", key="seeds", remedy="give 30")
+    return [int(seed) for seed in chosen]
 
 
 def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:

@@ -97,7 +97,23 @@ class Comparison:
         InputError
             A problem has parts from Python, which no file can hold, or pyarrow is missing.
         """
-        save_comparison(self, path_of("folder", folder, A_FOLDER), parquet=parquet)
+        if parquet:
+            require_pyarrow()
+        problems = (self.problem, *self.others)
+        tables = [task_of(problem).tables(problem) for problem in problems]
+        runs = "".join(strict_text(encoded(run)) for run in self.runs)
+        data = {
+            **comparison_json(self),
+            DIGEST: digest_of(runs),
+            "problem_file": tables[0],
+            "other_problems": tables[1:],
+        }
+        with replaced_results(path_of("folder", folder, A_FOLDER), COMPARISON) as new:
+            write_text(new / RUNS_FILE, runs)
+            write_text(new / MANIFEST_FILE, strict_text(manifest(self, tables)))
+            if parquet:
+                write_whole(new / PARQUET_FILE, lambda path: _write_parquet(self, path))
+            write_text(new / COMPARISON_FILE, strict_text(data))
 
     def to_dataframe(self) -> Any:
         """Return the runs as a pandas DataFrame: a row a run, a column a setting and metric.
@@ -110,6 +126,11 @@ class Comparison:
         return require_pandas().DataFrame(run_columns(self))
 
     @property
+    def exit_code(self) -> int:
+        """Return 0 if all runs did their task, 3 if some step is not verified, 4 if one failed."""
+        return max(run.exit_code for run in self.runs)
+
+    @property
     def settings(self) -> tuple[Setting, ...]:
         """The settings with their runs and rows, in the order of the rows."""
         return tuple(settings_of_runs(self.runs, self.rows))
@@ -118,28 +139,6 @@ class Comparison:
     def reliability(self) -> tuple[ReliabilityBin, ...]:
         """Predicted against true connection over the steps of all runs of all settings."""
         return runs_reliability(self.runs)
-
-
-def save_comparison(comparison: Comparison, folder: Path, *, parquet: bool = False) -> None:
-    """Save a comparison; ``load_result`` reads it."""
-    if parquet:
-        require_pyarrow()
-    tables = [
-        task_of(problem).tables(problem) for problem in (comparison.problem, *comparison.others)
-    ]
-    runs = "".join(strict_text(encoded(run)) for run in comparison.runs)
-    data = {
-        **comparison_json(comparison),
-        DIGEST: digest_of(runs),
-        "problem_file": tables[0],
-        "other_problems": tables[1:],
-    }
-    with replaced_results(folder, COMPARISON) as new:
-        write_text(new / RUNS_FILE, runs)
-        write_text(new / MANIFEST_FILE, strict_text(manifest(comparison, tables)))
-        if parquet:
-            write_whole(new / PARQUET_FILE, lambda path: _write_parquet(comparison, path))
-        write_text(new / COMPARISON_FILE, strict_text(data))
 
 
 def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Path) -> None:

@@ -145,13 +145,7 @@ class Solution(Result):
 
     @property
     def plan(self) -> Plan:
-        """The plan of the only robot; use `plans` if there are several.
-
-        Raises
-        ------
-        InputError
-            There are several robots.
-        """
+        """Return the plan of the only robot; with several robots use `plans`."""
         return _only(self.plans, "plans")
 
     @property
@@ -230,24 +224,12 @@ class Run(Result):
 
     @property
     def run(self) -> RobotRun:
-        """The log of the only robot; use `runs` if there are several.
-
-        Raises
-        ------
-        InputError
-            There are several robots.
-        """
+        """Return the log of the only robot; with several robots use `runs`."""
         return _only(self.runs, "runs")
 
     @property
     def belief(self) -> Belief:
-        """The channel estimate of the only robot at the end; use `beliefs` if there are several.
-
-        Raises
-        ------
-        InputError
-            There are several robots.
-        """
+        """Return the final channel estimate of the only robot; with several use `beliefs`."""
         return _only(self.beliefs, "beliefs")
 
     @property

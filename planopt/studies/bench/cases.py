@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
-from planopt.files.typed_json import encoded
+from planopt.files.typed_json import encoded, finite
 from planopt.planning.check.check import check_motion
 from planopt.planning.files.saved import read_object
 from planopt.planning.initial_data import Prepared, prepare, team_seeds, with_drawn_starts
@@ -278,22 +277,23 @@ def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
     plans = solution.plans
     with tempfile.TemporaryDirectory() as folder:
         solution.save(Path(folder))
-        accepted, reasons = _checked(Path(folder))
-    residuals = [c.kkt_residual for c in _certificates(plans) if c.kkt_residual is not None]
+        checked = check_motion(*read_object(Path(folder)))
+    proofs = [plan.certificate for plan in plans]
+    residuals = [proof.kkt_residual for proof in proofs if proof.kkt_residual is not None]
     return replace(
         nothing,
         **_totals(plans),
-        objective=_finite(sum(plan.objective for plan in plans)),
+        objective=finite(sum(plan.objective for plan in plans)),
         verdict=solution.verdict.value,
         termination=_worst(Termination, (plan.termination.value for plan in plans)),
         outcome=PLANNED,
-        accepted=accepted,
-        reasons=reasons,
+        accepted=checked.verdict is Verdict.VERIFIED,
+        reasons=checked.reasons,
         cpu_s=cpu_s,
         path_digest=_digest(plan.positions_m for plan in plans),
         kkt_residual=max(residuals, default=None),
-        min_clearance_m=_finite(min(c.min_clearance_m for c in _certificates(plans))),
-        min_connectivity=_finite(min(c.min_connectivity for c in _certificates(plans))),
+        min_clearance_m=finite(min(proof.min_clearance_m for proof in proofs)),
+        min_connectivity=finite(min(proof.min_connectivity for proof in proofs)),
     )
 
 
@@ -318,7 +318,7 @@ def _run_row(problem: Problem, nothing: Row, start: Start, recorded: States) -> 
     return replace(
         nothing,
         **_totals(plans),
-        objective=_finite(sum(found) / len(plans)) if plans else None,
+        objective=finite(sum(found) / len(plans)) if plans else None,
         verdict=_worst(Verdict, (plan.verdict.value for plan in plans)),
         outcome=PLANNED,
         cpu_s=cpu_s,
@@ -338,16 +338,6 @@ def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
     }
 
 
-def _checked(folder: Path) -> tuple[bool, tuple[str, ...]]:
-    """Check a saved plan; return whether the check agrees, and its objections."""
-    result = check_motion(*read_object(folder))
-    return result.verdict is Verdict.VERIFIED, result.reasons
-
-
-def _certificates(plans: Iterable[Plan]) -> list[Any]:
-    return [plan.certificate for plan in plans]
-
-
 def _worst(labels: type[Verdict] | type[Termination] | type[Rung], named: Iterable[str]) -> str:
     """Return the worst label: each kind names its members from good to bad."""
     order = [label.value for label in labels]
@@ -359,7 +349,3 @@ def _digest(paths_m: Iterable[NDArray[np.float64]]) -> str:
     # Adding zero makes one of the two zeros that rounding has.
     rounded = b"".join((np.round(path_m, 3) + 0.0).astype("<f8").tobytes() for path_m in paths_m)
     return hashlib.sha256(rounded).hexdigest()[:16]
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

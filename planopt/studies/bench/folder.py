@@ -138,14 +138,14 @@ def _is_possible(row: Row) -> bool:
 
 
 def rows_csv(rows: Sequence[Row]) -> str:
-    """Return rows as a CSV table for people and other programs."""
+    """Return rows as a CSV table; lists and tables in cells are JSON."""
     text = io.StringIO()
     names = [part.name for part in fields(Row) if part.name != "states"]
     table = csv.writer(text, lineterminator="\n")
     table.writerow(names)
     for row in rows:
         values = [getattr(row, name) for name in names]
-        table.writerow([_cell(value) for value in values])
+        table.writerow([json.dumps(v) if isinstance(v, dict | tuple) else v for v in values])
     return text.getvalue()
 
 
@@ -172,12 +172,3 @@ def _require_same(before: Manifest, now: Manifest, folder: Path) -> None:
 def _problem_digest(name: str) -> str:
     tables: Mapping[str, Any] = run_key(load_motion(name), 0)["problem"]
     return hashlib.sha256(strict_text(tables).encode()).hexdigest()[:16]
-
-
-def _cell(value: object) -> object:
-    """Return a value as a cell: parts of a list or table separated by ``; ``."""
-    if isinstance(value, Mapping):
-        return "; ".join(f"{name} {count}" for name, count in value.items())  # pyright: ignore[reportUnknownVariableType]
-    if isinstance(value, tuple):
-        return "; ".join(str(part) for part in value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
-    return value

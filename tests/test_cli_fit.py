@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,18 +11,8 @@ import pytest
 from planopt.cli import main
 
 CONTRACT = {
-    "method",
-    "status",
-    "k_pl_db",
-    "n_pl",
-    "shadow_std_db",
-    "decorrelation_m",
-    "multipath_std_db",
-    "station",
-    "standard_errors",
-    "measurements",
-    "censored",
-    "warnings",
+    *("method", "status", "k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m"),
+    *("multipath_std_db", "station", "standard_errors", "measurements", "censored", "warnings"),
 }
 
 
@@ -69,9 +60,7 @@ def test_fit_says_what_is_hardly_determined(tmp_path: Path, capsys) -> None:
     x = np.linspace(100.0, 160.0, 30)
     covariance = 36.0 * np.exp(-np.abs(x[:, None] - x) / 200.0) + np.eye(30)
     power = -30.0 - 30.0 * np.log10(x) + np.linalg.cholesky(covariance) @ generator.normal(size=30)
-    path = tmp_path / "log.csv"
-    rows = [f"{place:.3f},0,{p:.3f}" for place, p in zip(x, power, strict=True)]
-    path.write_text("\n".join(["x_m,y_m,power_dbm", *rows]))
+    path = written(tmp_path / "log.csv", np.stack([x, 0.0 * x], axis=1), power)
     assert main(["fit", str(path), "--station", "0,0", "--json"]) in FITTED
     data = json.loads(capsys.readouterr().out)
     assert data["status"] != "ok"
@@ -252,3 +241,61 @@ def test_options_that_cannot_be_used(shared_log: Path, options, words, capsys) -
     assert main(["fit", str(shared_log), *options]) == 2
     printed = capsys.readouterr()
     assert printed.out == "" and printed.err.count("\n") == 1 and words in printed.err
+
+
+def written(path: Path, places: np.ndarray, power: np.ndarray) -> Path:
+    """Save a log of places and powers."""
+    rows = [f"{x},{y},{p}" for (x, y), p in zip(places, power, strict=True)]
+    path.write_text("\n".join(["x_m,y_m,power_dbm", *rows]))
+    return path
+
+
+@pytest.fixture
+def round_log(tmp_path: Path) -> Path:
+    """Eighty noisy powers along a path loss of exponent 3, station at (120, 60)."""
+    generator = np.random.default_rng(8)
+    places = generator.uniform(0.0, 200.0, (80, 2))
+    distance = np.hypot(*(places - (120.0, 60.0)).T)
+    power = -30.0 - 30.0 * np.log10(distance) + generator.normal(0.0, 2.0, 80)
+    return written(tmp_path / "log.csv", places, power)
+
+
+def fitted(log: Path, capsys, *options: str) -> dict:
+    """The JSON object that is printed."""
+    assert main(["fit", str(log), "--json", *options]) in FITTED
+    return json.loads(capsys.readouterr().out)
+
+
+def test_standard_errors_of_the_station(round_log: Path, capsys) -> None:
+    """Two numbers where it is estimated, by either way; null where it is given."""
+    joint = fitted(round_log, capsys, "--station", "unknown")
+    line = fitted(round_log, capsys, "--station", "unknown", "--station-method", "line")
+    given = fitted(round_log, capsys, "--station", "120,60")
+    assert fitted(round_log, capsys, "--station", "unknown", "--station-method", "joint") == joint
+    assert line["station"] != joint["station"]
+    assert given["station_standard_errors_m"] is None
+    for one in (joint, line):
+        errors = one["station_standard_errors_m"]
+        assert all(0.0 < error < 10.0 for error in errors)
+        assert np.all(np.abs(np.subtract(one["station"], (120.0, 60.0))) < 4.0 * np.array(errors))
+
+
+def test_station_in_words(round_log: Path, capsys) -> None:
+    """The station's errors stand beside it, and nothing where it is given."""
+    assert main(["fit", str(round_log), "--station", "unknown"]) in FITTED
+    first = capsys.readouterr().out.splitlines()[0]
+    assert re.search(r"station \([\d.]+, [\d.]+\) \+- \([\d.]+, [\d.]+\) m$", first)
+    assert main(["fit", str(round_log), "--station", "120,60"]) in FITTED
+    assert "station (120, 60) m\n" in capsys.readouterr().out
+
+
+def test_station_not_bounded_is_null(tmp_path: Path, capsys) -> None:
+    """Powers that rise steadily to one side: errors are null, and the status says so."""
+    generator = np.random.default_rng(3)
+    places = generator.uniform(0.0, 100.0, (60, 2))
+    power = -80.0 + 0.05 * places[:, 0] + np.random.default_rng(4).normal(0.0, 2.0, 60)
+    log = written(tmp_path / "log.csv", places, power)
+    found = fitted(log, capsys, "--station", "unknown", "--station-method", "line")
+    assert found["status"] == "degenerate"
+    assert found["station_standard_errors_m"] == [None, None]
+    assert found["standard_errors"]["n_pl"] is None

@@ -12,7 +12,8 @@ import pytest
 from planopt import Solution, check, explain, load, load_result, simulate, solve
 from planopt.errors import InputError
 from planopt.planning.certificate import Certificate
-from planopt.planning.check.check import CheckResult
+from planopt.planning.check import check as module
+from planopt.planning.check.check import CheckResult, library_remarks
 from planopt.planning.files.result_json import no_plan_json
 from planopt.planning.files.saved import FORMAT, write_result
 from planopt.planning.loop.results import Run
@@ -20,6 +21,7 @@ from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.verify import STANDING
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems.channel_setup import ArrayTruth
+from planopt.problems.overrides import with_overrides
 
 
 @pytest.fixture(scope="module")
@@ -370,3 +372,24 @@ def test_another_task_is_not_judged(plan_folder: Path) -> None:
     edit_json(plan_folder, "plan.json", learn_instead)
     rejected(plan_folder, "plan.json, key robots[0].pivot", "no such key")
     rejected(plan_folder, "plan.json, key sense")
+
+
+def test_remarks_on_the_library() -> None:
+    """Overrides of the command line are no difference; a problem of another name is remarked on."""
+    problem = load("open_field")
+    changed = with_overrides(problem, horizon=3, planner="lattice", cost_to_go="geodesic")
+    assert library_remarks("plan.json", problem) == library_remarks("plan.json", changed) == []
+    (remark,) = library_remarks("plan.json", replace(problem, name="my_field"))
+    assert "problem.name: my_field is not in the library" in remark
+
+
+def test_a_library_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is remarked on."""
+
+    def fail(_: object) -> None:
+        raise InputError("is damaged")
+
+    problem = load("open_field")
+    monkeypatch.setattr(module, "load_motion", fail)
+    (remark,) = library_remarks("plan.json", problem)
+    assert "cannot be compared with the library's: is damaged" in remark

@@ -17,7 +17,7 @@ from planopt import check, load, simulate, solve
 from planopt.errors import InputError
 from planopt.files.compare import ACCEPTED, EXACT, TOLERANCES
 
-FEW, MANY = 40, 300
+MANY = 300
 
 LABELS = ("verified", "violated", "reached", "stalled", "step_limit")
 
@@ -131,12 +131,7 @@ def passing(made: Path, tmp_path: Path, count: int, seed: int) -> list[str]:
     return passed
 
 
-def test_few_random_edits_are_found(made: Path, tmp_path: Path) -> None:
-    """Positions, verdicts, certificates, metrics, beliefs, seeds, measurements, deviations."""
-    assert passing(made, tmp_path, FEW, 1) == []
-
-
 def test_300_random_edits_are_found(made: Path, tmp_path: Path) -> None:
-    """The same, more of them."""
+    """Positions, verdicts, certificates, metrics, beliefs, seeds, measurements, deviations."""
     passed = passing(made, tmp_path, MANY, 2)
     assert not passed, "\n".join(passed)

@@ -51,21 +51,13 @@ def test_metrics_by_hand():
 
 
 def test_steps_without_a_share_are_left_out_of_the_mean_gain():
-    """One of three has none; where no step has one the run has none."""
+    """One of three has none; where no step has one the run has none, nor a time without goal."""
     log = log_of(PLACES, [True] * 5)
+    assert np.isnan(metrics_of(log, PLANS, [], None).goal_time_s)
+    assert metrics_of(log, PLANS, [], None).longest_outage_m == 0.0
     none = SimpleNamespace(polish_gain=np.nan)
     assert metrics_of(log, [*PLANS, none], [], None).polish_gain == pytest.approx(0.05)
     assert np.isnan(metrics_of(log, [none], [], None).polish_gain)
-
-
-def test_no_time_to_a_goal_that_was_not_reached():
-    """It is NaN, and everything else as before."""
-    log = log_of(PLACES, [True] * 5)
-    metrics = metrics_of(log, PLANS, [], None)
-    assert np.isnan(metrics.goal_time_s)
-    assert metrics.path_m == 9.0
-    assert metrics.true_connected_share == 1.0
-    assert metrics.longest_outage_m == 0.0
 
 
 def test_a_run_of_no_step():

@@ -21,7 +21,7 @@ from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.verify import STANDING
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems.channel_setup import ArrayTruth
-from planopt.problems.overrides import with_overrides
+from planopt.problems.load import with_overrides
 
 
 @pytest.fixture(scope="module")

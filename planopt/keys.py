@@ -230,7 +230,7 @@ def _within(fault: ErrorDetails, field: FieldInfo) -> str:
 def _resolve(
     location: KeyPath, model: type[BaseModel]
 ) -> tuple[KeyPath, dict[str, FieldInfo], FieldInfo | None]:
-    """Follow pydantic's path into the models."""
+    """Return the path of keys that pydantic reports, the fields of its table, and the field."""
     path: list[str | int] = []
     fields: dict[str, FieldInfo] = {}
     field: FieldInfo | None = None
@@ -241,7 +241,7 @@ def _resolve(
         else:
             path.append(part)
             if isinstance(part, str):
-                # Keys of an open table are told of where the table is.
+                # Faults of the keys of an open table are reported at the table.
                 fields = _fields(tables[0]) if tables else {}
                 field = fields.get(part) if tables else field
                 hints = () if field is None else (field.annotation, *field.metadata)
@@ -364,7 +364,7 @@ class Documented(type):
 
     @property
     def __doc__(cls) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The docstring with a section of the fields and their meanings."""
+        """Return the docstring with a section of the fields and their meanings."""
         text = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
         words, _, examples = text.partition("\n\nExamples\n")
         rows = [

@@ -45,7 +45,7 @@ class MultipathTable(Table):
 
     @property
     def law(self) -> Multipath:
-        """The multipath in its own number."""
+        """Return the law of the multipath."""
         return multipath_of(self.kind, m=self.m, k=self.k, std_db=self.std_db)
 
     @model_validator(mode="after")
@@ -152,7 +152,7 @@ class RasterTruth(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields; the fading is given in one of two ways."""
+        """Return the fields; one of two keys gives the fading."""
         if table.rician_k is None:
             return super().of_keys(table)
         if table.multipath is not None:
@@ -372,8 +372,7 @@ class MeasurementsTable(Table):
     floor_dbm: Decibels | None = None
     """Powers in the log at or below this many dBm are censored."""
     spacing_m: float = Field(default=2.0, ge=0, le=1e6)
-    """On the way a robot measures only at this distance in metres from every earlier measurement.
-    """
+    """A moving robot measures only at this distance in metres from every earlier measurement."""
     shared: bool = False
     """Whether every robot has the measurements of all robots after each step (true or false)."""
 
@@ -500,7 +499,7 @@ class ChannelSetup(Part):
 
 
 def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
-    """The map of a station: the truth's, but for what the station has of its own."""
+    """Return the map of a station: that of the truth, but for the keys of the station."""
     return replace(
         truth,
         file=radio.gain_file or truth.file,
@@ -509,9 +508,9 @@ def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
 
 
 def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
-    """The log of a station: that of all stations, but for what it has of its own.
+    """Return the log of a station: the common log, but for the keys of the station.
 
-    Rows that a common log marks as censored are so for another station's power.
+    The censored rows of a common log are those of the first station's power.
     """
     x, y, power = log.columns
     shared = radio.log_file is None and radio.power_column is not None
@@ -566,7 +565,7 @@ class BaseStation(Part):
 
     @property
     def true_threshold_dbm(self) -> float:
-        """Received power from which on a robot truly is connected."""
+        """Return the received power from which on a robot truly is connected."""
         least = self.receive_threshold_dbm
         return self.threshold_dbm if least is None else least
 

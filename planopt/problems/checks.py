@@ -3,7 +3,7 @@
 These checks need geometry, or two tables at once: robots start apart from each other and from
 moving obstacles and can stop so; the tables of a channel fit each other; starts and goals are
 clear of obstacles; the ground truth and the lattice fit into memory; each of several stations has a
-channel of its own, and what is asked can be computed of them.
+channel of its own, and the rule of connectivity can be computed for them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ CLEARANCE_TO_GOALS_M = 0.01
 
 
 def check_apart(problem: Problem) -> None:
-    """Robots start apart from each other, and from where moving obstacles are at time 0."""
+    """Check that robots start apart from each other and from moving obstacles."""
     separation = problem.constraints.separation_m
     starts = np.array([robot.start_m for robot in problem.robots])
     for number, robot in enumerate(problem.robots):
@@ -81,7 +81,7 @@ def check_apart(problem: Problem) -> None:
 
 
 def _check_goals_apart(problem: Problem, number: int, other: int) -> None:
-    """Robots can stand at their goals at the same time."""
+    """Check that two robots can stand at their goals at the same time."""
     goal, others, separation = (
         problem.robots[number].goal_m,
         problem.robots[other].goal_m,
@@ -100,7 +100,7 @@ def _check_goals_apart(problem: Problem, number: int, other: int) -> None:
 
 
 def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
-    """Robots that move at the start keep apart if all stop, so that there is always a way out."""
+    """Check that two robots keep apart if both stop, so that there is always a safe plan."""
     separation, step_s = problem.constraints.separation_m, problem.planner.step_s
     moving = {
         one: stopping_motion(robot.dynamics, robot.start_state, step_s)
@@ -126,7 +126,7 @@ MAX_TRUTH_CELLS = 4_000_000
 
 
 def check_channel(problem: Problem) -> None:
-    """Measurements come from something, and no place without signal counts as connected."""
+    """Check that measurements have a source and that the floor is below the thresholds."""
     truth = problem.channel.truth
     measurements = problem.channel.measurements
     if truth is None:
@@ -183,7 +183,7 @@ def _check_cells(problem: Problem, cell_m: float) -> None:
 
 
 def _check_spread(problem: Problem, number: int) -> None:
-    """A start is drawn only where nothing but a sum of terms is planned from it."""
+    """Check that starts are drawn only for sums of terms and single integrators."""
     robot = problem.robots[number]
     if robot.start_spread_m > 0.0 and (problem.task == "reach" or not robot.moves_freely):
         raise InputError(
@@ -195,7 +195,7 @@ def _check_spread(problem: Problem, number: int) -> None:
 
 
 def check_bounds(problem: Problem) -> None:
-    """The workspace has an inside."""
+    """Check that the bounds have an inside."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     if not (x_min < x_max and y_min < y_max):
         raise InputError(
@@ -208,7 +208,7 @@ def check_bounds(problem: Problem) -> None:
 def check_place(
     problem: Problem, index: ObstacleIndex, place: tuple[float, float], key: str
 ) -> None:
-    """A place where a robot must stand: in bounds and clear of every obstacle."""
+    """Check that a position of a robot is within the bounds and clear of every obstacle."""
     positions_m = np.array([place])
     if not inside_bounds(problem.workspace, positions_m).all():
         raise InputError(
@@ -285,7 +285,7 @@ def check(problem: Problem) -> None:
 
 
 def _check_term(problem: Problem, term: Term, key: str) -> None:
-    """A term can be planned for in its problem."""
+    """Check that a term can be planned for in its problem."""
     try:
         term.check(problem.term_setting)
     except InputError as error:
@@ -299,7 +299,7 @@ def _check_term(problem: Problem, term: Term, key: str) -> None:
 
 
 def _check_step(problem: Problem, number: int) -> None:
-    """A step is long enough to be one."""
+    """Check that the longest step of a robot is not too short."""
     speed_m_s = problem.robots[number].speed_max_m_s
     step_m = speed_m_s * problem.planner.step_s
     if step_m < LEAST_STEP_M:
@@ -321,7 +321,7 @@ def check_stations(problem: Problem) -> None:
 
 
 def _check_keys(problem: Problem) -> None:
-    """Keys of a station that go only with a map or a log."""
+    """Refuse keys of a station that go only with a map or a log."""
     raster = isinstance(problem.channel.truth, RasterTruth)
     logged = isinstance(problem.channel.measurements, LoggedMeasurements)
     for number, radio in enumerate(problem.stations):
@@ -404,7 +404,7 @@ REST_TOLERANCE_M = 1e-6
 """A robot that rests changes its state by no more than this in a step."""
 
 MOST_CORNERS = 64
-"""So many corners of the input set are tried at the start."""
+"""Number of corners of the input set that are checked at the start."""
 
 
 def check_own_map(problem: Problem, number: int) -> None:

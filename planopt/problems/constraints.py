@@ -89,7 +89,7 @@ class ConnectivityRule(Part):
     connectivity: Annotated[str, BeforeValidator(_known_rule), Field(examples=list(OWN))] = (
         "each_step"
     )
-    """What p_min is asked of: each_step, average, joint (all steps of a plan), outage (steps below
+    """The event of p_min: each_step, average, joint (all steps of a plan), outage (steps below
     it in a row), data (delivery; 0: in expectation); or a rule that is registered."""
     connected_times_s: Annotated[
         tuple[Positive, ...], Strict(False), Field(max_length=100_000)
@@ -97,7 +97,7 @@ class ConnectivityRule(Part):
     """For each_step, the only times that count: seconds from the start of the run, multiples of
     planner.step_s."""
     outage_max_m: Annotated[float | None, Field(ge=0, le=1e9)] = None
-    """For outage: longest way in metres driven in steps below p_min in a row."""
+    """For outage: longest distance in metres driven in steps below p_min in a row."""
     outage_max_s: Annotated[float | None, Field(ge=0, le=1e9)] = None
     """For outage: longest time in seconds of steps below p_min in a row."""
     data_mbit: Positive | None = None
@@ -107,7 +107,7 @@ class ConnectivityRule(Part):
     rate_mbit_s: Positive | None = None
     """For data: rate of the link while connected, in Mbit/s."""
     slack_max_db: Annotated[float | None, Field(ge=0, le=500)] = None
-    """What is asked of the connection may be missed by so many dB; 0 makes it hard. Left out,
+    """The connection may fall short of p_min by so many dB; 0 makes it hard. Left out,
     each_step may be missed where nothing within reach keeps it."""
     slack_price: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     """What a dB of slack costs, in the objective's unit; needs slack_max_db."""
@@ -149,12 +149,12 @@ class ConnectivityRule(Part):
 
     @property
     def kind(self) -> type[Any]:
-        """The class of the rule."""
+        """Return the class of the rule."""
         return rule_kind(self.connectivity)
 
     @property
     def by_step(self) -> bool:
-        """Return whether single steps are judged, each by itself."""
+        """Return whether the rule holds for single steps, each by itself."""
         return self.kind.by_step
 
     @property
@@ -178,13 +178,13 @@ class Constraints(Part):
 
     p_min: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Least probability of connection at every step where that is possible, or of what connectivity
-    says; 0 asks for none. The task reach needs it above 0."""
+    says; 0 requires none. The task reach needs it above 0."""
     clearance_m: Annotated[float, Field(ge=0, le=1e4)] = 1.0
     """Least distance in metres of the swept path from every obstacle, moving ones included."""
     goal_radius_m: Annotated[float, Field(gt=0, le=1e4)] = 1.0
     """Distance in metres at which the goal is reached."""
     separation_m: Annotated[float, Field(ge=0, le=1e4)] = 0.0
-    """Least distance in metres of any two robots at equal times, all the way; 0 asks for none."""
+    """Least distance in metres of any two robots at equal times; 0 requires none."""
     rule: ConnectivityRule = field(default_factory=ConnectivityRule)
     """The event that p_min applies to: by default the connection at each step."""
 
@@ -253,10 +253,10 @@ class Constraints(Part):
 
     @property
     def asks_connection(self) -> bool:
-        """Return whether anything is asked of the connection."""
+        """Return whether the connection is constrained."""
         return self.p_min > 0.0 or not self.rule.kind.asks_p_min
 
     @property
     def step_p_min(self) -> float:
-        """Return the probability asked of single steps; 0 where p_min is of something else."""
+        """Return the probability required of single steps; 0 where p_min is of another event."""
         return self.p_min if self.rule.kind.holds_steps else 0.0

@@ -1,4 +1,4 @@
-"""The problem library, and TOML files that are read line by line of their faults."""
+"""The problem library, and the reader of TOML files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Tables of the TOML file `path`."""
+    """Return the tables of a TOML file."""
     text = read_text(path, LARGEST_TOML_BYTES)
     deep = DEEP_KEY.search(text)
     if deep is not None:
@@ -62,7 +62,7 @@ def named_files(value: object) -> tuple[str, ...]:
 
 
 def _parse_error(message: str, text: str, path: Path) -> InputError:
-    """The parser's message with its line number as the row."""
+    """Return the error of the parser, with its line number as the row."""
     found = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     row, remedy = None, None
     if found is not None:
@@ -84,7 +84,7 @@ class LibraryEntry:
     name: str  # What :func:`planopt.problems.load.load` takes
     description: str  # For people
     path: Path  # Its file
-    task: str  # What it asks for
+    task: str  # Its task
 
 
 def library_folder() -> Path:
@@ -95,7 +95,7 @@ def library_folder() -> Path:
 
 
 def list_problems() -> tuple[LibraryEntry, ...]:
-    """Every problem of the library, sorted by name.
+    """Return every problem of the library, sorted by name.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
 
 
 def find_problem(path_or_name: Path | str) -> Path:
-    """The file of a problem given by path or by library name."""
+    """Return the file of a problem by its path or library name."""
     path = path_of("path_or_name", path_or_name, "give the path or name of a problem")
     try:
         if path.is_file():

@@ -36,7 +36,7 @@ from planopt.world.workspace import Workspace
 def check_files(problem: Problem) -> None:
     """Raise an error for a file that the problem needs for simulation and that is not there.
 
-    Apart from :func:`planopt.problems.checks.check`, because a saved plan can be judged without
+    Apart from :func:`planopt.problems.checks.check`, because a saved plan can be verified without
     these files.
     """
     truth, measurements = problem.channel.truth, problem.channel.measurements
@@ -135,7 +135,7 @@ def load_motion(path_or_name: Path | str) -> Problem:
 
 
 def problem_to_dict(problem: Problem) -> dict[str, Any]:
-    """`problem` as JSON-serialisable tables; :func:`problem_from_dict` reads them.
+    """Return `problem` as JSON-serialisable tables; :func:`problem_from_dict` reads them.
 
     Keys that have no value are left out, as they are in a problem file.
     """
@@ -166,7 +166,7 @@ def saved_table(part: Any) -> Any:
 
 
 def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> Problem:
-    """The problem that :func:`problem_to_dict` wrote, validated as a problem file is.
+    """Return the problem that :func:`problem_to_dict` wrote, validated as a problem file is.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def with_overrides(
     planner: str | None = None,
     cost_to_go: str | None = None,
 ) -> Problem:
-    """`problem` with the given settings in place of its own, checked; None keeps them.
+    """Return `problem` with other settings, checked; None keeps its own.
 
     The whole problem is checked, since :func:`dataclasses.replace` does not check one.
     """
@@ -252,7 +252,7 @@ def _overridden(
     is_reach = isinstance(problem.objective, ReachObjective)
     if is_reach and not planner_kind(settings.name).reaches_goals:
         raise InputError(
-            f"is {settings.name}, which has no way to a goal",
+            f"is {settings.name}, which does not plan paths to a goal",
             key="planner.name",
             remedy=f"use {names_with('reaches_goals')} for the task reach",
         )
@@ -269,7 +269,7 @@ def _overridden(
 
 
 def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProblem:
-    """`problem` with other values for any keys of its problem file, checked."""
+    """Return `problem` with other values for any keys of its problem file, checked."""
     if not changes:
         return problem
     given = ", ".join(f"{key} = {value}" for key, value in changes.items())
@@ -320,7 +320,7 @@ def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
 
 
 def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
-    """The table that a table or list has under a name; one that is not there is made."""
+    """Return the table that a table or list has under a name; a missing one is made."""
     value: Any = table.setdefault(name, {}) if isinstance(name, str) else table[name]
     if isinstance(value, list):
         raise InputError(
@@ -332,7 +332,7 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
 
 
 def _entries(table: Any, name: str | int, key: str) -> list[Any]:
-    """The list that a table or list has under a name."""
+    """Return the list that a table or list has under a name."""
     value: Any = table.get(name) if isinstance(name, str) else table[name]
     if not isinstance(value, list):
         raise InputError(f"{name} is no list", key=key, remedy=f"leave out the index of {name}")

@@ -98,7 +98,7 @@ class TermsKeys(Table):
 
 @dataclass(frozen=True)
 class ReachObjective(Part):
-    """Reach the goal in least time and effort, out of contact as little as that is worth.
+    """Reach the goal in least time and effort, at a price for driving out of contact.
 
     The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
     driven where the probability of connection is P counts ``1 + outage_price (1 - P)`` metres.

@@ -179,7 +179,7 @@ def planner_kind(name: str) -> PlannerKind:
 
 
 def _without_goals(kind: PlannerKind) -> PlannerKind:
-    """The planner, which must not be said to reach goals: these are left to planopt's own."""
+    """Return the planner; only planopt's own may reach goals."""
     if kind.reaches_goals:
         raise InputError(
             f"{kind.name} is said to plan for the task reach, "

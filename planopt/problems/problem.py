@@ -151,12 +151,12 @@ class Problem:
 
     @property
     def step_length_m(self) -> float:
-        """Longest way of the (first) robot in one step."""
+        """Return the longest step of the (first) robot."""
         return self.robots[0].speed_max_m_s * self.planner.step_s
 
     @property
     def reach(self) -> ReachObjective:
-        """The objective of a problem that is to reach a goal; others have none."""
+        """Return the objective of a problem that is to reach a goal."""
         if not isinstance(self.objective, ReachObjective):
             raise AssertionError(f"the task of {self.name} is not to reach a goal")
         return self.objective
@@ -181,7 +181,7 @@ class Problem:
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """The terms of the objective as plans take them; none where the task is to reach a goal."""
+        """Return the terms of the objective as plans use them; none for the task reach."""
         if isinstance(self.objective, ReachObjective):
             return ()
         return tuple(term.planned(self.term_setting) for term in self.objective.terms)
@@ -301,7 +301,7 @@ def problem_at(problem: Problem, steps: int) -> Problem:
 
 
 def problem_of_robot(problem: Problem, number: int) -> Problem:
-    """`problem` with robot number `number` alone, and with the weights that it gives its terms."""
+    """Return `problem` with one robot alone, and the terms by its weights."""
     robot = problem.robots[number]
     alone = replace(problem, robots=(robot,))
     if not robot.weights:

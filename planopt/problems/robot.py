@@ -163,7 +163,7 @@ class Robot(Part):
 
     @property
     def start_state(self) -> NDArray[np.float64]:
-        """``(s,)`` the state at the start, its place first."""
+        """Return the state at the start ``(s,)``, its position first."""
         return np.array([*self.start_m, *self.start_rest], dtype=np.float64)
 
 

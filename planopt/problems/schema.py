@@ -1,7 +1,7 @@
 """The tables of a problem file: every key with its type, range, default and meaning.
 
 This is the definition that ``planopt schema`` prints and that every problem is validated against,
-whether it comes from TOML, from a saved plan or from an override. What a task asks of several
+whether it comes from TOML, from a saved plan or from an override. What a task requires of several
 tables at once is here as well; what needs geometry or two places at once (a start inside an
 obstacle) is in :mod:`planopt.problems.checks`.
 """
@@ -283,7 +283,7 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
 
 
 def _same_name(table: str, entries: Sequence[Robot] | Sequence[MovingObstacle]) -> str | None:
-    """Return why the entries of a table cannot be told apart."""
+    """Return which two entries of a table have one name."""
     names = [entry.name for entry in entries]
     for number, name in enumerate(names):
         if names.index(name) < number:
@@ -301,7 +301,7 @@ MAX_STATIONS = 20
 
 
 class ProblemTable(Table):
-    """``[problem]``: what the problem is called and what it asks."""
+    """``[problem]``: the name and the task of the problem."""
 
     schema_version: Literal[1] = Field(alias="schema")
     """Version of this schema; it is 1."""
@@ -309,7 +309,7 @@ class ProblemTable(Table):
     """Name: letters, digits, '_' and '-'."""
     task: Task = "reach"
     """What the robots must do: reach a goal, track a target, learn the path loss, map the channel,
-    connect after a short way, or custom: what one's own terms say."""
+    connect after a short path, or custom: what one's own terms say."""
     description: str = ""
     """One sentence for people."""
 
@@ -343,7 +343,7 @@ class ProblemFile(Table):
 
 
 def json_schema(model: type[Table] = ProblemFile) -> dict[str, Any]:
-    """JSON schema of problem files (draft 2020-12), as ``planopt schema`` prints it."""
+    """Return the JSON schema of problem files (draft 2020-12), as ``planopt schema`` prints it."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **model.model_json_schema(),

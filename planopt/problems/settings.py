@@ -61,11 +61,11 @@ class PlannerSettings(Part):
     """Seconds that a plan should take: the last polish begins, and ends, early enough for its
     proof; left out: no limit."""
     coordination: Coordination = "joint"
-    """For several robots: joint (each is told what the others plan to measure, and counts what it
+    """For several robots: joint (each knows what the others plan to measure, and counts what it
     adds) or decoupled (each counts as if it were alone)."""
     rounds: Annotated[int, Field(ge=1, le=10)] = 1
     """How often the robots of a joint team plan in one step, in turn (a number); later rounds take
-    time, and never lessen what the team's plans are worth together."""
+    time, and never lessen the team's objective."""
 
 
 @dataclass(frozen=True)

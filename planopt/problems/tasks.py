@@ -22,7 +22,7 @@ GROUP = "planopt.tasks"
 """Entry points of tasks from outside."""
 
 MOTION = ("reach", "track", "learn", "map", "connect", "custom")
-"""Tasks of motion planning, which share their tables; a file without a task asks for the first."""
+"""Tasks of motion planning, which share their tables; a file without a task has the first."""
 
 OWN = {
     **dict.fromkeys(MOTION, "planopt.tasks.motion:TASK"),

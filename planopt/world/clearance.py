@@ -33,9 +33,9 @@ def index_obstacles(workspace: Workspace) -> ObstacleIndex:
 def segment_lines(
     starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.object_]:
-    """Straight ways between the rows of two ``(n, 2)`` arrays, as ``(n,)`` geometries.
+    """Return the segments between the rows of two ``(n, 2)`` arrays as ``(n,)`` geometries.
 
-    A way too short for its length to be squared becomes a point: GEOS would divide by zero.
+    A segment too short for its length to be squared becomes a point: GEOS would divide by zero.
     """
     delta = ends_m - starts_m
     lines = np.asarray(shapely.linestrings(np.stack((starts_m, ends_m), axis=1)), np.object_)
@@ -46,40 +46,38 @@ def segment_lines(
 
 
 def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Distance between the rows of two ``(n,)`` arrays of geometries, 0 where they meet; (n,)."""
+    """Return the distances between two arrays of geometries (n,), 0 where they meet; (n,)."""
     # Shapely types the keyword arguments of this one as unknown.
     return shapely.distance(shapes, polygons)  # pyright: ignore[reportUnknownMemberType]
 
 
 def is_clear(
-    distance_m: NDArray[np.float64], wanted_m: float, tolerance_m: float = 0.0
+    distance_m: NDArray[np.float64], required_m: float, tolerance_m: float = 0.0
 ) -> NDArray[np.bool_]:
     """Return whether distances from obstacles (n,) are enough; (n,).
 
-    A distance of 0 is contact, and where it is a way's it may lead right through: it is never
-    enough, also where no clearance is wanted.
+    A distance of 0 is contact, and a segment may then lead right through: it is never enough, also
+    where no clearance is required.
     """
-    return (distance_m > 0.0) & (distance_m >= wanted_m - tolerance_m)
+    return (distance_m > 0.0) & (distance_m >= required_m - tolerance_m)
 
 
 def clearance_m(index: ObstacleIndex, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of every position to the nearest obstacle."""
-    # Shapes: positions_m (n, 2).
+    """Return the distance of every position (n, 2) to the nearest obstacle; (n,)."""
     finite = np.asarray(np.isfinite(positions_m).all(axis=1))
     points = np.asarray(shapely.points(positions_m[finite]), np.object_)
     return _spread(_nearest_m(index, points), finite)
 
 
 def swept_clearance_m(index: ObstacleIndex, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance of every straight segment of a path to the nearest obstacle, exact."""
-    # Shapes: path_m (n, 2).
+    """Return the exact distance of each segment of a path (n, 2) to the nearest obstacle."""
     return segment_clearance_m(index, path_m[:-1], path_m[1:])
 
 
 def segment_clearance_m(
     index: ObstacleIndex, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The same for the straight ways between the rows of two (n, 2) arrays; (n,)."""
+    """Return the same for segments between the rows of two (n, 2) arrays; (n,)."""
     finite = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     return _spread(_nearest_m(index, segment_lines(starts_m[finite], ends_m[finite])), finite)
 
@@ -88,20 +86,18 @@ def segments_clear(
     index: ObstacleIndex,
     starts_m: NDArray[np.float64],
     ends_m: NDArray[np.float64],
-    wanted_m: float,
+    required_m: float,
     tolerance_m: float = 0.0,
 ) -> NDArray[np.bool_]:
     """Return whether straight segments keep a clearance, faster than by their distances.
 
-    The same as :func:`is_clear` of :func:`segment_clearance_m`, for searches: how near an obstacle
-    comes that is too near, or far enough, is not measured.
+    The result is that of :func:`is_clear` of :func:`segment_clearance_m`.
     """
-    # Shapes: starts_m, ends_m (n, 2).
     clear = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     rows = np.flatnonzero(clear)
     if index.obstacles and rows.size:
-        # Obstacles at the very distance that is wanted do not count, unless it is 0.
-        near_m = max(float(np.nextafter(wanted_m - tolerance_m, -np.inf)), 0.0)
+        # Obstacles at exactly the required distance do not count, unless it is 0.
+        near_m = max(float(np.nextafter(required_m - tolerance_m, -np.inf)), 0.0)
         lines = segment_lines(starts_m[rows], ends_m[rows])
         hits = index.tree.query(lines, predicate="dwithin", distance=near_m)
         clear[rows[hits[0]]] = False
@@ -116,14 +112,14 @@ def inside_bounds(workspace: Workspace, positions_m: NDArray[np.float64]) -> NDA
 
 
 def containing_obstacle(index: ObstacleIndex, position_m: NDArray[np.float64]) -> Obstacle | None:
-    """The first obstacle that `position_m` (2,) is in or on the border of; None if it is free."""
+    """Return the first obstacle that a position (2,) is in or on the border of, or None."""
     x, y = position_m
     hits = index.tree.query(shapely.Point(x, y), predicate="intersects")
     return index.obstacles[int(hits.min())] if hits.size else None
 
 
 def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Distance of every geometry (n,) to the nearest obstacle; (n,)."""
+    """Return the distance of every geometry (n,) to the nearest obstacle; (n,)."""
     nearest = np.full(shapes.shape, np.inf)
     if index.obstacles and shapes.size:
         (which, _), distance = index.tree.query_nearest(

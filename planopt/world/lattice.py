@@ -298,7 +298,7 @@ def lattice_paths(
     """Return the cheapest paths to a goal, each metre weighted by the mean factor of both ends."""
     weights = road_map.edge_length_m
     if node_factor is not None:
-        # Twice as fast as with both ends looked up: edges are sorted by their first end.
+        # Twice as fast as as finding both ends: edges are sorted by their first end.
         ends = np.repeat(node_factor, np.diff(road_map.edge_start))
         ends += node_factor.take(road_map.edge_to)
         ends *= weights

@@ -43,7 +43,7 @@ class MovingDiscs:
 
     @property
     def apart_m(self) -> NDArray[np.float64]:
-        """``(m, T)`` least distance of a robot from each centre as if that went straight."""
+        """Return the least distance ``(m, T)`` of a robot from each centre on a straight line."""
         return self.radius_m + self.least_m[:, None] + self.bulges_m
 
     @property

@@ -108,7 +108,7 @@ class OccupancyGrid:
 def grid_obstacles(
     grid: OccupancyGrid, name: str, unknown: UnknownCells = "occupied"
 ) -> tuple[Obstacle, ...]:
-    """Return the obstacles of a grid: all cells that are closed to robots, and no place beside."""
+    """Return the obstacles of a grid: exactly the cells that are closed to robots."""
     closed = grid.occupied | grid.unknown if unknown == "occupied" else grid.occupied
     if not closed.any():
         return ()
@@ -121,7 +121,7 @@ def grid_obstacles(
 
 @dataclass(frozen=True)
 class _Edges:
-    """Edges between a component and what is beside it, each with its closed cell on its left."""
+    """Edges of the outlines of components, each with its closed cell on its left."""
 
     end: NDArray[np.intp]  # (e, 2) column and row of the corner that each ends at
     label: NDArray[np.intp]  # (e,) which component its closed cell belongs to, from 1 on
@@ -140,7 +140,7 @@ def _edges(closed: NDArray[np.bool_]) -> _Edges:
     columns = closed.shape[1] + 1
     sides: list[tuple[NDArray[np.intp], ...]] = []
     # Directions 0 to 3 are right, up, left and down: below, right of, above and left of the cell.
-    for direction, (beside, start, end) in enumerate(
+    for direction, (neighbour, start, end) in enumerate(
         (
             (around[:-2, 1:-1], (0, 0), (0, 1)),
             (around[1:-1, 2:], (0, 1), (1, 1)),
@@ -148,7 +148,7 @@ def _edges(closed: NDArray[np.bool_]) -> _Edges:
             (around[1:-1, :-2], (1, 0), (0, 0)),
         )
     ):
-        row, column = np.nonzero(closed & (labels != beside))
+        row, column = np.nonzero(closed & (labels != neighbour))
         sides.append(
             (
                 (row + start[0]) * columns + column + start[1],

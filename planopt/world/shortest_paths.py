@@ -1,6 +1,6 @@
-"""Shortest ways round obstacles from one place: a visibility graph, looked at as it is needed.
+"""Shortest paths round obstacles from one position, by a visibility graph built as needed.
 
-Shortest ways lead straight from corner to corner of what is closed to the robot.
+Shortest paths lead straight from corner to corner of the grown obstacles.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ INNER_SHARE = 0.98
 hundredth."""
 
 QUARTER_SEGMENTS = 2
-"""Straight pieces of a quarter of a turn about a corner, for ways that can be driven."""
+"""Straight pieces of a quarter turn about a corner, for paths that can be driven."""
 
 ROUND_SHARE = 1.0 / math.cos(0.25 * math.pi / QUARTER_SEGMENTS)
 """Their ends are so much farther from the corner than their middles, which keep the clearance."""
 
 MAX_CORNERS = 600
-"""With more corners in reach, ways are as short as the air line: what is said stays true."""
+"""With more corners within the radius, air lines are returned, which are lower bounds."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShortestPaths:
-    """Ways from one place, none longer than a radius."""
+    """Shortest paths from one position, none longer than a radius."""
 
-    start_m: NDArray[np.float64]  # Where they begin, and how long they may be
-    radius_m: float
-    closed: shapely.STRtree  # What they may not lead through
-    # The part of the workspace that they may lead to; None where nothing is closed
+    start_m: NDArray[np.float64]  # (2,)
+    radius_m: float  # Their largest length
+    closed: shapely.STRtree  # The grown obstacles
+    # The connected part of free space; None where nothing is closed
     joined: shapely.Geometry | None
-    # (n, 2) corners that they turn at, (n,) how long the way to each is, ascending, and which
-    # corner it comes from last, -1 for the start
+    # (n, 2) corners that they turn at, (n,) the lengths of the paths to them, ascending, and the
+    # corners before them, -1 for the start
     corners_m: NDArray[np.float64]
     length_m: NDArray[np.float64]
     before: NDArray[np.intp]
@@ -53,10 +53,10 @@ def shortest_paths(
     radius_m: float,
     inner: bool,
 ) -> ShortestPaths:
-    """Find the ways from `start_m` (2,) that keep the clearance, up to the radius (both in m).
+    """Find the paths from `start_m` (2,) that keep the clearance, up to the radius (both in m).
 
-    With `inner` obstacles are grown by a little less, their corners cut: no way that keeps the
-    clearance is shorter than said, and no place that it leads to is missed.
+    With `inner` obstacles are grown by a little less, their corners cut: lengths are lower bounds,
+    and every reachable position is found.
     """
     nothing = ShortestPaths(
         start_m,
@@ -73,7 +73,7 @@ def shortest_paths(
     own = float(clearance_m(index, start_m[None])[0])
     if not len(near) or own == 0.0:
         return nothing
-    # A robot that stands nearer than the clearance may do so elsewhere: its ways are not closed.
+    # A robot nearer than the clearance may be so elsewhere, so that its paths stay open.
     by = min(clearance, own) * INNER_SHARE if inner else min(clearance * ROUND_SHARE, own)
     closed = grown(index.polygons[near], by, inner)
     low, high = np.array(bounds_m[:2]), np.array(bounds_m[2:])
@@ -93,7 +93,7 @@ def shortest_paths(
     tree = shapely.STRtree(closed)
     length, before = _lengths_to_corners(tree, start_m, corners, radius_m)
     order = np.argsort(length, kind="stable")[: int((length <= radius_m).sum())]
-    # A way comes from a corner that is nearer, which is in the order too.
+    # The corner before is nearer, and therefore in the order too.
     place = np.full(len(corners) + 1, -1, dtype=np.intp)
     place[order] = np.arange(len(order))
     return ShortestPaths(
@@ -102,48 +102,48 @@ def shortest_paths(
 
 
 def is_near_joined(
-    ways: ShortestPaths, places_m: NDArray[np.float64], within_m: float
+    paths: ShortestPaths, places_m: NDArray[np.float64], within_m: float
 ) -> NDArray[np.bool_]:
-    """Return whether places (n, 2) are at most so far from what ways may lead to; (n,)."""
-    if ways.joined is None:
+    """Return whether positions (n, 2) are within a distance of the connected free space; (n,)."""
+    if paths.joined is None:
         return np.ones(len(places_m), dtype=np.bool_)
     points = shapely.points(places_m)
-    return np.asarray(shapely.dwithin(ways.joined, points, within_m), dtype=np.bool_)
+    return np.asarray(shapely.dwithin(paths.joined, points, within_m), dtype=np.bool_)
 
 
-def path_lengths_m(ways: ShortestPaths, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the length of the way to each place (n, 2); (n,), infinite beyond the radius."""
-    return _last_turns(ways, places_m)[0]
+def path_lengths_m(paths: ShortestPaths, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the length of the path to each position (n, 2); (n,), infinite beyond the radius."""
+    return _last_turns(paths, places_m)[0]
 
 
-def turns_m(ways: ShortestPaths, place_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return turns of the way to a place (2,), (k, 2), the place itself last; None if none."""
-    length, last = _last_turns(ways, place_m[None])
+def turns_m(paths: ShortestPaths, place_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the turns (k, 2) of the path to a position, which is the last; None without a path."""
+    length, last = _last_turns(paths, place_m[None])
     if not np.isfinite(length[0]):
         return None
     turns, corner = [place_m], int(last[0])
     while corner >= 0:
-        turns.append(ways.corners_m[corner])
-        corner = int(ways.before[corner])
+        turns.append(paths.corners_m[corner])
+        corner = int(paths.before[corner])
     return np.array(turns[::-1])
 
 
 def _last_turns(
-    ways: ShortestPaths, places_m: NDArray[np.float64]
+    paths: ShortestPaths, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return each place's (n, 2) length of way, and its last corner, -1 if it is straight."""
+    """Return the length of the path to each position (n, 2), and its last corner, -1 for none."""
     length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)
-    open_ = np.flatnonzero(is_near_joined(ways, places_m, 0.0))
-    for corner in range(-1, len(ways.corners_m)):
-        turn, before = ways.start_m, 0.0
+    open_ = np.flatnonzero(is_near_joined(paths, places_m, 0.0))
+    for corner in range(-1, len(paths.corners_m)):
+        turn, before = paths.start_m, 0.0
         if corner >= 0:
-            turn, before = ways.corners_m[corner], float(ways.length_m[corner])
+            turn, before = paths.corners_m[corner], float(paths.length_m[corner])
         through = before + _away(places_m[open_], turn)
-        shorter = (through < length[open_]) & (through <= ways.radius_m)
-        tried, through = open_[shorter], through[shorter]
-        seen = _sees(ways.closed, turn, places_m[tried])
-        length[tried[seen]] = through[seen]
-        last[tried[seen]] = corner
+        shorter = (through < length[open_]) & (through <= paths.radius_m)
+        nearer, through = open_[shorter], through[shorter]
+        seen = _sees(paths.closed, turn, places_m[nearer])
+        length[nearer[seen]] = through[seen]
+        last[nearer[seen]] = corner
     return length, last
 
 
@@ -185,15 +185,15 @@ def _lengths_to_corners(
     corners_m: NDArray[np.float64],
     radius_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Dijkstra's algorithm; what is seen from a corner is only looked at when its turn comes."""
+    """Return lengths and corners before, by Dijkstra's algorithm with visibility on demand."""
     length = np.full(len(corners_m), np.inf)
     before = np.full(len(corners_m), -1, dtype=np.intp)
     left = np.ones(len(corners_m), dtype=np.bool_)
     turn, here, driven = -1, start_m, 0.0
     while True:
         through = driven + _away(corners_m, here)
-        tried = np.flatnonzero(left & (through < length) & (through <= radius_m))
-        seen = tried[_sees(closed, here, corners_m[tried])]
+        nearer = np.flatnonzero(left & (through < length) & (through <= radius_m))
+        seen = nearer[_sees(closed, here, corners_m[nearer])]
         length[seen], before[seen] = through[seen], turn
         waiting = np.where(left, length, np.inf)
         if not len(waiting) or not np.isfinite(waiting.min()):
@@ -206,7 +206,7 @@ def _lengths_to_corners(
 def _sees(
     closed: shapely.STRtree, place_m: NDArray[np.float64], others_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return whether straight ways from a place to others (n, 2) enter nothing closed; (n,)."""
+    """Return whether segments from a position to others (n, 2) enter no grown obstacle; (n,)."""
     free = np.ones(len(others_m), dtype=np.bool_)
     if len(others_m) and len(closed.geometries):
         lines = segment_lines(np.broadcast_to(place_m, others_m.shape), others_m)

@@ -224,7 +224,7 @@ class Workspace:
 
     @property
     def lasting(self) -> tuple[Obstacle, ...]:
-        """The obstacles that always stand there."""
+        """Return the obstacles that always stand there."""
         timed = {id(one) for one in self.timed}
         return tuple(one for one in self.obstacles if id(one) not in timed)
 
@@ -299,7 +299,7 @@ def check_name(name: str) -> None:
 
 
 def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
-    """Return whether the segments of the outline keep to themselves, judged by some of them."""
+    """Return whether few segments of the outline meet others, by a sample of them."""
     corners = shapely.get_coordinates(polygon)
     segments = [shapely.LineString(ends) for ends in pairwise(corners)]
     sampled = segments[:: max(1, len(segments) // SAMPLED_SEGMENTS)]
@@ -308,7 +308,7 @@ def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
 
 
 def _ring(name: str, ring: object) -> _Ring:
-    """Corners of `ring`, without heights."""
+    """Return the corners of a ring, without heights."""
     if isinstance(ring, (str, bytes)) or not isinstance(ring, Iterable):
         raise InputError(
             f"{name}: a ring must be a list of (x, y) corners, not {ring!r}",
@@ -325,7 +325,7 @@ def _ring(name: str, ring: object) -> _Ring:
 
 
 def _corner(name: str, corner: object) -> tuple[float, float]:
-    """The x and y of one corner."""
+    """Return x and y of a corner."""
     values = (
         list(cast("Iterable[object]", corner))
         if isinstance(corner, Iterable) and not isinstance(corner, (str, bytes))

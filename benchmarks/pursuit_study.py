@@ -93,9 +93,9 @@ def captures(first_seed: int, runs: int) -> None:
             Static(),
             Wandering(),
             Fleeing(),
-            Fleeing(True),
-            Zigzag(4.0),
-            Foresighted(4, 1.0),
+            Fleeing(from_aims=True),
+            Zigzag(period_s=4.0),
+            Foresighted(horizon=4, plan_step_s=1.0),
         ][seed % 6]
         start = generator.uniform(-500.0, 500.0, 2)
         turn = generator.uniform(0.0, 2.0 * np.pi)

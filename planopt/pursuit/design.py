@@ -16,11 +16,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
+from planopt.keys import SMALLEST, Metres, Table
 from planopt.pursuit.guarantees import Chase, Guarantee, contraction, guarantees
 from planopt.pursuit.service import (
     HOPS_PER_ROUND,
+    MAX_LEVELS,
     SLOTS_PER_FRAME,
     SnapshotService,
     relative_error,
@@ -65,22 +68,30 @@ def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
     return float((each / (HOPS_PER_ROUND * cell)).sum())
 
 
-@dataclass(frozen=True)
-class MoteNetwork:
-    """Motes and their radios; costs are those of motes far from the edges."""
+class MoteNetwork(Table):
+    """``[network]``: motes and their radios; costs are those of motes far from the edges."""
 
-    levels: int  # L: there are 4^L motes
-    mote_spacing_m: float  # Distance between neighbours
-    bit_rate_bit_s: float  # R
-    header_bits: float  # Of a frame, in addition to its blocks
-    record_bits: float  # Of a block, in addition to its position
-    energy_j_per_bit: float  # Of a sent bit, with its receivers
-    idle_w: float = 0.0  # Of a mote, all the time
-    slots_per_frame: int = SLOTS_PER_FRAME  # eta_s
-    # Blocks that a slot must carry. Six is the mean load, with which rounds are late; see
-    # :func:`planopt.pursuit.flooding.simulate_flooding`
-    slot_blocks: int = 6
-    border_relays: bool = True  # Whether motes at the border of nine cells send records on
+    levels: int = Field(ge=1, le=MAX_LEVELS)
+    """L: there are 4^L motes."""
+    mote_spacing_m: Metres = Field(ge=SMALLEST)
+    """Metres between neighbours."""
+    bit_rate_bit_s: float = Field(ge=SMALLEST, le=1e15)
+    """Bits that a slot carries, in bit/s."""
+    header_bits: float = Field(ge=0, le=1e9)
+    """Bits of a frame in addition to its blocks."""
+    record_bits: float = Field(ge=0, le=1e9)
+    """Bits of a block in addition to the position."""
+    energy_j_per_bit: float = Field(ge=1e-15, le=1e6)
+    """Energy of a sent bit, with its receivers, in J."""
+    idle_w: float = Field(default=0.0, ge=0, le=1e6)
+    """Power of a mote all the time, in W."""
+    slots_per_frame: int = Field(default=SLOTS_PER_FRAME, ge=SLOTS_PER_FRAME, le=10_000)
+    """Slots of a TDMA frame."""
+    slot_blocks: int = Field(default=6, ge=1, le=10_000)
+    """Blocks that a slot must carry: 6 for the mean load, with which rounds are late, more for the
+    peak."""
+    border_relays: bool = True
+    """Whether motes at the border of nine cells send records on."""
 
     @property
     def motes(self) -> int:
@@ -246,10 +257,12 @@ def sensitivities(
     fixed = replace(task, bits_per_axis=solve(task).bits_per_axis)
 
     def log_optimum(name: str, factor: float) -> float:
-        part = "chase" if hasattr(fixed.chase, name) else "network"
-        now = getattr(fixed, part)
-        scaled = replace(now, **{name: factor * getattr(now, name)})
-        return math.log(objective(solve(replace(fixed, **{part: scaled}))))
+        chase, network = fixed.chase, fixed.network
+        if hasattr(chase, name):
+            chase = replace(chase, **{name: factor * getattr(chase, name)})
+        else:
+            network = network.model_copy(update={name: factor * getattr(network, name)})
+        return math.log(objective(solve(replace(fixed, chase=chase, network=network))))
 
     speeds = ("evader_speed_m_s", "pursuer_speed_m_s")
     return {

@@ -6,13 +6,16 @@ real one.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from planopt.keys import SMALLEST, Table
 from planopt.pursuit.arena import Arena
 
 HEADINGS = 32
@@ -44,20 +47,22 @@ class Behaviour(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Static:
+class Static(Table):
     """An evader at rest."""
+
+    kind: Literal["static"] = "static"
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the position where it is."""
         return lambda view: view.place_m
 
 
-@dataclass(frozen=True)
-class Wandering:
+class Wandering(Table):
     """An evader at full speed whose heading turns at random."""
 
-    turn_std_rad: float = 0.3  # Standard deviation of its turn over a second
+    kind: Literal["wandering"] = "wandering"
+    turn_std_rad: float = Field(default=0.3, ge=0, le=100)
+    """Standard deviation of its turn over a second, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return a random walk; a blocked step turns to the next free heading."""
@@ -77,11 +82,12 @@ class Wandering:
         return decide
 
 
-@dataclass(frozen=True)
-class Fleeing:
+class Fleeing(Table):
     """An evader whose step leads farthest from the nearest pursuer, around obstacles."""
 
-    from_aims: bool = False  # Whether it flees from the aims of its pursuers instead
+    kind: Literal["fleeing"] = "fleeing"
+    from_aims: bool = False
+    """Whether it flees from where they drive to."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the greedy step."""
@@ -97,12 +103,14 @@ class Fleeing:
         return decide
 
 
-@dataclass(frozen=True)
-class Zigzag:
+class Zigzag(Table):
     """An evader that flees from the aims of its pursuers and turns from side to side."""
 
-    period_s: float  # Between turns
-    angle_rad: float = 1.0  # To either side of straight away
+    kind: Literal["zigzag"] = "zigzag"
+    period_s: float = Field(ge=SMALLEST, le=1e6)
+    """Seconds between turns."""
+    angle_rad: float = Field(default=1.0, ge=0, le=math.pi)
+    """To either side, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the zigzag, at a random time of its period."""
@@ -120,12 +128,17 @@ class Zigzag:
         return decide
 
 
-@dataclass(frozen=True)
-class Foresighted:
-    """An evader that plans two legs, farthest from pursuers that drive straight at it."""
+class Foresighted(Table):
+    """An evader that plans two legs, farthest from pursuers that drive straight at it.
 
-    horizon: int  # Steps that it plans
-    plan_step_s: float  # Length of one of them
+    It does not avoid obstacles.
+    """
+
+    kind: Literal["foresighted"] = "foresighted"
+    horizon: int = Field(ge=1, le=100)
+    """Steps that it plans."""
+    plan_step_s: float = Field(ge=SMALLEST, le=1e4)
+    """Length of one of them in seconds."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the first step of a new plan."""

@@ -33,7 +33,6 @@ from planopt.pursuit.design import (
     sharp_design,
 )
 from planopt.pursuit.guarantees import Chase, Guarantee
-from planopt.pursuit.service import MAX_LEVELS, SLOTS_PER_FRAME
 from planopt.pursuit.theorems import Inequality, Theorem
 from planopt.tasks.task import Task, TaskFile, TaskResult
 
@@ -119,37 +118,6 @@ class ChaseTable(Table):
     )
 
 
-class NetworkTable(Table):
-    """``[network]``: motes and their radios."""
-
-    levels: int = Field(ge=1, le=MAX_LEVELS, description="L: there are 4^L motes.")
-    mote_spacing_m: Metres = Field(ge=SMALLEST, description="Metres between neighbours.")
-    bit_rate_bit_s: float = Field(
-        ge=SMALLEST, le=1e15, description="What a slot carries, in bit/s."
-    )
-    header_bits: float = Field(ge=0, le=1e9, description="Bits of a frame beside its blocks.")
-    record_bits: float = Field(ge=0, le=1e9, description="Bits of a block beside the position.")
-    energy_j_per_bit: float = Field(
-        ge=1e-15, le=1e6, description="What a sent bit costs, with those who hear it, in J."
-    )
-    idle_w: float = Field(default=0.0, ge=0, le=1e6, description="What a mote draws all the time.")
-    slots_per_frame: int = Field(
-        default=SLOTS_PER_FRAME,
-        ge=SLOTS_PER_FRAME,
-        le=10_000,
-        description="Slots of a TDMA frame.",
-    )
-    slot_blocks: int = Field(
-        default=6,
-        ge=1,
-        le=10_000,
-        description="Blocks that a slot must carry: 6 for the mean load, more for the peak.",
-    )
-    border_relays: bool = Field(
-        default=True, description="Whether motes at the border of nine cells send records on."
-    )
-
-
 class DesignTable(Table):
     """``[design]``: objective and guarantee."""
 
@@ -175,7 +143,7 @@ class DesignFile(TaskFile):
     """A planopt problem file (TOML) of the task pursuit_design."""
 
     pursuit: ChaseTable
-    network: NetworkTable
+    network: MoteNetwork
     design: DesignTable = Field(default_factory=DesignTable)
 
 
@@ -239,7 +207,7 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
     except InputError as error:
         raise InputError(error.message, key=f"pursuit.{error.key}", remedy=error.remedy) from None
     task = DesignTask(
-        MoteNetwork(**given.network.model_dump()),
+        given.network,
         chase,
         given.design.margin,
         given.design.bits_per_axis,

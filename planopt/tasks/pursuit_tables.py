@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
 from planopt.pursuit.design import MAX_BITS
-from planopt.pursuit.evaders import Behaviour, Fleeing, Foresighted, Static, Wandering, Zigzag
+from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import Chase, Guarantee, guarantees, guarantees_among_obstacles
 from planopt.pursuit.pursuers import (
     DriveToReport,
@@ -98,60 +98,6 @@ class RulesTable(Table):
     )
 
 
-class StaticTable(Table):
-    """An evader at rest."""
-
-    kind: Literal["static"]
-
-
-class WanderingTable(Table):
-    """An evader whose heading turns at random."""
-
-    kind: Literal["wandering"]
-    turn_std_rad: float = Field(
-        default=Wandering().turn_std_rad, ge=0, le=100, description="Turn over a second, in rad."
-    )
-
-
-class FleeingTable(Table):
-    """An evader that flees from the positions or the aims of pursuers."""
-
-    kind: Literal["fleeing"]
-    from_aims: bool = Field(default=False, description="Whether it flees from where they drive to.")
-
-
-class ZigzagTable(Table):
-    """An evader that flees and turns from side to side."""
-
-    kind: Literal["zigzag"]
-    period_s: float = Field(ge=SMALLEST, le=1e6, description="Seconds between turns.")
-    angle_rad: float = Field(
-        default=Zigzag(1.0).angle_rad, ge=0, le=math.pi, description="To either side, in rad."
-    )
-
-
-class ForesightedTable(Table):
-    """An evader that plans against pursuers that drive straight at it; open space only."""
-
-    kind: Literal["foresighted"]
-    horizon: int = Field(ge=1, le=100, description="Steps that it plans.")
-    plan_step_s: float = Field(ge=SMALLEST, le=1e4, description="Length of one of them in seconds.")
-
-
-BEHAVIOURS: dict[str, type[Behaviour]] = {
-    "static": Static,
-    "wandering": Wandering,
-    "fleeing": Fleeing,
-    "zigzag": Zigzag,
-    "foresighted": Foresighted,
-}
-
-BehaviourTable = Annotated[
-    StaticTable | WanderingTable | FleeingTable | ZigzagTable | ForesightedTable,
-    Field(discriminator="kind"),
-]
-
-
 class EvaderTable(Table):
     """``[[evaders]]``."""
 
@@ -161,12 +107,9 @@ class EvaderTable(Table):
         default=0.0, ge=0, description="The start is drawn within this distance of start_m."
     )
     speed_max_m_s: float = Field(ge=0, le=1e4, description="Largest speed in m/s.")
-    behaviour: BehaviourTable = Field(description="How it moves: a table with kind.")
-
-    @property
-    def law(self) -> Behaviour:
-        """Return the behaviour."""
-        return BEHAVIOURS[self.behaviour.kind](**self.behaviour.model_dump(exclude={"kind"}))
+    behaviour: Static | Wandering | Fleeing | Zigzag | Foresighted = Field(
+        discriminator="kind", description="How it moves: a table with kind."
+    )
 
 
 class PursuerTable(Table):
@@ -262,7 +205,7 @@ class PursuitProblem(TaskProblem):
                 for start, each in zip(starts, given.pursuers, strict=True)
             ),
             tuple(
-                Evader(start, each.speed_max_m_s, each.law)
+                Evader(start, each.speed_max_m_s, each.behaviour)
                 for start, each in zip(begins, given.evaders, strict=True)
             ),
             SnapshotRecords(self.service, lost),
@@ -402,7 +345,7 @@ def _require_open(given: PursuitFile) -> None:
                 remedy="leave it out, or leave out world.obstacles",
             )
     for index, evader in enumerate(given.evaders):
-        if isinstance(evader.behaviour, ForesightedTable):
+        if isinstance(evader.behaviour, Foresighted):
             raise InputError(
                 "is foresighted, which does not plan around obstacles",
                 key=f"evaders[{index}].behaviour.kind",

@@ -34,9 +34,16 @@ NETWORK = MoteNetwork(
     record_bits=16,
     energy_j_per_bit=1e-6,
 )
+
+
+def radio(**changes):
+    """The network with some numbers changed."""
+    return NETWORK.model_copy(update=changes)
+
+
 TASK = DesignTask(NETWORK, Chase(1.0, 2.0), margin=0.0)
 OTHER = DesignTask(
-    replace(NETWORK, mote_spacing_m=5.0, levels=8, record_bits=4, idle_w=2e-4, slot_blocks=14),
+    radio(mote_spacing_m=5.0, levels=8, record_bits=4, idle_w=2e-4, slot_blocks=14),
     Chase(1.2, 4.0),
     margin=0.02,
     first_distance_m=200.0,
@@ -172,7 +179,7 @@ def test_slow_rounds(task):
 def test_energy_by_grid(idle_w, bits):
     """With idling motes too: no slot of a grid needs less."""
     task = fixed(
-        replace(TASK, network=replace(NETWORK, idle_w=idle_w), margin=0.005, first_distance_m=30.0),
+        replace(TASK, network=radio(idle_w=idle_w), margin=0.005, first_distance_m=30.0),
         bits,
     )
     found = least_energy_design(task)
@@ -188,9 +195,7 @@ def test_energy_by_grid(idle_w, bits):
 
 def test_energy_of_a_slow_radio():
     """Where half of the limit is too short for the payload, the payload binds."""
-    task = replace(
-        TASK, network=replace(NETWORK, bit_rate_bit_s=70e3), first_distance_m=30.0, bits_per_axis=6
-    )
+    task = replace(TASK, network=radio(bit_rate_bit_s=70e3), first_distance_m=30.0, bits_per_axis=6)
     found = least_energy_design(task)
     assert found.binding == ("payload",)
     assert found.slot_width_s == task.network.least_slot_s(6)
@@ -269,7 +274,7 @@ def test_fewer_relays_cost_less():
     service = SnapshotService(5, 1.0, 0.01, 3)
     assert not simulate_flooding(service, slot_blocks=6).keeps_rounds
     assert simulate_flooding(service, "middle", False, 4).keeps_rounds
-    lean = replace(TASK, network=replace(NETWORK, border_relays=False, slot_blocks=4))
+    lean = replace(TASK, network=radio(border_relays=False, slot_blocks=4))
     assert cheapest_design(lean).cost_w < 0.6 * cheapest_design(TASK).cost_w
 
 
@@ -278,7 +283,7 @@ def test_fewer_relays_cost_less():
     [
         ({"bits_per_axis": 1}, r"c = 1, a \+ margin below 1: 1\.56066 < 1 fails by 0\.5607"),
         (
-            {"network": replace(NETWORK, bit_rate_bit_s=1e4)},
+            {"network": radio(bit_rate_bit_s=1e4)},
             r"c = \d, slot of the payload below the widest slot: .* fails by 0\.018\d* s",
         ),
         ({"margin": 0.6}, "a . margin below 1"),
@@ -297,7 +302,7 @@ def test_impossible_designs(solve, change, words):
 def test_a_payload_too_large_for_a_sharp_design():
     """The widest slot that is named is that of a radio which carries the payload."""
     task = fixed(OTHER, 6)
-    slow = replace(task, network=replace(OTHER.network, bit_rate_bit_s=1e3))
+    slow = replace(task, network=OTHER.network.model_copy(update={"bit_rate_bit_s": 1e3}))
     with pytest.raises(NoDesignError, match="slot of the payload below the widest slot") as found:
         sharp_design(slow)
     inequality = found.value.inequality

@@ -10,7 +10,14 @@ from planopt.pursuit.guarantees import Chase, contraction, guarantees
 from planopt.pursuit.service import ServiceBounds, SnapshotRecords, SnapshotService
 from planopt.pursuit.theorems import Theorem
 
-BEHAVIOURS = [Static(), Wandering(), Fleeing(), Fleeing(True), Zigzag(4.0), Foresighted(4, 1.0)]
+BEHAVIOURS = [
+    Static(),
+    Wandering(),
+    Fleeing(),
+    Fleeing(from_aims=True),
+    Zigzag(period_s=4.0),
+    Foresighted(horizon=4, plan_step_s=1.0),
+]
 
 
 def above_bound(pursuit, guarantee):
@@ -68,7 +75,10 @@ def _floor_m(service, speed_ratio):
     return floor_m
 
 
-@pytest.mark.parametrize("behaviour", [Fleeing(), Fleeing(True), Zigzag(3.0), Wandering(1.0)])
+@pytest.mark.parametrize(
+    "behaviour",
+    [Fleeing(), Fleeing(from_aims=True), Zigzag(period_s=3.0), Wandering(turn_std_rad=1.0)],
+)
 @pytest.mark.parametrize(
     ("speed_ratio", "k", "x"), [(2.0, 3.5, 0.02), (2.0, 3.5, 2.0), (1.5, 8.0, 0.1), (3.0, 4.0, 1.0)]
 )

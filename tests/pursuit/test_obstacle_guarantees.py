@@ -79,7 +79,7 @@ SERVICE = SnapshotService(8, 0.25, 0.004, 7)
 STEP_S = 0.02
 
 
-@pytest.mark.parametrize("behaviour", [Wandering(), Fleeing(), Zigzag(3.0), Static()])
+@pytest.mark.parametrize("behaviour", [Wandering(), Fleeing(), Zigzag(period_s=3.0), Static()])
 def test_capture_among_obstacles(behaviour):
     """With paths or straight distances: stages within bounds, capture within the time."""
     chase = Chase(1.0, 4.0, (1 + PILLARS.corners) * STEP_S)

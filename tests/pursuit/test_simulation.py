@@ -150,7 +150,7 @@ def test_bounds_hold_evaders():
     arena = Arena((-20.0, -20.0, 30.0, 20.0))
     pursuit = many([[0.0, 0.0]], [[15.0, 3.0]], Fleeing(), arena=arena)
     assert (pursuit.evaders_m >= [-20, -20]).all() and (pursuit.evaders_m <= [30, 20]).all()
-    wandering = many([[0.0, 0.0]], [[15.0, 3.0]], Wandering(2.0), arena=arena)
+    wandering = many([[0.0, 0.0]], [[15.0, 3.0]], Wandering(turn_std_rad=2.0), arena=arena)
     steps = np.linalg.norm(np.diff(wandering.evaders_m[0], axis=0), axis=1)
     np.testing.assert_allclose(steps[:-1], 0.1, rtol=2e-3)
 

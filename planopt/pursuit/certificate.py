@@ -201,7 +201,7 @@ class DesignData:
     record_bits: float
     slots_per_frame: int
     slot_blocks: int
-    margin: float  # By how much a + x must stay below 1 where no capture radius is required
+    margin: float  # Least distance of a + x from 1 where no capture radius is required
     first_distance_m: float | None
     capture_radius_m: float | None
     deadline_s: float | None

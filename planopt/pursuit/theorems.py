@@ -38,7 +38,7 @@ class Inequality:
 
     @property
     def margin(self) -> float:
-        """Right side less left side: by how much it holds, or fails if negative."""
+        """Return the right side less the left side; negative if the inequality fails."""
         return self.right - self.left
 
     def __str__(self) -> str:

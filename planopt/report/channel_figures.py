@@ -65,8 +65,8 @@ PANEL_IN, AROUND_IN, MAX_SLENDER = 4.0, 1.9, 2.0
 """Width of a map's panel, height of titles and legend in inches, largest ratio of its sides."""
 
 SHOWN_DECORRELATIONS, SHOWN_EXTENT = 5.0, 0.25
-"""Correlation is shown up to so many decorrelation distances or this share of the extent, whichever
-is more, but not beyond the extent, where there are no pairs."""
+"""Largest shown lag in decorrelation distances and as a share of the extent; the larger one counts,
+but none beyond the extent, where there are no pairs."""
 
 LINE_DEVIATIONS, LINE_POINTS = 2.0, 200
 """Half width of the band of a fitted line in standard deviations; points of a drawn curve."""

@@ -52,7 +52,7 @@ NODES = 150
 """Grid cells along the longer side of a map: about four pixels each."""
 
 LAYER_Z, CONTOUR_Z, OBSTACLE_Z, MARGIN_Z, PATH_Z, PLACE_Z = 1.0, 1.5, 2.0, 2.5, 3.0, 4.0
-"""What is drawn above what."""
+"""Drawing order of layers, contours, obstacles, margins, paths and places."""
 
 X_LABEL, Y_LABEL = "x [m]", "y [m]"
 

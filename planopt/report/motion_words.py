@@ -256,7 +256,7 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
-    """Return how far plans keep from robots and moving obstacles; nothing without these."""
+    """Return the distances of plans from robots and moving obstacles; empty without these."""
     parts = [
         f"{shown_number(distance, ' m')} from {what}"
         for distance, what in (

@@ -50,7 +50,7 @@ BAND_WORDS = "80 % band"
 
 ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
 ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
-"""Of different lengths, so that the pair of colour and marker repeats late."""
+"""Colours and markers of robots; with different lengths, their pairs repeat late."""
 
 LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
 """Width in inches of a letter of a legend and of the mark before its words; height of a line."""

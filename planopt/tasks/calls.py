@@ -203,7 +203,7 @@ def load_result(path: Path | str) -> Solution | Run | Comparison | TaskResult:
     """Read a plan, run or comparison that a command or a result's ``save`` has saved.
 
     Predictions, certificates, metrics and tables of motion planning are computed again from what is
-    saved. Whether the files of a plan or run say the same is for :func:`planopt.check` to judge.
+    saved. :func:`planopt.check` finds contradictions between the files of a plan or run.
 
     Parameters
     ----------

@@ -123,7 +123,7 @@ class Task:
         Returns the faults of a simulated result, found by a verifier that does not rely on the
         simulator. Called for every simulation, and by :func:`planopt.check`.
     reached
-        Values of ``outcome`` of runs that did what the problem asks.
+        Values of ``outcome`` of successful runs.
     summary
         Returns a result, of which ``value`` may be None, in lines of text.
     refusal
@@ -187,7 +187,7 @@ class Task:
         return problem.has_figures
 
     def words_ahead(self, problem: Any, plans: Any) -> Iterable[str]:
-        """Return what is said before the first step of a run."""
+        """Return lines of text before the first step of a run."""
         return ()
 
     def report(self, result: Any) -> Report:

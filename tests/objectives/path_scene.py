@@ -5,9 +5,11 @@ import numpy as np
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station, regressors
+from planopt.objectives.measuring import MeasuringRule
 
 CHANNEL = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))
 NOTHING = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
+SPACING_M = 2.0
 START = (10.0, 12.0)
 PATH = np.array([[13.0, 14.0], [17.0, 13.0], [19.0, 18.0], [24.0, 21.0], [23.0, 27.0]])
 
@@ -43,3 +45,21 @@ def moved(measurements, turn, shift, scale=1.0):
         measurements.power_dbm,
         measurements.censored,
     )
+
+
+def partly_open(seed):
+    """A rule and a way some of whose gates are partly open, clear of where measuring changes."""
+    rng = np.random.default_rng(seed)
+    while True:
+        known = rng.uniform(0.0, 7.0, (3, 2))
+        way = rng.uniform(0.0, 7.0, (5, 2))
+        rule = MeasuringRule(SPACING_M, (known,))
+        gates = rule.gates(way[None])
+        if gates is None:
+            continue
+        value = gates.value[0]
+        places = np.vstack([known, way])
+        apart = np.linalg.norm(way[:, None] - places, axis=2)
+        near_edge = np.abs(apart - SPACING_M) < 1e-3
+        if not near_edge.any() and ((value > 0.05) & (value < 0.95)).sum() >= 2:
+            return rule, way, gates

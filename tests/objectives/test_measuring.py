@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from path_scene import CHANNEL, drawn
+from path_scene import CHANNEL, drawn, partly_open
 
 from planopt.channel.posterior import condition
 from planopt.objectives.measuring import (
@@ -112,23 +112,6 @@ def test_gates_are_closed_and_open_where_the_rule_is(seed):
 def test_gates_are_none_where_all_is_open():
     """Nothing near: solvers work as without a rule."""
     assert rule_of([100.0, 100.0]).gates(np.array([[[0.0, 0.0], [5.0, 0.0]]])) is None
-
-
-def partly_open(seed):
-    """A rule and a way some of whose gates are partly open, clear of where measuring changes."""
-    rng = np.random.default_rng(seed)
-    while True:
-        known = rng.uniform(0.0, 7.0, (3, 2))
-        way = rng.uniform(0.0, 7.0, (5, 2))
-        rule, gates = rule_of(known), rule_of(known).gates(way[None])
-        if gates is None:
-            continue
-        value = gates.value[0]
-        places = np.vstack([known, way])
-        apart = np.linalg.norm(way[:, None] - places, axis=2)
-        near_edge = np.abs(apart - SPACING_M) < 1e-3
-        if not near_edge.any() and ((value > 0.05) & (value < 0.95)).sum() >= 2:
-            return rule, way, gates
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -1,10 +1,11 @@
-"""The reach cost against brute force over speeds and against sums by hand."""
+"""Costs of reaching a goal and of motion, against brute force over speeds and sums by hand."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planopt.objectives import MotionEnergyTerm
 from planopt.objectives.reach import (
     cost_rate_s_m,
     cruising_speed_m_s,
@@ -49,14 +50,6 @@ def test_closed_forms():
     assert cost_rate_s_m(0.25, 1.0) == 1.25
 
 
-def test_step_cost_is_the_integral_at_constant_speed():
-    """A step of length l and duration h costs h (1 + w (l / h)^2)."""
-    lengths = np.array([0.0, 1.0, 3.0])
-    np.testing.assert_allclose(
-        step_cost_s(lengths, 2.0, 0.5), 2.0 * (1.0 + 0.5 * (lengths / 2.0) ** 2), rtol=1e-15
-    )
-
-
 @settings(deadline=None)
 @given(WEIGHTS, SPEEDS, st.floats(0.01, 10.0), st.floats(0.001, 1.0))
 def test_a_step_costs_at_least_its_way_at_the_rate(weight, speed_max, step_s, share):
@@ -81,11 +74,6 @@ def test_only_steps_that_start_short_of_the_goal_cost():
     assert path_cost_s(np.array([[0.0, 0.0]]), GOAL, 1.0, 1.0, 0.5) == 0.0
 
 
-def test_standing_short_of_the_goal_costs_time():
-    """Waiting costs a step's duration each time."""
-    assert path_cost_s(np.zeros((4, 2)), GOAL, 1.0, 0.5, 0.1) == 1.5
-
-
 @settings(deadline=None)
 @given(
     st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=2, max_size=8),
@@ -107,3 +95,12 @@ def test_moving_and_turning_the_world_changes_nothing(points, angle, shift):
     parts = [path_cost_s(path[k : k + 2], goal, radius, 0.7, 0.3) for k in range(len(path) - 1)]
     assert cost == pytest.approx(sum(parts), rel=1e-12, abs=1e-12)
     assert path_cost_s(2.0 * path, 2.0 * goal, 2.0 * radius, 1.4, 0.3) == pytest.approx(2.0 * cost)
+
+
+MOTION = MotionEnergyTerm(weight=1.0, per_metre_j_m=3.5, power_w=0.3)
+
+
+def test_motion_by_hand():
+    """Steps of 2 s: 3.5 J a metre and 0.3 W while moving; standing still costs nothing."""
+    spent = -MOTION.move_reward(np.array([1.0, 2.0, 0.0]), 2.0)
+    np.testing.assert_allclose(spent, [3.5 + 0.6, 7.0 + 0.6, 0.0])

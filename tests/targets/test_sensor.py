@@ -78,25 +78,6 @@ def test_rounding_is_only_at_the_target_and_as_large_as_said():
     assert less[0] == pytest.approx(0.75 * CUSP_SHARE * 0.008)
 
 
-def test_without_a_sweet_spot_nothing_is_rounded():
-    """G = varpi r^2 + nu has no cusp."""
-    sensor = Sensor(0.1, 0.5, 0.0)
-    np.testing.assert_allclose(
-        sensing_derivatives(sensor, PLACES, TARGET).value,
-        sensing_information(sensor, PLACES, TARGET),
-        rtol=1e-14,
-    )
-
-
-def test_turning_and_moving_the_scene_changes_nothing():
-    """Only the distance counts."""
-    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
-    np.testing.assert_allclose(
-        sensing_information(SENSOR, PLACES @ turn.T + 7.0, turn @ TARGET + 7.0),
-        sensing_information(SENSOR, PLACES, TARGET),
-    )
-
-
 @pytest.mark.parametrize(
     "numbers",
     [(0.0, 1.0, 1.0), (1.0, 0.0, 1.0), (1.0, 1.0, -0.1), (np.nan, 1.0, 1.0), (1.0, np.inf, 1.0)],

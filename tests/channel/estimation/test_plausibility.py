@@ -44,11 +44,6 @@ def test_implausible_powers(low, high, lines):
     assert fit_channel(told, CHANNEL.station).status != "ok"
 
 
-def test_nothing_to_say():
-    """The usual channel."""
-    assert implausible_values(CHANNEL, powers([-70.0, -80.0]), 200.0) == ()
-
-
 @pytest.mark.parametrize("step_db", [0.0, 0.01, 1.0])
 def test_a_pile_at_the_lowest_is_told(step_db):
     """A fit of 300 powers of which a sixth is at the floor names it, its count and the option."""
@@ -76,7 +71,8 @@ def test_rounding_is_no_floor(step_db, count):
 
 
 def test_few_or_equal():
-    """Four equal ones are no pile, and powers that are all the same are something else."""
+    """Four equal powers are no pile, nor are all equal ones; the usual channel is plausible."""
     assert suspected_floor(powers([-90.0] * 4 + [-80.0, -70.0])) is None
     assert suspected_floor(powers([-90.0] * 40)) is None
     assert suspected_floor(powers([])) is None
+    assert implausible_values(CHANNEL, powers([-70.0, -80.0]), 200.0) == ()

@@ -25,34 +25,30 @@ SAME_PLACE_M = 1e-6
 """Places nearer than this are one place, whatever the spacing."""
 
 SPACING_TOLERANCE_M = 1e-5
-"""Two steps that are together as long as the spacing lead to a new place, though planners plan them
-a little shorter."""
+"""Two steps that are together as long as the spacing lead to a new place, although planners make
+them a little shorter."""
 
 CLOSED_SPACINGS, OPEN_SPACINGS = 0.9, 1.02
 """The smooth gate is closed up to so many spacings, and fully open from so many on."""
 
 MOST_BESIDE = 8
-"""So many earlier measurements are looked at near one place, the nearest. Where more are so near
-these close it."""
+"""Maximum number of earlier measurements near one place; the nearest of more close it."""
 
 LONGEST_PATH = 512
 """Longer lists of places are logs; they are compared block by block."""
 
 FEW_KNOWN = 64
-"""Up to so many measurements are not looked through for those nearby."""
-
-FEW_PAIRS = 20_000
-"""Up to so many pairs of places and measurements are compared one by one; beyond, in a tree."""
+"""Up to so many measurements are not searched for those nearby."""
 
 
 def closing_m(spacing_m: float) -> float:
-    """A place nearer than this to an earlier measurement brings none, for spacing `spacing_m`."""
+    """Return the distance to an earlier measurement below which a place brings none."""
     return max(spacing_m - SPACING_TOLERANCE_M, SAME_PLACE_M)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuringRule:
-    """The rule by which measurements are taken, given those there are."""
+    """The rule that decides which places of a path bring a measurement."""
 
     # A place nearer than this to an earlier measurement brings none; :func:`closing_m`
     spacing_m: float
@@ -62,7 +58,7 @@ class MeasuringRule:
 
     @staticmethod
     def of(posteriors: Sequence[ChannelPosterior], spacing_m: float) -> MeasuringRule:
-        """The rule for what is known of each station."""
+        """Return the rule for the measurements of each station."""
         known: list[NDArray[np.float64]] = []
         for posterior in posteriors:
             places = posterior.measurements.positions_m
@@ -76,7 +72,7 @@ class MeasuringRule:
         return OPEN_SPACINGS * self.spacing_m
 
     def near(self, paths_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
-        """The same rule for places no farther than `beyond_m` from some of `paths_m` (..., 2)."""
+        """Return the rule for places within `beyond_m` of some of `paths_m` (..., 2)."""
         places = paths_m.reshape(-1, 2)
         if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
             return self
@@ -122,7 +118,7 @@ class MeasuringRule:
         return np.isin(np.arange(len(places_m)), taken)
 
     def gates(self, paths_m: NDArray[np.float64]) -> Gates | None:
-        """Smooth amplitudes of ways (c, N, 2); None where all are one and stay so nearby."""
+        """Return smooth amplitudes of paths (c, N, 2); None if all are one and stay so nearby."""
         count, steps = paths_m.shape[:2]
         places = paths_m.reshape(-1, 2)
         distance, offset = self._beside(places)
@@ -131,7 +127,7 @@ class MeasuringRule:
         if not beside.any() and not (squared < self.open_m**2).any():
             return None
         taken = self.takes(paths_m)
-        # Earlier places of the way that were measured count like earlier measurements.
+        # Earlier places of the path that were measured count like earlier measurements.
         squared = np.where(taken[:, None], squared, np.inf)
         known_log = _log_gate((distance * distance).reshape(count, steps, -1), self)
         own_log = _log_gate(squared, self)
@@ -147,14 +143,16 @@ class MeasuringRule:
     def _beside(
         self, places_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Distances and offsets from the measurements that may close each place, (n, m), (n, m, 2).
+        """Return distances (n, m) and offsets (n, m, 2) from measurements that may close places.
 
-        Of several stations that were measured elsewhere, those of the one measured farthest away.
+        If several stations were measured elsewhere, those of the station measured farthest away.
         """
         found: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         for known in self.near(places_m).known_m:
             distance, index = _nearest(places_m, known, MOST_BESIDE, self.open_m)
-            offset = places_m[:, None] - known[index] if len(known) else _no_offsets(distance)
+            offset = np.zeros((*distance.shape, 2))
+            if len(known):
+                offset = places_m[:, None] - known[index]
             offset[np.isinf(distance)] = 0.0
             if found is None:
                 found = distance, offset
@@ -171,47 +169,26 @@ class MeasuringRule:
 
 @dataclass(frozen=True, eq=False)
 class Gates:
-    """Smooth gates of ways, and how they change with the places.
+    """Smooth gates of paths with derivatives by the places.
 
-    Where the rule takes a measurement does not change while places move a little, but where two
-    places at once are about to be closed; between such changes gates are twice differentiable.
+    They are twice differentiable except where two places at once are about to be closed.
     """
 
-    # (c, N) amplitudes in [0, 1]: a measurement counts as one of so much of the channel
-    value: NDArray[np.float64]
-    _ways_m: NDArray[np.float64]
+    value: NDArray[np.float64]  # (c, N) amplitudes of the channel in a measurement, in [0, 1]
+    _paths_m: NDArray[np.float64]
     _offset_m: NDArray[np.float64]
     _known: NDArray[np.float64]
     _own: NDArray[np.float64]
 
-    def take(self, rows: NDArray[np.intp] | slice) -> Gates:
-        """Return the gates of some of the ways."""
-        return Gates(
-            self.value[rows],
-            self._ways_m[rows],
-            self._offset_m[rows],
-            self._known[:, rows],
-            self._own[:, rows],
-        )
-
-    def pulled(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Turn derivatives by the gates (c, N) into those by the places (c, N, 2)."""
-        by_log = by_gate * self.value
-        found = 2.0 * by_log[:, :, None] * (self._known[1, ..., None] * self._offset_m).sum(axis=2)
-        slope = 2.0 * by_log[:, :, None] * self._own[1]
-        between = self._ways_m[:, :, None] - self._ways_m[:, None]
-        crossed = slope[..., None] * between
-        return found + crossed.sum(axis=2) - crossed.sum(axis=1)
-
     def jacobian(self) -> NDArray[np.float64]:
-        """Return each gate of a single way by all coordinates x_1, y_1, x_2, ...; ``(N, 2 N)``."""
-        return self.value[0][:, None] * self._log_slopes()
+        """Return each gate by all coordinates x_1, y_1, x_2, ... of its path; ``(c, N, 2 N)``."""
+        return self.value[..., None] * self._log_slopes()
 
     def curvature(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return ``sum_i by_gate_i d^2 gate_i`` of one way for `by_gate` (N,); ``(2 N, 2 N)``."""
+        """Return ``sum_i by_gate_i d^2 gate_i`` of a single path for (N,); ``(2 N, 2 N)``."""
         steps = len(by_gate)
         by_log = by_gate * self.value[0]
-        slopes = self._log_slopes()
+        slopes = self._log_slopes()[0]
         found = slopes.T @ (by_log[:, None] * slopes)
         blocks = found.reshape(steps, 2, steps, 2)
         every, unit = np.arange(steps), np.eye(2)
@@ -220,7 +197,7 @@ class Gates:
         known = 4.0 * np.einsum("im,ima,imb->iab", self._known[2, 0], offset, offset)
         known += 2.0 * self._known[1, 0].sum(axis=1)[:, None, None] * unit
         blocks[every, :, every] += by_log[:, None, None] * known
-        between = self._ways_m[0][:, None] - self._ways_m[0]
+        between = self._paths_m[0][:, None] - self._paths_m[0]
         own = 4.0 * self._own[2, 0, ..., None, None] * between[..., None] * between[..., None, :]
         own += 2.0 * self._own[1, 0, ..., None, None] * unit
         own *= by_log[:, None, None, None]
@@ -229,16 +206,16 @@ class Gates:
         return found
 
     def _log_slopes(self) -> NDArray[np.float64]:
-        """Derivatives of log gates of a single way by all its coordinates; ``(N, 2 N)``."""
-        steps = int(self.value.shape[1])
-        found = np.zeros((steps, steps, 2))
+        """Return derivatives of log gates by all coordinates of their path; ``(c, N, 2 N)``."""
+        count, steps = self.value.shape
+        found = np.zeros((count, steps, steps, 2))
         every = np.arange(steps)
-        between = self._ways_m[0][:, None] - self._ways_m[0]
-        crossed = 2.0 * self._own[1, 0, ..., None] * between
+        between = self._paths_m[:, :, None] - self._paths_m[:, None]
+        crossed = 2.0 * self._own[1, ..., None] * between
         found -= crossed
-        found[every, every] += crossed.sum(axis=1)
-        found[every, every] += 2.0 * (self._known[1, 0, ..., None] * self._offset_m[0]).sum(axis=1)
-        return found.reshape(steps, 2 * steps)
+        found[:, every, every] += crossed.sum(axis=2)
+        found[:, every, every] += 2.0 * (self._known[1, ..., None] * self._offset_m).sum(axis=2)
+        return found.reshape(count, steps, 2 * steps)
 
 
 def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:
@@ -264,7 +241,7 @@ def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[n
 
 
 def _squared_between_m2(paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squared distances of places from the earlier ones of their way, else inf; (c, N, N)."""
+    """Return squared distances of places from earlier ones of their path, else inf; (c, N, N)."""
     steps = paths_m.shape[1]
     x, y = paths_m[..., 0], paths_m[..., 1]
     found = (x[:, :, None] - x[:, None]) ** 2
@@ -276,42 +253,27 @@ def _squared_between_m2(paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
 def _nearest(
     places_m: NDArray[np.float64], known_m: NDArray[np.float64], count: int, within_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Distances of up to `count` nearest of `known_m`, ascending, inf beyond; their indices."""
-    nothing = np.full((len(places_m), 1), np.inf)
-    nowhere = nothing, np.zeros(nothing.shape, dtype=np.intp)
+    """Return distances of the `count` nearest of `known_m`, inf beyond `within_m`, and indices."""
     there = min(count, len(known_m))
     if not there:
-        return nowhere
-    if len(places_m) * len(known_m) > FEW_PAIRS:
-        index, distance = PlaceTree(known_m).nearest(places_m, there, within_m)
-        return distance, np.minimum(index, len(known_m) - 1)
-    squared = (places_m[:, :1] - known_m[:, 0]) ** 2
-    squared += (places_m[:, 1:] - known_m[:, 1]) ** 2
-    beside = np.flatnonzero((squared < within_m**2).any(axis=0))
-    if not len(beside):
-        return nowhere
-    squared = squared[:, beside]
-    index = np.argsort(squared, axis=1, kind="stable")[:, :there]
-    distance = np.sqrt(np.take_along_axis(squared, index, axis=1))
-    return np.where(distance < within_m, distance, np.inf), beside[index]
-
-
-def _no_offsets(distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.zeros((*distance_m.shape, 2))
+        nothing = np.full((len(places_m), 1), np.inf)
+        return nothing, np.zeros(nothing.shape, dtype=np.intp)
+    index, distance = PlaceTree(known_m).nearest(places_m, there, within_m)
+    return distance, np.minimum(index, len(known_m) - 1)
 
 
 @dataclass(frozen=True, eq=False)
 class KnownLinks:
-    """Places where connection was found, and those where it was missed.
+    """Places with and without connection.
 
-    Multipath stays what it is at a place. A robot that was connected there will be again; a little
-    beside it is predicted as anywhere else. Nearer than the spacing of measurements to a place
-    without connection there is none: a robot does not try what it would not measure either.
+    Multipath is constant at a place: a robot that was connected there will be again. Closer than
+    the spacing of measurements to a place without connection there is none, because a robot does
+    not probe where it would not measure.
     """
 
-    connected_m: NDArray[np.float64]  # (n, 2) places with connection
-    lost_m: NDArray[np.float64]  # (m, 2) places without
-    spacing_m: float  # Nearer than this to a place without connection there is none
+    connected_m: NDArray[np.float64]  # (n, 2)
+    lost_m: NDArray[np.float64]  # (m, 2)
+    spacing_m: float  # Radius of a place without connection
 
     def chances(
         self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
@@ -326,7 +288,7 @@ class KnownLinks:
 
     @cached_property
     def _trees(self) -> list[tuple[PlaceTree, float, float]]:
-        """Places with how far they reach and the chance there; what comes later counts."""
+        """Return places with their radius and probability; later entries override earlier ones."""
         known = (self.lost_m, self.spacing_m, 0.0), (self.connected_m, SAME_PLACE_M, 1.0)
         return [
             (PlaceTree(places), reach, chance) for places, reach, chance in known if len(places)
@@ -341,17 +303,17 @@ def known_links(
     is_connected: bool | None,
     spacing_m: float,
 ) -> KnownLinks:
-    """Return what measurements and the run so far tell of connection."""
+    """Return the places whose connection is known from measurements and the run so far."""
     up: list[NDArray[np.float64]] = []
     down = [missed_m]
     for station, threshold in zip(stations, thresholds_dbm, strict=True):
         measured = station.measurements
         places = measured.positions_m
-        # Of a censored power only an upper limit is known.
+        # A censored power is only an upper limit.
         arrives = (measured.power_dbm >= threshold) & ~measured.censored
         up.append(places[arrives])
         if len(stations) == 1:
-            # Of several stations another one may serve the place.
+            # Another one of several stations may serve the place.
             down.append(places[measured.power_dbm < threshold])
     if is_connected is not None:
         (up if is_connected else down).append(here_m[None])

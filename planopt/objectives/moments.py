@@ -391,7 +391,8 @@ class LocalPaths:
         if pull.by_position is not None:
             found += pull.by_position
         if pull.by_gate is not None and gates is not None:
-            found += gates.pulled(pull.by_gate)
+            by_place = np.einsum("ci,cia->ca", pull.by_gate, gates.jacobian())
+            found += by_place.reshape(found.shape)
         if pull.by_phi is not None:
             by_phi += pull.by_phi
         if pull.by_covariance is not None:

@@ -274,7 +274,7 @@ def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives
     gradient = found.gradient.reshape(steps, 3)
     place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
     gate = 3 * np.arange(steps) + 2
-    jacobian = gates.jacobian()
+    (jacobian,) = gates.jacobian()
     crossed = found.hessian[np.ix_(place, gate)] @ jacobian
     hessian = found.hessian[np.ix_(place, place)] + crossed + crossed.T
     hessian += jacobian.T @ found.hessian[np.ix_(gate, gate)] @ jacobian

@@ -9,7 +9,6 @@ from path_scene import CHANNEL, drawn, partly_open
 from planopt.channel.posterior import condition
 from planopt.objectives.measuring import (
     CLOSED_SPACINGS,
-    FEW_PAIRS,
     OPEN_SPACINGS,
     SAME_PLACE_M,
     SPACING_TOLERANCE_M,
@@ -51,11 +50,10 @@ def test_takes_what_a_loop_takes(seed):
 
 
 def test_many_measurements_are_looked_up_alike():
-    """Beyond `FEW_PAIRS` pairs a tree finds them, and the same places are taken."""
+    """The rule near the places alone takes the same ones."""
     rng = np.random.default_rng(3)
     known = rng.uniform(0.0, 60.0, (400, 2))
     places = rng.uniform(0.0, 60.0, (200, 2))
-    assert len(places) * len(known) > FEW_PAIRS
     wanted = np.linalg.norm(places[:, None] - known, axis=2).min(axis=1) >= SPACING_M
     assert 0 < wanted.sum() < len(wanted)
     np.testing.assert_array_equal(rule_of(known).is_open(places), wanted)
@@ -106,7 +104,6 @@ def test_gates_are_closed_and_open_where_the_rule_is(seed):
     partly = (gates.value > 0.0) & (gates.value < 1.0)
     assert 0 < partly.sum() < 0.2 * partly.size
     np.testing.assert_array_equal(gates.value[~partly], taken[~partly])
-    np.testing.assert_array_equal(gates.take(slice(3, 5)).value, gates.value[3:5])
 
 
 def test_gates_are_none_where_all_is_open():
@@ -116,7 +113,7 @@ def test_gates_are_none_where_all_is_open():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_derivatives_of_gates_are_those_of_differences(seed):
-    """Jacobian, pull back and curvature, between known places and places of the way."""
+    """Jacobian and curvature, between known places and places of the path."""
     rule, way, gates = partly_open(seed)
     weight, h = np.random.default_rng(seed).normal(size=5), 1e-6
     jacobian, curvature = np.empty((5, 10)), np.empty((10, 10))
@@ -124,8 +121,6 @@ def test_derivatives_of_gates_are_those_of_differences(seed):
         step = h * np.eye(10)[p].reshape(1, 5, 2)
         more, less = rule.gates(way[None] + step), rule.gates(way[None] - step)
         jacobian[:, p] = (more.value[0] - less.value[0]) / (2 * h)
-        pulled = more.pulled(weight[None]) - less.pulled(weight[None])
-        curvature[:, p] = pulled.ravel() / (2 * h)
-    np.testing.assert_allclose(gates.jacobian(), jacobian, atol=1e-7)
-    np.testing.assert_allclose(gates.pulled(weight[None]).ravel(), weight @ jacobian, atol=1e-6)
+        curvature[:, p] = weight @ (more.jacobian()[0] - less.jacobian()[0]) / (2 * h)
+    np.testing.assert_allclose(gates.jacobian()[0], jacobian, atol=1e-7)
     np.testing.assert_allclose(gates.curvature(weight), curvature, atol=1e-5)

@@ -1,8 +1,4 @@
-"""The inputs of a term: the planning step, many paths at once, one path of a solver, a lattice.
-
-A term reads these and nothing else. The planner's own classes have these attributes; a test, or a
-study of a term alone, can pass any others that have them.
-"""
+"""The inputs of a term: the planning step, many paths at once, one path of a solver, a lattice."""
 
 from __future__ import annotations
 
@@ -18,7 +14,7 @@ from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.measuring import Gates, KnownLinks, MeasuringRule
-from planopt.objectives.moments import KnownPlaces, LocalPaths, Moments, Region
+from planopt.objectives.moments import LocalPaths, Moments, Region
 from planopt.objectives.path_derivatives import LocalPath, PathDerivatives
 from planopt.objectives.stage_power import StagePower
 from planopt.objectives.tracking import Held
@@ -71,7 +67,7 @@ class SteeredPath(Protocol):
 
 
 class TermContext(Protocol):
-    """The knowledge with which a robot plans one step."""
+    """The context in which a robot plans one step."""
 
     @property
     def position_m(self) -> NDArray[np.float64]:
@@ -90,7 +86,7 @@ class TermContext(Protocol):
 
     @property
     def standstill_m(self) -> float:
-        """Steps up to this length count as standing."""
+        """Maximum length of the step of a stationary robot."""
         ...
 
     @property
@@ -100,22 +96,22 @@ class TermContext(Protocol):
 
     @property
     def anticipated(self) -> tuple[ChannelPosterior, ...]:
-        """The same, as if the other robots of a team had measured along their plans."""
+        """Beliefs after the other robots of a team have measured along their plans."""
         ...
 
     @property
     def others_m(self) -> tuple[NDArray[np.float64], ...]:
-        """``(N, 2)`` each: the places after each step of the plans of other robots that count."""
+        """``(N, 2)`` each: places after each step of the plans of other robots."""
         ...
 
     @property
     def thresholds_dbm(self) -> tuple[float, ...]:
-        """Power from which on each station is connected."""
+        """Least power of a connection to each station."""
         ...
 
     @property
     def target_m(self) -> NDArray[np.float64] | None:
-        """``(N, 2)`` where the target is expected after each step; None without target."""
+        """``(N, 2)`` expected position of the target after each step; None without target."""
         ...
 
     @property
@@ -135,7 +131,7 @@ class TermContext(Protocol):
 
     @property
     def steering(self) -> SteeredPath | None:
-        """The path that the robot is steered along; None if it is not."""
+        """The path that the robot is steered along, if any."""
         ...
 
     @property
@@ -149,18 +145,13 @@ class TermContext(Protocol):
         ...
 
     @property
-    def near_places(self) -> tuple[KnownPlaces | None, ...]:
-        """The places of `near_region` prepared for each anticipated channel, where it has them."""
-        ...
-
-    @property
     def measuring(self) -> MeasuringRule:
         """Return the rule by which places of a path bring a measurement."""
         ...
 
     @property
     def near_measuring(self) -> MeasuringRule:
-        """The same for places that a plan can come to."""
+        """The same rule for places that a plan can reach."""
         ...
 
     @property
@@ -170,7 +161,7 @@ class TermContext(Protocol):
 
     @property
     def links(self) -> KnownLinks:
-        """Places where the robot knows whether it is connected."""
+        """Places whose connection is known."""
         ...
 
     @property
@@ -184,19 +175,19 @@ class TermContext(Protocol):
         ...
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the power that connectivity rests on at places (n, 2)."""
+        """Return the serving power at places (n, 2)."""
         ...
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return what connectivity rests on, from each station's power."""
+        """Return the serving power from each station's power."""
         ...
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
-        """Return the probability of connection at one place (2,), whatever else is predicted."""
+        """Return the probability of connection at one place (2,), known links included."""
         ...
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return what `make` gives, made once a step for each key."""
+        """Return the result of `make`, called once a step for each key."""
         ...
 
 
@@ -204,7 +195,7 @@ class TermContext(Protocol):
 class Paths:
     """Many paths of one step, with predictions along them."""
 
-    at: TermContext  # What is known
+    at: TermContext
     paths_m: NDArray[np.float64]  # (c, N, 2) places after each step
     stations: Sequence[LocalPaths]  # Each station's power along all of them
     moments: Sequence[Moments]  # Of measuring each station's anticipated channel along them
@@ -221,7 +212,7 @@ class Paths:
 
     @cached_property
     def power(self) -> Prediction:
-        """Power that connectivity rests on at every place; ``(c N,)``."""
+        """Serving power at every place; ``(c N,)``."""
         return self.at.combined(self.each)
 
     @cached_property
@@ -248,12 +239,12 @@ def legs_m(at: TermContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]
 class NearPath:
     """One path of a solver, near the path that it began from."""
 
-    at: TermContext  # What is known
+    at: TermContext
     places_m: NDArray[np.float64]  # (N, 2) places after each step
-    predicted: Callable[[], StagePower]  # Predict the power that connectivity rests on
-    # Each station's channel near the path, where terms couple its places; else none
+    predicted: Callable[[], StagePower]  # Predicts the serving power
+    # Each station's channel near the path, if terms couple its places
     channels: Sequence[LocalChannel]
-    # The same of the anticipated channels, and the map that is averaged, if any
+    # Anticipated channels near the path, and the map that is averaged, if any
     anticipated: Sequence[tuple[LocalChannel, LocalGrid | None]]
     gates: Gates | None  # How much of a measurement each place brings; None where no term measures
     # (N,) number of the turn of the steered path that each place goes to; None if nothing steers
@@ -263,7 +254,7 @@ class NearPath:
 
     @cached_property
     def stage_power(self) -> StagePower:
-        """Power that connectivity rests on at every stage."""
+        """Serving power at every stage."""
         return self.predicted()
 
     @cached_property

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -22,7 +21,7 @@ from planopt.objectives.information import (
     require_estimated_path_loss,
     square_root,
 )
-from planopt.objectives.moments import KnownPlaces, Moments, Pull, posterior_moments
+from planopt.objectives.moments import Moments, Pull, known_places, posterior_moments
 from planopt.objectives.path_derivatives import PathDerivatives, by_positions
 from planopt.objectives.terms.context import (
     NearPath,
@@ -46,11 +45,11 @@ class MeasuredTerm(Term):
         return True
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
-        """Return what measurements of one station are worth."""
+        """Return the gain of measurements of one station."""
         raise self._without("gain")
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
-        """Return what measuring at each node alone would tell of one station; (ny, nx)."""
+        """Return the gain of a measurement at each node alone; (ny, nx)."""
         raise self._without("node_gain")
 
     def _gain(self, at: TermContext, number: int) -> Gain:
@@ -59,22 +58,23 @@ class MeasuredTerm(Term):
         return at.once((MeasuredTerm, self, number), lambda: self.gain(at, posterior))
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return what the measurements along one path tell, by the exact posterior."""
+        """Return the gain of the measurements along one path, by the exact posterior."""
         taken = at.measuring.takes(path_m)
         if not taken.any():
             return 0.0
-        known: Sequence[KnownPlaces | None] = [None] * len(at.anticipated)
-        region = None
-        if self.averages_map:
-            known, region = at.near_places, at.near_region
-        return sum(
-            float(
-                self._gain(at, number).value(
-                    posterior_moments(station, path_m, taken, region, map_)
-                )
-            )
-            for number, (station, map_) in enumerate(zip(at.anticipated, known, strict=True))
-        )
+        total = 0.0
+        for number, station in enumerate(at.anticipated):
+            region = known = None
+            if self.averages_map:
+                region = at.near_region
+                if station.has_factor:
+                    known = at.once(
+                        (MeasuredTerm, "map", number),
+                        partial(known_places, station, region.grid_m),
+                    )
+            moments = posterior_moments(station, path_m, taken, region, known)
+            total += float(self._gain(at, number).value(moments))
+        return total
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the same of many paths, by local channels."""
@@ -92,7 +92,7 @@ class MeasuredTerm(Term):
         return by_positions(reduce(PathDerivatives.plus, found), path.gates)
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
-        """Return what measuring at each node alone would tell of all stations; (ny, nx)."""
+        """Return the summed gain of a measurement at each node alone; (ny, nx)."""
         near = nodes.grid_m[nodes.window]
         found = np.sum(
             [
@@ -106,7 +106,7 @@ class MeasuredTerm(Term):
             ],
             axis=0,
         )
-        # A node that is measured already brings nothing.
+        # A measured node brings nothing.
         is_open = np.ones(found.shape, dtype=np.bool_)
         is_open[nodes.window] = at.near_measuring.is_open(near.reshape(-1, 2)).reshape(
             near.shape[:2]
@@ -297,7 +297,7 @@ class MappingTerm(MeasuredTerm):
                 return variance
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return what the measurements along one path tell of the map, or the metres gained."""
+        """Return the gain of the measurements along one path, or the metres gained."""
         return DISTANCE.value(at, path_m) if self.form == "two_layer" else super().value(at, path_m)
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
@@ -315,7 +315,7 @@ class MappingTerm(MeasuredTerm):
         return super().slope(paths, number)
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
-        """Return what measuring at each node alone would tell, or minus the distance to go."""
+        """Return the gain of measuring at each node alone, or minus the distance to go."""
         if self.form == "two_layer":
             return DISTANCE.node_reward(at, nodes)
         return super().node_reward(at, nodes)

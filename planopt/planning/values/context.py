@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.measuring import SAME_PLACE_M, KnownLinks, MeasuringRule, known_links
-from planopt.objectives.moments import KnownPlaces, Region, known_places
+from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held
 from planopt.planning.proof.context import VerifierContext, search_power, search_prediction
@@ -253,14 +253,6 @@ class StepContext(VerifierContext):
     def near_region(self) -> Region:
         """Return the region of the map, fine where a plan can change anything."""
         return region_near(self.problem, self.region, self.position_m)
-
-    @cached_property
-    def near_places(self) -> tuple[KnownPlaces | None, ...]:
-        """The places of `near_region` prepared for each station; None where it has no factor."""
-        return tuple(
-            known_places(station, self.near_region.grid_m) if station.has_factor else None
-            for station in self.anticipated
-        )
 
     @cached_property
     def probing(self) -> MeasuringRule:

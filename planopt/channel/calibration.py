@@ -56,7 +56,7 @@ class GroupedRatio:
 def grouped_ratio(
     numerators: NDArray[np.float64], denominators: NDArray[np.float64]
 ) -> GroupedRatio:
-    """Ratio of the sums of two quantities over groups.
+    """Return the ratio of the sums of two quantities over groups.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def grouped_ratio(
 
 
 def _ratio_error(numerators: NDArray[np.float64], denominators: NDArray[np.float64]) -> float:
-    """The linearised standard error of a ratio of sums over two groups or more."""
+    """Return the linearised standard error of a ratio of sums over groups."""
     groups, total = len(numerators), float(denominators.sum())
     apart = numerators - float(numerators.sum()) / total * denominators
     return math.sqrt(groups / (groups - 1.0) * float(apart @ apart)) / total

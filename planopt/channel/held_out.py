@@ -52,7 +52,7 @@ LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 PIT_BINS = 20
 
 Predictor = Callable[[Measurements], Prediction]
-"""From measurements to what they would read; their powers are not looked at."""
+"""Map measurements to their predicted powers; their own powers are not read."""
 
 PATH_LOSS = "path_loss"
 """The predictor that others are compared with."""
@@ -139,17 +139,17 @@ def _line_predictor(
 
 
 MOST_LIKELIHOOD, MOST_CONDITIONED = 400, 4_000
-"""Of more powers a fixed draw gives the likelihood, and of more a draw is conditioned on: the cost
+"""Maximum numbers of powers in the likelihood and in the posterior, a fixed draw of more: the cost
 grows with the cube."""
 
 FEWEST_PLACES = 6
-"""In fewer places there is no correlation to see: the process is its mean and deviation."""
+"""In fewer places the process is independent noise about its mean."""
 
 LENGTHS, LOGITS = 7, (-3.0, -1.5, 0.0, 1.5, 3.0)
-"""How many length scales, and which shares of noise by their logits, the grid has."""
+"""Number of length scales, and logits of the shares of noise, of the grid."""
 
 FINER = (-2.0 / 3.0, -1.0 / 3.0, 0.0, 1.0 / 3.0, 2.0 / 3.0)
-"""Of the finer grid about the best point, in steps of the first one."""
+"""Offsets of the finer grid about the best point, in steps of the first one."""
 
 Point = tuple[float, float]
 """Logarithm of the length scale in metres, and logit of the share of noise."""
@@ -191,18 +191,18 @@ def _uncensored(measurements: Measurements) -> Measurements:
 def _correlation(
     distance_m: NDArray[np.float64], length_m: float, noise: float
 ) -> NDArray[np.float64]:
-    """Correlation of powers (n, n) of whose variance a share is `noise`."""
+    """Return the correlation of powers (n, n) with a share of `noise` in their variance."""
     correlation = (1.0 - noise) * np.exp(-distance_m / length_m)
     np.fill_diagonal(correlation, 1.0)
     return correlation
 
 
 def _most_likely(positions_m: NDArray[np.float64], centred_db: NDArray[np.float64]) -> Point:
-    """Length scale and share of noise of the largest likelihood, on a grid and a finer one."""
+    """Return the most likely length scale and share of noise on a grid and a finer one."""
     distance_m = pairwise_distance_m(positions_m, positions_m)
 
     def likelihood(point: Point) -> float:
-        """Log likelihood, the variance profiled out."""
+        """Return the log likelihood with the variance profiled out."""
         lower = lower_factor(_correlation(distance_m, math.exp(point[0]), _logistic(point[1])))
         half = solve_lower(lower, centred_db)
         variance = max(float(half @ half) / len(half), LEAST_VARIANCE_DB2)

@@ -1,7 +1,7 @@
-"""Prediction with the uncertainty of xi, beta and omega counted, not only theta's.
+"""Prediction with the uncertainty of xi, beta and omega, in addition to that of theta.
 
-From few measurements the covariance is hardly known, and a prediction that takes its estimate for
-the truth is too sure of itself. Here the posterior is a mixture over a small deterministic design
+From few measurements the covariance is hardly known, and a prediction that takes its estimate as
+exact is overconfident. Here the posterior is a mixture over a small deterministic design
 of covariances, weighted by how likely each makes the measurements.
 
 The total variance alpha = xi^2 + omega^2 is integrated out in closed form: under the flat prior on
@@ -37,14 +37,14 @@ from planopt.channel.prediction import Prediction, connection_probability
 from planopt.short_repr import short_repr
 
 STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
-"""Design points along each principal axis of the likelihood, in its deviations."""
+"""Design points along each principal axis of the likelihood, in its standard deviations."""
 
 MAX_DEVIATION = 1.5
-"""A deviation of log beta or logit(xi^2 / alpha) is not taken larger than this: the design then
-spans a factor of 400, which is as good as everything."""
+"""Maximum standard deviation of log beta or logit(xi^2 / alpha): the design then spans a factor of
+400."""
 
 MIN_WEIGHT = 0.01
-"""Lighter points are dropped: each costs a factor and a prediction."""
+"""Points with less weight are dropped: each costs a factor and a prediction."""
 
 DIFFERENCE = 0.1
 """Step of the differences that give the likelihood's curvature, in the same logarithms."""
@@ -68,14 +68,14 @@ class MarginalPosterior:
     __repr__ = short_repr
 
     def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
-        """Mean and deviation of the mixture at `positions_m` (n, 2)."""
+        """Return mean and standard deviation of the mixture at `positions_m` (n, 2)."""
         places = require_places(positions_m)
         return mixture(self.weights, [component.predict(places) for component in self.components])
 
     def connectivity(
         self, positions_m: NDArray[np.float64], threshold_dbm: float
     ) -> NDArray[np.float64]:
-        """P(power >= `threshold_dbm`) at each of `positions_m` (n, 2), of the mixture; ``(n,)``."""
+        """Return P(power >= `threshold_dbm`) of the mixture at `positions_m` (n, 2); ``(n,)``."""
         places = require_places(positions_m)
         chances = np.zeros(len(places))
         for weight, component in zip(self.weights, self.components, strict=True):
@@ -87,7 +87,7 @@ class MarginalPosterior:
 
 
 def mixture(weights: NDArray[np.float64], parts: Sequence[Prediction]) -> Prediction:
-    """Mean and deviation of a mixture of predictions with `weights` (k,).
+    """Return mean and standard deviation of a mixture of predictions with `weights` (k,).
 
     The variance is the mean of the parts' variances plus the variance of their means.
     """
@@ -181,7 +181,7 @@ def marginalise(
 
 
 def _exact_part(measurements: Measurements) -> Measurements:
-    """The uncensored measurements, at most `MOST_DENSE` of them."""
+    """Return the uncensored measurements, at most `MOST_DENSE` of them."""
     measurements = measurements.by_place()
     rows = np.flatnonzero(~measurements.censored)
     return measurements.take(rows[thinned(len(rows), MOST_DENSE)])
@@ -190,7 +190,7 @@ def _exact_part(measurements: Measurements) -> Measurements:
 def _design(
     data: LikelihoodData, centre: NDArray[np.float64], box: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Points (k, 2) of a lattice along the principal axes of the likelihood, within the box."""
+    """Return points (k, 2) on a lattice along the principal axes of the likelihood."""
     curvature = np.empty((2, 2))
     # One-sided where the box ends: the differences stand around a point moved inwards.
     middle = np.clip(centre, box[:, 0] + DIFFERENCE, box[:, 1] - DIFFERENCE)
@@ -218,12 +218,12 @@ def _design(
 
 
 def _likelihood(data: LikelihoodData, point: NDArray[np.float64]) -> tuple[float, float]:
-    """Log likelihood with alpha integrated out, up to a constant, and the best alpha."""
+    """Return log likelihood with alpha integrated out, up to a constant, and the best alpha."""
     return profiled_log_likelihood(data, *_values(point))
 
 
 def _coordinates(parameters: ChannelParameters, rounding_db2: float) -> NDArray[np.float64]:
-    """(logit(xi^2 / alpha), log beta) of parameters and rounding; finite where xi or omega is 0."""
+    """Return (logit(xi^2 / alpha), log beta) of parameters and rounding, always finite."""
     multipath_std_db = math.hypot(parameters.multipath_std_db, math.sqrt(rounding_db2))
     shadow, multipath = (
         math.log(max(deviation, sys.float_info.min))
@@ -233,5 +233,5 @@ def _coordinates(parameters: ChannelParameters, rounding_db2: float) -> NDArray[
 
 
 def _values(point: NDArray[np.float64]) -> tuple[float, float]:
-    """(xi^2 / alpha, beta) of a point."""
+    """Return (xi^2 / alpha, beta) of a point."""
     return 1.0 / (1.0 + math.exp(-point[0])), math.exp(point[1])

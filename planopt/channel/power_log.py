@@ -433,7 +433,7 @@ def parse_groups(text: str) -> tuple[GroupColumn, ...]:
 def read_groups(
     path: Path | str, columns: Sequence[GroupColumn], log_format: LogFormat = DEFAULT_FORMAT
 ) -> NDArray[np.intp]:
-    """Label of the group of each row of a log, in the order of first appearance; ``(n,)``.
+    """Return the group label of each row of a log, in order of first appearance; ``(n,)``.
 
     Parameters
     ----------

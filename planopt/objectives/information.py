@@ -1,4 +1,4 @@
-"""Values of what measurements along a path will tell: information and variance removed.
+"""Gains of measurements along a path: information and variance removed.
 
 Each class has the value for :class:`planopt.objectives.moments.Moments` (the exact posterior for
 one path, a local channel for many), its slopes by these moments, and the value of one path with
@@ -333,7 +333,7 @@ def _bent_variances(
     along: NDArray[np.float64],
     weight: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """sum_i w_i / L_ii^2 d^2 L_ii^2 for `weight` w; ``(2 h, 2 h)``.
+    """Return sum_i w_i / L_ii^2 d^2 L_ii^2 for `weight` w; ``(2 h, 2 h)``.
 
     L_ii^2 is the least of y' S y over y with y_i = 1 and nothing after i; the minimiser is
     L_ii n_i, n_i row i of N = L^-1 = `left`. So its derivative is L_ii^2 n_i' dS n_i, and the

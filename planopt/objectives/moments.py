@@ -1,8 +1,8 @@
-"""Moments of future measurements along paths (equation 1.11), and what values of them change by.
+"""Moments of future measurements along paths (equation 1.11), and derivatives by them.
 
-What a robot knows after measuring at q_1 .. q_N does not depend on the values it will find, but
-only on their covariance S and on B, their regressors less what is known of them. These come from
-the exact posterior, or, for many paths at once, from a local channel, whose values have slopes.
+The posterior after measurements at q_1 .. q_N does not depend on the measured values, but only on
+their covariance S and on B, their regressors less the part predicted from earlier measurements.
+These come from the exact posterior, or, for many paths at once, from a local channel.
 
 A measurement of gate g in [0, 1] is g times what the channel gives there, with noise that fills its
 variance up to that of measuring blindly, kappa = xi^2 + omega^2:
@@ -41,8 +41,8 @@ from planopt.plain_values import require_weights
 Real = TypeVar("Real", np.float32, np.float64)
 
 SINGLE = np.float32
-"""Precision of the covariances of many paths with measurements: 0.6 of the time of double precision
-for 200 paths of 5 steps, 0.8 for 400 of 10. Paths are only compared by them."""
+"""Precision of the covariances of many paths, which are only compared by them: 0.6 of the time of
+double precision for 200 paths of 5 steps, 0.8 for 400 of 10."""
 
 TINY_M = 1e-9
 """Positions nearer than this have no direction from each other."""
@@ -162,7 +162,7 @@ class Moments:
 
 
 def covariance_factor(covariance_db2: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lower Cholesky factors of covariances ``(..., N, N)``."""
+    """Return lower Cholesky factors of covariances ``(..., N, N)``."""
     try:
         return np.asarray(np.linalg.cholesky(covariance_db2), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -195,7 +195,7 @@ def cross_covariance_db2(
     path_m: NDArray[np.float64],  # (N, 2)
     known: KnownPlaces,
 ) -> NDArray[np.float64]:
-    """Covariance of measurements on a path with the power at other places; ``(N, g)``.
+    """Return covariances of measurements on a path with power at other places; ``(N, g)``.
 
     c(q) = k_h(q) - Phi' U^-1 phi(q) + B M varphi(q) (equation 4.6).
     """
@@ -420,7 +420,7 @@ class LocalPaths:
         distance_m: NDArray[np.float32],
         kernel: NDArray[np.float32],
     ) -> NDArray[np.float64]:
-        """Slopes through covariances (c N, m) of all places with `others_m` (m, 2); ``(c, N, 2)``.
+        """Return slopes through covariances (c N, m) of places with `others_m`; ``(c, N, 2)``.
 
         d k = -k / (beta r) (q - other), r not below the rounding of the kernel's cusp. `by_kernel`
         is overwritten.
@@ -434,7 +434,7 @@ class LocalPaths:
         return (pulled[:, :, :2] - pulled[:, :, 2:] * (self.paths_m - middle)) / beta
 
     def _between(self, by_covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Slopes through the prior covariances of a path's places with each other."""
+        """Return slopes through the prior covariances of a path's places."""
         parameters = self.channel.parameters
         beta = parameters.decorrelation_m
         offset = self.paths_m[:, :, None] - self.paths_m[:, None]
@@ -450,7 +450,7 @@ def _single_kernel(
     parameters: ChannelParameters,
     added_m2: NDArray[np.float64] | None = None,  # (m,) added to the squared distances
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Distances of `a` from `b` and covariances of shadowing; both ``(n, m)``.
+    """Return distances of `a` from `b` and covariances of shadowing; both ``(n, m)``.
 
     Coordinates near 3e6 keep their digits: what is rounded are offsets from the middle of `a`.
     """

@@ -54,13 +54,13 @@ class Rows:
     second: NDArray[np.float64]
 
     def times(self, matrix: NDArray[np.float64]) -> Rows:
-        """Each row times `matrix` (r, s), or its numbers times those of a row (r,)."""
+        """Return each row times `matrix` (r, s), or its numbers times those of a row (r,)."""
         if matrix.ndim == 1:
             return Rows(self.value * matrix, self.first * matrix, self.second * matrix)
         return Rows(self.value @ matrix, self.first @ matrix, self.second @ matrix)
 
     def gated(self, gates: Gates | None) -> Rows:
-        """G times the rows; the rows themselves without gates."""
+        """Return G times the rows; the rows themselves without gates."""
         if gates is None:
             return self
         gate, steps = gates.value[0], len(self.value)
@@ -93,7 +93,7 @@ class CovarianceDerivatives:
         return np.repeat(np.arange(steps), count // steps)
 
     def curvature(self, gradient_by_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """sum_ij G_ij d^2 S_ij for symmetric G = `gradient_by_s` (h, h); ``(2 h, 2 h)``."""
+        """Return sum_ij G_ij d^2 S_ij for symmetric G = `gradient_by_s` (h, h); ``(2 h, 2 h)``."""
         width = len(self.first) // len(self.value)
         wide = np.repeat(np.repeat(gradient_by_s, width, axis=0), width, axis=1)
         found = 2.0 * wide * self.mixed
@@ -102,7 +102,7 @@ class CovarianceDerivatives:
         return found
 
     def gated(self, gates: Gates | None, blind_db2: float) -> CovarianceDerivatives:
-        """S_g; S itself without gates."""
+        """Return S_g; S itself without gates."""
         if gates is None:
             return self
         gate, steps = gates.value[0], len(self.value)

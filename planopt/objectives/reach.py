@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 
 def cruising_speed_m_s(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
-    """Speed at which a metre costs least: ``1 / sqrt(w)`` where it is allowed, else the largest."""
+    """Return the speed of least cost per metre: ``1 / sqrt(w)`` if allowed, else the largest."""
     if effort_weight_s2_m2 > 0.0:
         return min(speed_max_m_s, effort_weight_s2_m2**-0.5)
     return speed_max_m_s
 
 
 def cost_rate_s_m(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
-    """Least cost of one metre of way, in s/m: min over 0 < v <= v_max of (1 + w v^2) / v."""
+    """Return the least cost per metre in s/m: min over 0 < v <= v_max of (1 + w v^2) / v."""
     best = cruising_speed_m_s(effort_weight_s2_m2, speed_max_m_s)
     return (1.0 + effort_weight_s2_m2 * best**2) / best
 
@@ -30,14 +30,14 @@ def cost_rate_s_m(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
 def step_cost_s(
     length_m: NDArray[np.float64], step_s: float, effort_weight_s2_m2: float
 ) -> NDArray[np.float64]:
-    """Cost of steps of these lengths that start short of the goal, in seconds."""
+    """Return the cost in seconds of steps of these lengths that start short of the goal."""
     return step_s + effort_weight_s2_m2 * length_m**2 / step_s
 
 
 def outage_share(
     probability: NDArray[np.float64], is_below: NDArray[np.bool_], everywhere: bool = False
 ) -> NDArray[np.float64]:
-    """Share of a metre at each place that the outage price is charged on.
+    """Return the share of a metre at each place that the outage price applies to.
 
     ``1 - P`` where p_min is missed, or everywhere; nothing elsewhere.
     """
@@ -45,7 +45,7 @@ def outage_share(
 
 
 def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64]) -> float:
-    """Metres of a path (n + 1 places) that are charged: the mean of each step's two ends."""
+    """Return the metres of a path (n + 1 places) that the outage price applies to."""
     # Shapes: lengths_m (n,); share (n + 1,).
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 
@@ -58,7 +58,7 @@ def path_cost_s(
     effort_weight_s2_m2: float,
     resting_m: NDArray[np.float64] | None = None,
 ) -> float:
-    """Cost of a path (n + 1, 2) up to its end or its arrival, cost to go not included.
+    """Return the cost of a path (n + 1, 2) up to its end or its arrival, without cost-to-go.
 
     A robot that cannot stop at will has arrived where it can stop at the goal as well: `resting_m`
     (n + 1, 2) is where it would come to stand if it braked from each place.

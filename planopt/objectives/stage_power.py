@@ -43,7 +43,7 @@ def rounded_kernel(
     parameters: ChannelParameters,
     added_m2: NDArray[np.float64] | float = 0.0,  # (...) of each measurement
 ) -> Derivatives:
-    """xi^2 exp(-r / beta), r = sqrt(|offset|^2 + added + eps^2), with derivatives by the offset."""
+    """Return xi^2 exp(-r / beta), r = sqrt(|offset|^2 + added + eps^2), with derivatives."""
     rows = np.empty((6, *offset_m.shape[:-1]))
     soft_m2 = softened_m2(added_m2, parameters)
     fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, soft_m2)
@@ -99,7 +99,7 @@ def fill_rounded_kernel(
 
 
 def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> Derivatives:
-    """-10 log10 sqrt(d^2 + MIN_DISTANCE_M^2) with derivatives by the position (n, 2)."""
+    """Return -10 log10 sqrt(d^2 + MIN_DISTANCE_M^2) with derivatives by the position (n, 2)."""
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("ni,ni->n", offset, offset) + (station.height_m**2 + MIN_DISTANCE_M**2)
     slope = (-10.0 / math.log(10.0)) / square
@@ -107,7 +107,7 @@ def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> 
 
 
 LEAST_VARIANCE_DB2 = float(np.finfo(float).tiny)
-"""Rounding alone can leave none."""
+"""Least variance, where rounding leaves none."""
 
 
 StagePower = tuple[Derivatives, Derivatives]
@@ -143,7 +143,7 @@ class StagePredictor:
         self._soft_m2 = softened_m2(model.added_m2, model.parameters)
 
     def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
-        """Mean and deviation of stage k at ``positions_m[k]``, (n, 2)."""
+        """Return mean and deviation of stage k at ``positions_m[k]``, (n, 2)."""
         f, parameters = self._f, self._model.parameters
         fill_rounded_kernel(
             self._kernel,
@@ -192,7 +192,7 @@ class ServingStages:
         self._scale_db = law(about).deviation_db
 
     def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
-        """Mean and deviation of the serving power of stage k at ``positions_m[k]``, (N, 2)."""
+        """Return mean and deviation of the serving power of stage k at ``positions_m[k]``."""
         powers = [predict(positions_m) for predict in self._stations]
         return serving_derivatives(powers, self._thresholds_dbm, self._scale_db)
 
@@ -202,7 +202,7 @@ def serving_derivatives(
     thresholds_dbm: Sequence[float],  # (m,)
     scale_db: NDArray[np.float64],  # (N,) c
 ) -> StagePower:
-    """Mean and deviation of the serving power of m stations, its deviation held at `scale_db`.
+    """Return mean and deviation of the serving power of m stations, the latter `scale_db`.
 
     Of the stations' any-score z: dz = sum_i w_i dz_i and
     d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i dz_j'.
@@ -237,7 +237,7 @@ def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -
 def connectivity_derivatives(
     mean_db: Derivatives, deviation_db: Derivatives, threshold_dbm: float
 ) -> Derivatives:
-    """P = Q((Upsilon_TH - mu) / sigma) with gradient and Hessian by position.
+    """Return P = Q((Upsilon_TH - mu) / sigma) with gradient and Hessian by position.
 
     dP = n(z) dz and d2P = n(z) (d2z - z dz dz'), n the standard normal density.
     """

@@ -155,7 +155,7 @@ class Axis:
 
 
 def _axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(a, b, c) of a covariance (4, 4) of place and velocity, the mean over the axes."""
+    """Return (a, b, c) of a covariance (4, 4) of place and velocity, the mean over the axes."""
     blocks = covariance.reshape(2, 2, 2, 2).trace(axis1=1, axis2=3) / 2.0
     return np.array([blocks[0, 0], blocks[0, 1], blocks[1, 1]])
 

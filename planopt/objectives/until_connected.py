@@ -213,7 +213,7 @@ def charged_distance_derivatives(
     beyond: Derivatives | None = None,  # Cost of ending without connection, by the last place
     probed: NDArray[np.bool_] | None = None,  # (h,)
 ) -> PathDerivatives:
-    """:func:`planopt.objectives.until_connected.charged_distance_m`, filtered, with derivatives."""
+    """Return the filtered :func:`charged_distance_m` by local channels with derivatives."""
     stations = [LocalPath(channel, path_m) for channel in channels]
     steps = len(path_m)
     legs = rounded_length(np.diff(np.vstack([settings.start_m, path_m]), axis=0), width_m)
@@ -256,7 +256,7 @@ def charged_distance_derivatives(
 
 
 def _jacobians(station: LocalPath) -> list[NDArray[np.float64]]:
-    """Derivatives of mean (h, 2 h) and covariance (h h, 2 h) of one station by the coordinates."""
+    """Return derivatives of mean (h, 2 h) and covariance (h h, 2 h) of one station."""
     steps = station.steps
     k = np.arange(steps)
     by_mean = np.zeros((steps, steps, 2))

@@ -1,4 +1,4 @@
-"""The target that is tracked, and what the station knows of it from packets that arrive.
+"""The tracked target, and the information filter of the station with lost packets.
 
 In information form a packet that is lost is a term that is missing, and knowing nothing is a zero
 matrix. The prediction inverts neither J (it may be singular) nor B Theta B' (it always is).
@@ -65,7 +65,7 @@ def simulate_target(
     steps: int,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """States x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
+    """Simulate states x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
     state = require_state(start)
     if steps < 0:
         raise InputError(f"{steps!r} is no number of steps", key="steps")
@@ -99,7 +99,7 @@ def predict_target(
 
 
 def require_state(state: NDArray[np.float64]) -> NDArray[np.float64]:
-    """`state` as four finite floats, or an :class:`planopt.errors.InputError`."""
+    """Return `state` as four finite floats, or raise an :class:`planopt.errors.InputError`."""
     found = np.asarray(state, dtype=np.float64)
     if found.shape != (4,) or not np.isfinite(found).all():
         raise InputError("a target's state is x, y in metres and two velocities in m/s, all finite")
@@ -107,7 +107,7 @@ def require_state(state: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def require_covariance(matrix: NDArray[np.float64], size: int, key: str) -> NDArray[np.float64]:
-    """`matrix` as floats if it is a covariance ``(size, size)``, else an InputError."""
+    """Return `matrix` as a covariance ``(size, size)`` of floats, or raise an InputError."""
     found = np.asarray(matrix, dtype=np.float64)
     if found.shape != (size, size) or not np.isfinite(found).all():
         raise InputError(f"a covariance of shape {found.shape} is not ({size}, {size})", key=key)
@@ -141,14 +141,14 @@ class InformationState:
 def information_state(
     mean: NDArray[np.float64], covariance: NDArray[np.float64]
 ) -> InformationState:
-    """The estimate of mean ``(4,)`` and covariance ``(4, 4)``, which must have an inverse."""
+    """Return the estimate of mean ``(4,)`` and invertible covariance ``(4, 4)``."""
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     matrix = covariance_of(spread)
     return InformationState(matrix @ state, matrix)
 
 
 def predict(model: TargetModel, state: InformationState) -> InformationState:
-    """One step without measurements: chi_{t+1|t} and J_{t+1|t}.
+    """Predict one step without measurements: chi_{t+1|t} and J_{t+1|t}.
 
     chi- = J- A J^-1 chi = (I - K B') A^-T chi, with K of :func:`predicted_information`.
     """
@@ -162,7 +162,7 @@ def predict(model: TargetModel, state: InformationState) -> InformationState:
 
 
 def predicted_information(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """J_{t+1|t} = (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``, J singular or not.
+    """Return J_{t+1|t} = (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``.
 
     With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T it is
     (I - K B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma, in Joseph's form): a sum
@@ -203,7 +203,7 @@ def update(
 
 
 def covariance_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverse of information matrices ``(..., 4, 4)``, or an InputError where there is none."""
+    """Return the inverse of information matrices ``(..., 4, 4)``, or raise an InputError."""
     smallest = np.linalg.eigvalsh(matrix)[..., 0]
     largest = np.abs(matrix).max(axis=(-1, -2))
     # Below this share digits alone decide the inverse.
@@ -217,13 +217,13 @@ def covariance_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def position_variance_m2(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Trace of P's position block for information matrices ``(..., 4, 4)``; ``(...)``."""
+    """Return the trace of P's position block for information matrices ``(..., 4, 4)``."""
     covariance = covariance_of(matrix)
     return covariance[..., 0, 0] + covariance[..., 1, 1]
 
 
 def _moved(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """M = A^-T J A^-1: what was known, after a step without acceleration."""
+    """Return M = A^-T J A^-1, the information after a step without acceleration."""
     back = model.transition.copy()
     back[:2, 2:] *= -1.0
     return back.T @ matrix @ back
@@ -232,7 +232,7 @@ def _moved(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float6
 def _gain(
     model: TargetModel, moved: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """K = M B Theta T and T = (I + B' M B Theta)^-1."""
+    """Return K = M B Theta T and T = (I + B' M B Theta)^-1."""
     noise_gain, theta = model.noise_gain, model.acceleration_covariance_m2_s4
     seen = noise_gain.T @ moved @ noise_gain
     inner = np.asarray(np.linalg.inv(np.eye(2) + seen @ theta), dtype=np.float64)

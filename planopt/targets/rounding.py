@@ -38,7 +38,7 @@ class Derivatives:
 
 
 def rounded_length(offset_m: NDArray[np.float64], width_m: float) -> Derivatives:
-    """Length of `offset_m` (..., 2), rounded within `width_m` > 0 of zero, with derivatives."""
+    """Return the length of `offset_m` (..., 2), rounded within `width_m` > 0 of zero."""
     distance = np.hypot(offset_m[..., 0], offset_m[..., 1])
     return radial(offset_m, *rounded_radius(distance, width_m))
 
@@ -49,7 +49,7 @@ def radial(
     slope: NDArray[np.float64],
     bend: NDArray[np.float64],
 ) -> Derivatives:
-    """Derivatives of f(|x|) at offsets x (..., 2)."""
+    """Return derivatives of f(|x|) at offsets x (..., 2)."""
     # Shapes: value, slope, bend (...).
     rows = np.empty((*value.shape, 6))
     rows[..., 0] = value
@@ -76,7 +76,7 @@ def add_products(
 def rounded_positive_part(
     x: NDArray[np.float64], width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """max{0, x} with first and second derivative, rounded for ``|x| < width``.
+    """Return max{0, x} with two derivatives, rounded for ``|x| < width``.
 
     Larger than max{0, x} by at most 3/16 of `width`. Shapes as `x`.
     """
@@ -87,7 +87,7 @@ def rounded_positive_part(
 def rounded_radius(
     r: NDArray[np.float64], width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """A rounded radius rho(r) with slope and bend as for :func:`radial`; finite at 0."""
+    """Return a rounded radius rho(r) with slope and bend for :func:`radial`; finite at 0."""
     if r.min(initial=np.inf) >= width:
         inverse = 1.0 / r
         return r, inverse, -inverse * inverse * inverse

@@ -55,7 +55,7 @@ def sensing_information(
 def noise_covariance_m2(
     sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Lambda = Phi(q, p) = 2 g I_2; ``(..., 2, 2)``. Arguments as :func:`sensing_information`."""
+    """Return Lambda = Phi(q, p) = 2 g I_2; ``(..., 2, 2)``."""
     information = sensing_information(sensor, positions_m, target_m)
     return (2.0 / information)[..., None, None] * np.eye(2)
 
@@ -66,7 +66,7 @@ def sense(
     target_m: NDArray[np.float64],  # (2,) where the target is
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Measured positions z = p + noise of covariance Phi(q, p), one for each of `positions_m`."""
+    """Draw measured positions z = p + noise of covariance Phi(q, p), one a robot."""
     deviation = np.sqrt(2.0 / sensing_information(sensor, positions_m, target_m))
     return target_m + deviation[:, None] * generator.standard_normal(positions_m.shape)
 
@@ -74,7 +74,7 @@ def sense(
 def sensing_derivatives(
     sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
 ) -> Derivatives:
-    """1 / g with gradient and Hessian by q.
+    """Return 1 / g with gradient and Hessian by q.
 
     Exact from `CUSP_SHARE` r_s of the target on. Closer than that the distance is rounded
     (:mod:`planopt.targets.rounding`) in the value too, so that it belongs to its derivatives; g is

@@ -125,6 +125,6 @@ class MotionEnergyTerm(Term):
     def _spent_j(
         self, lengths_m: NDArray[np.float64], standstill_m: float, step_s: float
     ) -> NDArray[np.float64]:
-        """Energy of each step (...); one no longer than `standstill_m` draws no power (4.12)."""
+        """Return the energy of each step (...) (4.12); at a standstill no power is drawn."""
         moving_s = np.where(lengths_m > standstill_m, step_s, 0.0)
         return self.per_metre_j_m * lengths_m + self.power_w * moving_s

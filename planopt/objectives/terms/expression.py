@@ -52,7 +52,7 @@ class CasadiTerm(Term):
     summary: ClassVar[str] = "A value of one's own, made large."
 
     def check(self, setting: TermSetting) -> None:
-        """The instructions are some of an expression of as many steps as are planned."""
+        """Require a program for the planned number of steps, with inputs that the problem has."""
         if setting.stations > 1:
             self._check_stations(setting.stations)
         steps = setting.horizon

@@ -232,7 +232,7 @@ class MappingTerm(MeasuredTerm):
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Threshold and closeness are keys of two forms only."""
+        """Refuse threshold and closeness with other forms than their two."""
         for key in FORM_KEYS:
             if key in given & term.left_out:
                 return f'has {key}, which goes only with form = "path" and "two_layer"'
@@ -269,7 +269,7 @@ class MappingTerm(MeasuredTerm):
         return "variance" if self.form == "two_layer" else None
 
     def check(self, setting: TermSetting) -> None:
-        """The two-layer form is for one station."""
+        """Refuse the two-layer form with several stations."""
         if self.form == "two_layer" and setting.stations > 1:
             raise InputError(
                 f"two_layer steers by one station's map, and there are {setting.stations}",

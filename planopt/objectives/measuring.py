@@ -207,15 +207,15 @@ class Gates:
 
     def _log_slopes(self) -> NDArray[np.float64]:
         """Return derivatives of log gates by all coordinates of their path; ``(c, N, 2 N)``."""
-        count, steps = self.value.shape
-        found = np.zeros((count, steps, steps, 2))
+        steps = int(self.value.shape[1])
+        found = np.zeros((len(self.value), steps, steps, 2))
         every = np.arange(steps)
         between = self._paths_m[:, :, None] - self._paths_m[:, None]
         crossed = 2.0 * self._own[1, ..., None] * between
         found -= crossed
         found[:, every, every] += crossed.sum(axis=2)
         found[:, every, every] += 2.0 * (self._known[1, ..., None] * self._offset_m).sum(axis=2)
-        return found.reshape(count, steps, 2 * steps)
+        return found.reshape(-1, steps, 2 * steps)
 
 
 def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:

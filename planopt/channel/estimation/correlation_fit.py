@@ -208,7 +208,13 @@ def nls_fit(
         inside = np.clip(x, box[0] + 1e-6, box[1] - 1e-6 * (high - low))
         inside[1] = max(inside[1], low + 1e-6 * (high - low))
         found = nonlinear_least_squares(
-            misfit, inside, jacobian, box, ftol=1e-14, xtol=1e-14, gtol=1e-14
+            misfit,
+            inside,
+            jacobian,  # pyright: ignore[reportArgumentType]
+            box,
+            ftol=1e-14,
+            xtol=1e-14,
+            gtol=1e-14,
         )
         if 2.0 * found.cost <= losses[best]:
             x = found.x

@@ -53,16 +53,6 @@ def test_objective_by_hand():
     assert candidate.objective == candidate.lattice_objective == judge.objective(path)
 
 
-def test_objective_without_a_way_beyond():
-    """The steps' cost only; standing at the goal costs nothing."""
-    problem = small_problem(start_m=(33.0, 15.0))
-    judge = judge_of(problem)
-    arrived = np.array([(35.0, 15.0), (35.0, 15.0), (35.0, 15.0)])
-    assert judge.objective(arrived) == pytest.approx(1.4)
-    waiting = np.array([(33.0, 15.0), (33.0, 15.0), (35.0, 15.0)])
-    assert judge.objective(waiting) == pytest.approx(3.4)
-
-
 @pytest.mark.parametrize("price", [0.0, 3.0, 10.0])
 def test_objective_out_of_contact_by_hand(price):
     """A metre below the bound counts 1 + price (1 - P), by the mean of each step's two ends."""
@@ -92,17 +82,6 @@ def test_slack_that_is_allowed_is_not_charged():
     free = judge_of(hard).objective(path)
     assert judge_of(soft, power).objective(path) == pytest.approx(free)
     assert judge_of(hard, power).objective(path) > free + 1.0
-
-
-def test_not_yet_judged():
-    """It claims nothing, and cannot be released."""
-    judge = judge_of(small_problem())
-    path = straight_path(small_problem())[1:]
-    candidate = judge.candidate(path, Rung.PLAN, Termination.CONVERGED)
-    assert candidate.verdict is Verdict.FEASIBLE_UNVERIFIED
-    assert not candidate.sound and not candidate.relaxes
-    with pytest.raises(AssertionError):
-        judge.plan_from(candidate, 0.0)
 
 
 def test_good_candidate_as_a_plan():
@@ -136,14 +115,6 @@ def test_unsound(path):
     """Through a wall, too near to it, a jump, no number: not sound whatever is predicted."""
     problem = small_problem(WALL, start_m=(18.0, 15.0))
     candidate = judged(judge_of(problem), path)
-    assert candidate.verdict is Verdict.VIOLATED
-    assert not candidate.sound
-
-
-def test_out_of_bounds_is_unsound():
-    """A robot may not be sent out of the workspace, even where nothing better is verified."""
-    problem = small_problem(start_m=(5.0, 29.0))
-    candidate = judged(judge_of(problem, bad_everywhere), [(5.0, 30.5), (6.0, 30.5)])
     assert candidate.verdict is Verdict.VIOLATED
     assert not candidate.sound
 

@@ -126,16 +126,3 @@ def test_a_point_is_computed_once_by_the_function_in_use():
     assert len(evaluated) == 2
     source.use(replace(VALUE, margins=scored(constant_margins(7.0), waves)))
     assert source(place).margins.value.tolist() == [7.0] * N
-
-
-def test_a_failing_function_leaves_nothing_behind():
-    """After an error the point is computed again, not answered from the point before it."""
-
-    def broken(_places_m):
-        raise ValueError("broken")
-
-    source = ValueSource()
-    source.use(broken)
-    for _ in range(2):
-        with pytest.raises(ValueError, match="broken"):
-            source(FLAT)

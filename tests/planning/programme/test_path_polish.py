@@ -9,7 +9,6 @@ import pytest
 from scipy.optimize import minimize
 
 from planopt.planning.plan import Termination
-from planopt.planning.programme import path_nlp
 from planopt.planning.programme.evaluation import (
     Evaluation,
     PathValue,
@@ -246,32 +245,3 @@ def test_a_bound_out_of_reach_is_missed_by_the_least():
     assert found.termination is Termination.CONVERGED
     # As far to the left as the speed allows: x = -1, -1.5, -1.5, -1.5.
     np.testing.assert_allclose(found.slack_db, [0.5, 0.0, 0.0, 0.0], atol=1e-3)
-
-
-def test_a_moved_point_shows_in_the_residual(monkeypatch):
-    """The residual is computed at the point that is returned."""
-    weights = np.ones(N)
-    nlp = build_path_nlp(PathShape(N, 1, "stagewise", False))
-    call = path_nlp.call_nlp
-
-    def moved(*arguments):
-        point = call(*arguments)
-        return replace(point, positions_m=point.positions_m + np.array([0.0, 0.1]))
-
-    monkeypatch.setattr(path_nlp, "call_nlp", moved)
-    assert polish_path(nlp, task(weights, "stagewise", False, no_lines())).kkt_residual > 0.01
-
-
-def test_a_failed_call_leaves_nothing_behind():
-    """A value that is no number ends one solve and does not touch the next."""
-    weights = np.ones(N)
-    nlp = build_path_nlp(PathShape(N, 1, "stagewise", False))
-    before = polish_path(nlp, task(weights, "stagewise", False, no_lines()))
-
-    def broken(positions):
-        return Evaluation(PathValue(np.nan, np.full((N, 2), np.nan), np.full((N, 3), np.nan)), None)
-
-    failed = polish_path(nlp, task(weights, "stagewise", False, no_lines(), evaluate=broken))
-    assert failed.termination is not Termination.CONVERGED
-    after = polish_path(nlp, task(weights, "stagewise", False, no_lines()))
-    np.testing.assert_array_equal(after.path_m, before.path_m)

@@ -19,15 +19,9 @@ from reach_tasks import (
     slope_margins,
     with_line,
 )
-from scipy.optimize import brentq, minimize
+from scipy.optimize import minimize
 from scipy.stats import norm
-from stage_margins_of import stage_margins
 
-from planopt.channel.kriging import LocalChannel, predict
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
-from planopt.channel.prediction import bound_margin_db, bound_quantile
 from planopt.planning.plan import Termination
 from planopt.planning.programme import path_nlp
 from planopt.planning.programme.goal_value import PIVOT_ROUNDING_M, STEP_ROUNDING_M
@@ -105,17 +99,6 @@ def test_a_pivot_within_reach_is_reached(nlp):
     polished = solved(nlp, reach_task(N, LINES, pivot_m=np.array([4.0, 3.0]), effort_s_m2=0.01))
     expected = np.outer(np.arange(1, N + 1) / N, [4.0, 3.0])
     np.testing.assert_allclose(polished.path_m, expected, atol=5e-3)
-
-
-def test_every_pivot_within_reach_is_reached():
-    """The same for ten steps, pivots before and beyond the start path's end."""
-    nlp = goal_nlp(10, 0)
-    path = np.outer(np.arange(1, 11), [1.0, 0.0])
-    for ahead in (3.0, 5.0, 8.0, 9.0, 9.7, 10.0, 10.1, 10.3, 11.0, 13.0):
-        for aside in (0.0, 0.3):
-            pivot = np.array([ahead, aside])
-            polished = solved(nlp, reach_task(10, 0, path_m=path, pivot_m=pivot))
-            assert np.linalg.norm(polished.path_m[-1] - pivot) < 5e-3
 
 
 def test_the_workspace_is_kept(nlp):
@@ -280,17 +263,6 @@ def test_a_slope_stops_the_path_where_the_bound_does(nlp):
     assert polished.slack_db.size == 0
 
 
-def test_a_bound_of_one_stage_only(nlp):
-    """The bound is each stage's own: asked of the second only, the path bends there."""
-    bound = np.array([-np.inf, 2.0, -np.inf])
-    task = reach_task(
-        N, LINES, margins=scored(slope_margins([0.0, 1.0], 0.0)), bound_db=bound, step_length_m=5.0
-    )
-    polished = solved(nlp, task)
-    assert polished.path_m[1, 1] == pytest.approx(2.0, abs=1e-4)
-    assert polished.path_m[0, 1] == pytest.approx(1.0, abs=1e-2)
-
-
 def test_inside_a_circle(nlp):
     """Margin 9 - |q|^2 with 5 asked for: the last place is on the circle of radius 2."""
     task = reach_task(
@@ -303,36 +275,6 @@ def test_inside_a_circle(nlp):
     )
     polished = solved(nlp, task)
     np.testing.assert_allclose(polished.path_m[-1], [1.2, 1.6], atol=1e-3)
-
-
-def test_a_field_of_one_measurement(nlp):
-    """Station, measurement and way on one line: it ends where the exact margin is the bound."""
-    parameters = ChannelParameters(-30.0, 3.0, 4.0, 8.0, 1.0, Station((-6.0, 0.0), 2.0))
-    one = Measurements(np.array([[1.0, 0.0]]), np.array([-54.0]), np.array([False]))
-    posterior = condition(parameters, one, theta="known")
-    p_min, threshold = 0.9, -68.0
-    z = bound_quantile(p_min)
-
-    def exact(x):
-        power = predict(posterior, np.array([[x, 0.0]]))
-        return float(bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)[0])
-
-    assert exact(3.0) > 0.0 > exact(20.0)
-    end = brentq(exact, 3.0, 20.0)
-    path = np.outer(np.arange(1, N + 1), [end / 4.0, 0.0])
-    model = LocalChannel.around_each(posterior, path, 4)
-    task = reach_task(
-        N,
-        LINES,
-        path_m=path,
-        step_length_m=20.0,
-        effort_s_m2=0.01,
-        margins=scored(lambda q: stage_margins(model, q, threshold, z)),
-    )
-    polished = solved(nlp, task)
-    assert polished.path_m[-1, 0] == pytest.approx(end, abs=0.02)
-    assert abs(exact(polished.path_m[-1, 0])) < 0.02
-    np.testing.assert_allclose(polished.path_m[:, 1], 0.0, atol=1e-3)
 
 
 def test_a_hard_bound_out_of_reach_is_infeasible(nlp):
@@ -443,17 +385,6 @@ def test_the_residual_of_a_priced_path_by_differences(nlp):
     np.testing.assert_allclose(lagrangian, 0.0, atol=1e-4)
 
 
-def test_a_dearer_outage_is_less_of_it(nlp):
-    """Metres charged fall as the price rises."""
-    charged = []
-    for price in (0.0, 0.5, 1.0, 2.0):
-        task = reach_task(N, LINES, **PRICED | {"outage": outage_of(N, price, 0.4)})
-        at = solved(nlp, task).path_m.ravel()
-        doubled = changed(task, outage=outage_of(N, price + 1.0, 0.4))
-        charged.append(outage_cost(doubled, at) - outage_cost(task, at))
-    assert (np.diff(charged) < -1e-2).all()
-
-
 # Residual and reuse.
 
 HARD = {
@@ -524,18 +455,6 @@ def test_a_failed_solve_leaves_nothing_behind(nlp, name):
     assert same(polish_path(nlp, task), before)
 
 
-def test_margins_that_turn_into_no_number_on_the_way(nlp):
-    """A field that ends in the middle of the way: never a crash, never a point with a NaN."""
-
-    def ends(positions_m):
-        here = constant_margins(10.0)(positions_m)
-        return replace(here, value=np.where(positions_m[:, 0] < 3.5, here.value, np.nan))
-
-    polished = polish_path(nlp, reach_task(N, LINES, margins=scored(ends)))
-    assert np.isfinite(polished.path_m).all()
-    assert polished.termination is not Termination.CONVERGED or polished.path_m[:, 0].max() < 3.5
-
-
 def test_nothing_is_printed(nlp, capfd):
     """Not by a solve that works, nor by one that fails in any way: at the level of files."""
     goal_nlp(2, 1)
@@ -545,11 +464,3 @@ def test_nothing_is_printed(nlp, capfd):
     captured = capfd.readouterr()
     assert captured.out == ""
     assert captured.err == ""
-
-
-def test_one_step_without_lines():
-    """The smallest structure: one step straight to the limit, empty tables of lines."""
-    polished = solved(goal_nlp(1, 0), reach_task(1, 0))
-    np.testing.assert_allclose(polished.path_m, [[2.0, 0.0]], atol=1e-4)
-    assert polished.multipliers["line_end"].shape == (1, 0)
-    assert polished.multipliers["line_start"].shape == (0, 0)

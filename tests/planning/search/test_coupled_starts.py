@@ -41,33 +41,6 @@ def test_ways_are_better_than_the_fan(horizon):
         np.testing.assert_array_equal(way, again)
 
 
-def test_known_ways_are_not_lost():
-    """A way found otherwise that is the best comes first."""
-    problem = terms_problem(LEARNING)
-    situation, belief = situation_of(problem)
-    _, ground = judge_of(situation, belief)
-    search = FanGuesses(problem, ground)
-    plan = plan_for(situation, belief)
-    found = search.find_paths(situation, [plan.positions_m[1:]])
-    value = LocalRanking(situation, np.asarray(found))
-    best = value(plan.positions_m[None, 1:])[0]
-    # Ways are ranked on the measurements near all of them, not near this one alone.
-    assert value(np.asarray(found))[0] >= best - 1e-6
-
-
-@pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
-def test_order_of_measurements_changes_nothing(terms):
-    """Nor does an obstacle where none of the steps can lead."""
-    situation, belief = situation_of(terms_problem(*terms))
-    plan = plan_for(situation, belief)
-    before = situation.posterior
-    order = np.random.default_rng(0).permutation(len(before.measurements))
-    shuffled = replace(
-        situation, posteriors=(condition(before.parameters, before.measurements.take(order)),)
-    )
-    np.testing.assert_allclose(plan_for(shuffled, belief).positions_m, plan.positions_m, atol=1e-3)
-
-
 @pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
 def test_a_redundant_obstacle_changes_nothing(terms):
     """One inside another obstacle, or beyond all steps."""

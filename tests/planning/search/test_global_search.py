@@ -10,7 +10,6 @@ import pytest
 import scipy.stats
 from scenes import (
     CUP,
-    WALL,
     bad_band,
     bad_disc,
     belief_of,
@@ -70,32 +69,6 @@ def test_below_the_bound_only_as_long_as_must_be():
     assert list(below) == [0, 1]
 
 
-def test_beyond_is_the_way_on():
-    """From the path's end to the goal, as far as a faster path could come; none past the goal."""
-    problem = small_problem(WALL, horizon=4)
-    start = found(problem)
-    assert 0 < len(start.beyond_m)
-    way = np.vstack([start.path_m[-1:], start.beyond_m])
-    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= 2.0
-    arriving = found(small_problem(start_m=(34.0, 15.0), horizon=4))
-    assert len(arriving.beyond_m) == 0
-    assert np.allclose(arriving.path_m[-1], (35.0, 15.0))
-
-
-def test_beyond_ends_where_the_bound_does():
-    """The way on is only worth something as long as it can be gone."""
-    problem = small_problem(start_m=(9.0, 15.0), cost_to_go="geodesic", horizon=3)
-    start = found(problem, bad_band(18.0, 24.0))
-    assert start.beyond_m.size == 0 or start.beyond_m[:, 0].max() < 19.0
-
-
-def test_no_node_in_reach():
-    """From far outside there is no first move."""
-    problem = small_problem()
-    search, belief, _ = search_of(problem)
-    assert search.find_start(situation_of(problem, belief, np.array([90.0, 90.0]))) is None
-
-
 def test_geodesic_goes_straight_connected_goes_round():
     """Before a wide hole in the bound the two costs to go part."""
     power = bad_band(18.0, 24.0, open_above_m=20.0)
@@ -147,28 +120,6 @@ def test_cost_to_go_against_networkx(price, charge, slack_max_db):
     lengths = nx.single_source_dijkstra_path_length(graph, scene.goal_node)
     expected = np.array([lengths.get(node, np.inf) for node in range(len(road_map.nodes_m))])
     assert start.ways.cost_m == pytest.approx(expected, rel=0.01)
-
-
-def test_gap_without_a_way_round_is_crossed_at_once():
-    """Nothing is measured first: the cheapest path leads across, and says that it does."""
-    problem = small_problem(
-        bounds_m=(0.0, 0.0, 28.0, 6.0), start_m=(5.0, 3.0), goal_m=(25.0, 3.0), horizon=6
-    )
-    search, belief, _ = search_of(problem, bad_band(6.0, 10.0))
-    at = np.array([5.0, 3.0])
-    for _ in range(6):
-        start = search.find_start(situation_of(problem, belief, at))
-        at = start.path_m[0]
-    assert at[0] > 11.0
-
-
-@pytest.mark.parametrize("width_m", [2.0, 12.0])
-def test_a_gap_is_crossed_where_the_way_round_costs_more(width_m):
-    """Each metre across counts eleven, the way round as many as it has."""
-    problem = small_problem(start_m=(12.0, 5.0), goal_m=(35.0, 5.0), horizon=10, speed_max_m_s=3.0)
-    start = found(problem, bad_band(18.0, 18.0 + width_m, open_above_m=20.0))
-    goes_round = bool((start.route_m[:, 1] > 18.0).any() or (start.path_m[:, 1] > 18.0).any())
-    assert goes_round == (width_m > 10.0)
 
 
 @pytest.mark.parametrize("charge", ["below_p_min", "everywhere"])

@@ -11,7 +11,6 @@ from scenes import bad_where, belief_of, situation_of, small_problem
 from scipy.optimize import brentq
 from terms_scene import SENDING, judge_of, terms_problem
 
-import planopt.planning.horizon_planner as planner_module
 from planopt.channel.kriging import predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.planning.candidates import Judge
@@ -66,27 +65,6 @@ def test_a_place_that_the_lattice_comes_to_too_late(planner):
         assert plan.rung is Rung.COLD_RETRY
 
 
-def test_without_it_the_plan_is_violated(monkeypatch):
-    """It is this start that makes the difference."""
-    monkeypatch.setattr(planner_module, "ways_to_good_place", lambda *_: [])
-    plan = planned(*just_in_reach())
-    assert plan.verdict is Verdict.VIOLATED
-    assert plan.certificate.relaxed_steps[:3] == (1, 2, 3)
-
-
-def test_nothing_is_looked_for_where_the_first_candidate_is_verified(monkeypatch):
-    """A step that needs no last start takes no time for it."""
-
-    def never(*_):
-        raise AssertionError("looked for a good place")
-
-    monkeypatch.setattr(planner_module, "ways_to_good_place", never)
-    problem, _ = just_in_reach()
-    robot = replace(problem.robots[0], start_m=(35.0, 15.0))
-    plan = planned(replace(problem, robots=(robot,)), np.array([35.0, 15.0]))
-    assert plan.verdict is Verdict.VERIFIED
-
-
 def standing(problem, start, steps):
     """The judge of a step, and a candidate that stands still."""
     index = index_obstacles(problem.workspace)
@@ -110,11 +88,3 @@ def test_the_way_leads_round_an_obstacle():
     assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= problem.step_length_m
     margins = judge.margins_db(predict(judge.context.posterior, way[1:]))
     assert (margins >= 0.0).tolist() == [False, False, False, True, True]
-
-
-def test_nothing_where_no_place_is_named():
-    """A candidate that misses nothing that it could keep leads nowhere."""
-    problem, start = just_in_reach()
-    judge, still = standing(problem, start, 2)
-    assert still.hopeless
-    assert ways_to_good_place(judge, [still]) == []

@@ -52,14 +52,6 @@ def test_values_are_the_exact_worths(terms, horizon, stations):
     np.testing.assert_allclose(LocalRanking(situation, ways)(ways), exact, rtol=near, atol=2e-4)
 
 
-def test_without_a_place_to_steer_to_two_layer_is_worth_nothing():
-    """As the exact worth has it."""
-    situation, _ = situation_of(terms_problem(mapping("two_layer")))
-    situation = replace(situation, steering=None)
-    ways = ways_of(situation)
-    np.testing.assert_array_equal(LocalRanking(situation, ways)(ways), np.zeros(len(ways)))
-
-
 def chances(situation, ways, threshold_dbm):
     """P(connected) at every place of the ways."""
     found = situation.posterior.connectivity(ways.reshape(-1, 2), threshold_dbm)
@@ -95,11 +87,3 @@ def test_order_of_measurements_changes_nothing():
         LocalRanking(situation, ways)(ways),
         rtol=1e-4,
     )
-
-
-def test_more_ways_change_no_value():
-    """Each way is valued by itself."""
-    situation, _ = situation_of(terms_problem(mapping("average")))
-    ways = ways_of(situation)
-    value = LocalRanking(situation, ways)
-    np.testing.assert_allclose(value(ways[2:4]), value(ways)[2:4], rtol=1e-4)

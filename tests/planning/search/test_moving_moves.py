@@ -19,7 +19,7 @@ from planopt.planning.search.lattice_search import (
 )
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES
-from planopt.world.moving_discs import NOTHING_MOVES, path_distances_m, predicted_discs
+from planopt.world.moving_discs import path_distances_m, predicted_discs
 from planopt.world.workspace import MovingObstacle
 
 CART = MovingObstacle("cart", 1.2, (0.0,), ((14.0, 13.0),), (-1.5, -1.0))
@@ -90,25 +90,6 @@ def test_paths_keep_apart_and_are_worth_their_value(seed, cost):
     places = road_map.nodes_m[road_map.number[path[:, 0], path[:, 1]]]
     away = path_distances_m(discs, np.vstack([AT, places])) - discs.apart_m
     assert away.min() >= CLEARANCE_PAD_M
-
-
-def test_far_discs_change_nothing():
-    """Value by value."""
-    far = MovingObstacle("far", 1.0, (0.0,), ((500.0, 500.0),), (1.0, 1.0))
-    worth = np.zeros(len(MOVES))
-    with_it, *_ = searched(6, discs_of(far, horizon=6), worth)
-    without, *_ = searched(6, NOTHING_MOVES, worth)
-    for one, other in zip(with_it.values, without.values, strict=True):
-        assert (one == other).all()
-
-
-def test_a_robot_that_is_too_near_may_lead_away():
-    """And not nearer: only the first step, from where it is."""
-    discs = discs_of(MovingObstacle("post", 1.0, (0.0,), ((0.0, 0.0),)), horizon=2)
-    here = np.tile([1.5 + 1e-4, 0.0], (3, 1))
-    ends = np.array([[3.0, 0.0], [1.4, 0.0], [1.5 + 1e-4, 0.0]])
-    assert steps_apart(discs, 0, here, ends).tolist() == [True, False, True]
-    assert steps_apart(discs, 1, here, ends).tolist() == [False, False, False]
 
 
 @pytest.mark.parametrize("horizon", [3, 6])

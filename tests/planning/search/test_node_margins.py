@@ -65,15 +65,6 @@ def test_many_measurements_are_near_and_exact_where_corrected(road_map, margins)
     np.testing.assert_array_equal(margins.margin_db[others], before[others])
 
 
-def test_correcting_again_tells_that_nothing_is_new(margins):
-    """True only while some node was not exact before; no node at all is nothing new."""
-    margins.refresh(ConnectivityLaw((condition(PARAMETERS, data(200)),), (0.0,), 0.5))
-    assert margins.correct(np.array([1, 2]))
-    assert not margins.correct(np.array([2, 1, 1]))
-    assert margins.correct(np.array([1, 3]))
-    assert not margins.correct(np.array([], dtype=np.intp))
-
-
 def test_a_new_belief_forgets_the_corrections(road_map, margins):
     """After a refresh every margin is the new belief's, and exact values count as new again."""
     posterior = condition(PARAMETERS, data(200))
@@ -84,22 +75,6 @@ def test_a_new_belief_forgets_the_corrections(road_map, margins):
     margins.refresh(ConnectivityLaw((more,), (0.0,), 0.5))
     assert margins.correct(everyone)
     np.testing.assert_allclose(margins.margin_db, exact(more, road_map.nodes_m), atol=1e-9)
-
-
-def test_the_margin_at_a_place_is_exact(margins):
-    """Off the lattice too."""
-    posterior = condition(PARAMETERS, data(200))
-    margins.refresh(ConnectivityLaw((posterior,), (0.0,), 0.5))
-    place = np.array([3.21, 1.234])
-    assert margins.at(place[None])[0] == pytest.approx(exact(posterior, place[None])[0], abs=1e-9)
-
-
-def test_without_a_belief_there_is_no_margin(margins):
-    """Asking before the first refresh is a mistake of the caller."""
-    with pytest.raises(AssertionError, match="refresh first"):
-        margins.at(np.zeros((1, 2)))
-    with pytest.raises(AssertionError, match="refresh first"):
-        margins.correct(np.array([0]))
 
 
 def test_places_have_the_power_of_the_nearest_node_of_the_window():

@@ -85,43 +85,6 @@ def test_from_every_node(polygons, horizon):
         assert hidden == 0
 
 
-def test_free_space_looks_as_far_as_allowed():
-    """Nothing in the way: the place five steps on, or the goal if that is nearer."""
-    problem = small_problem()
-    scene = build_scene(problem)
-    step = problem.step_length_m
-    places = scene.road_map.nodes_m
-    far = int(np.argmin(np.linalg.norm(places - [10.0, 15.0], axis=1)))
-    pivot = find_pivot(scene, start_at(scene, far), None, step, 0.5)
-    ahead = np.linalg.norm(pivot.position_m - places[far])
-    assert LOOKAHEAD_STEPS * step / 1.03 <= ahead <= (LOOKAHEAD_STEPS + 1.0) * step
-    near = int(np.argmin(np.linalg.norm(places - [32.0, 15.0], axis=1)))
-    pivot = find_pivot(scene, start_at(scene, near), None, step, 0.5)
-    np.testing.assert_allclose(pivot.position_m, problem.robots[0].goal_m)
-    assert pivot.cost_m == 0.0
-
-
-def test_at_the_goal_the_pivot_is_the_goal():
-    """A path that ends there has nothing beyond it."""
-    problem = small_problem(WALL)
-    scene = build_scene(problem)
-    pivot = find_pivot(scene, start_at(scene, scene.goal_node), None, 2.0, 0.5)
-    np.testing.assert_allclose(pivot.position_m, problem.robots[0].goal_m)
-    assert pivot.cost_m == 0.0
-
-
-def test_behind_a_wall_the_pivot_is_before_its_corner():
-    """The goal is hidden: the pivot is this side of the wall's end, and seen."""
-    problem = small_problem(WALL)
-    scene = build_scene(problem)
-    places = scene.road_map.nodes_m
-    node = int(np.argmin(np.linalg.norm(places - [17.0, 15.0], axis=1)))
-    pivot = find_pivot(scene, start_at(scene, node), None, 2.0, 0.5)
-    assert pivot.position_m[0] < 19.0
-    assert sight((WALL,), places[node], pivot.position_m) >= 0.5
-    assert pivot.cost_m > np.linalg.norm(pivot.position_m - problem.robots[0].goal_m)
-
-
 def test_weighted_ways_keep_the_cost_consistent():
     """With prices on the nodes: from the path's end the pivot says what the cost-to-go says."""
     problem = small_problem(BLOCK)
@@ -220,24 +183,6 @@ def test_no_pivot_beyond_a_change_of_connectivity(sign):
     assert free.position_m[0] > 18.0
     same = find_pivot(scene, start_at(scene, node), np.full(len(places), sign), 2.0, 0.5)
     np.testing.assert_array_equal(same.position_m, free.position_m)
-
-
-def test_beyond_a_change_only_as_far_as_a_path_may_come():
-    """Where the very next place of the way changes sides, the pivot is the first out of reach."""
-    problem = small_problem()
-    scene = build_scene(problem)
-    places, step = scene.road_map.nodes_m, problem.step_length_m
-    node = int(np.argmin(np.linalg.norm(places - [10.0, 15.0], axis=1)))
-    margin = np.full(len(places), -1.0)
-    margin[node] = 1.0
-    for horizon in (4, 40):
-        start = start_at(scene, node, horizon=horizon)
-        pivot = find_pivot(scene, start, margin, step, 0.5)
-        way = places[route_from(scene.road_map, scene.ways, node, LOOKAHEAD_STEPS * step)]
-        ahead = np.linalg.norm(way - places[node], axis=1)
-        first = way[np.argmax(ahead >= LATTICE_DETOUR * horizon * step)]
-        np.testing.assert_array_equal(pivot.position_m, first)
-        assert to_go_m(pivot, places[node]) == pytest.approx(scene.ways.cost_m[node], rel=1e-12)
 
 
 def test_a_mirrored_scene_keeps_the_costs():

@@ -11,7 +11,6 @@ from planopt.planning.search.taut_way import retime
 
 START = np.array([0.0, 0.0])
 NOTHING = np.zeros((0, 2))
-LINE = np.array([[1.0, 0.0], [3.0, 0.0], [3.0, 4.0]])
 POINTS = st.lists(
     st.tuples(st.integers(-4, 4), st.integers(-4, 4)).map(lambda p: (float(p[0]), float(p[1]))),
     min_size=1,
@@ -34,26 +33,6 @@ def length_of(way):
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
-def test_a_way_longer_than_the_horizon_is_walked_at_full_steps():
-    """Steps of 2 m along a way of 7 m with a corner: 6 m of it in three steps."""
-    path = retime(START, LINE, NOTHING, 2.0)
-    np.testing.assert_allclose(path, [[2.0, 0.0], [3.0, 1.0], [3.0, 3.0]])
-
-
-def test_a_shorter_way_is_walked_in_the_fewest_equal_steps():
-    """7 m in steps of 4 m at most: two of 3.5 m, then it stands."""
-    path = retime(START, LINE, NOTHING, 4.0)
-    np.testing.assert_allclose(path, [[3.0, 0.5], [3.0, 4.0], [3.0, 4.0]])
-    np.testing.assert_allclose(retime(START, LINE, NOTHING, 100.0), np.tile([3.0, 4.0], (3, 1)))
-
-
-def test_a_path_on_its_way_goes_on_beyond():
-    """The way beyond is used where the path has not arrived."""
-    beyond = np.array([[3.0, 6.0], [3.0, 10.0]])
-    path = retime(START, LINE, beyond, 4.0)
-    np.testing.assert_allclose(path, [[3.0, 1.0], [3.0, 5.0], [3.0, 9.0]])
-
-
 def test_an_arrived_path_stays_where_it_arrived():
     """Standing still at the end means arrived: the way beyond is not for it."""
     arrived = np.array([[1.0, 0.0], [2.0, 0.0], [2.0, 0.0]])
@@ -62,18 +41,6 @@ def test_an_arrived_path_stays_where_it_arrived():
     np.testing.assert_allclose(
         retime(START, arrived, beyond, 1.5), [[1.0, 0.0], [2.0, 0.0], [2.0, 0.0]]
     )
-
-
-def test_one_step_has_not_arrived():
-    """With a horizon of one there is no standing still to tell."""
-    path = retime(START, np.array([[1.0, 0.0]]), np.array([[4.0, 0.0]]), 3.0)
-    np.testing.assert_allclose(path, [[3.0, 0.0]])
-
-
-def test_standing_still_stays():
-    """A path of no length is returned as it is."""
-    standing = np.zeros((4, 2))
-    np.testing.assert_array_equal(retime(START, standing, np.array([[5.0, 0.0]]), 1.0), standing)
 
 
 @settings(deadline=None)
@@ -111,15 +78,6 @@ def test_a_way_of_longest_moves_takes_as_many_steps(step_length_m, direction, co
     nodes = np.array([35.0, 0.7]) + spacing * np.outer(np.arange(count + 1), direction)
     path = np.vstack([nodes[1:], nodes[-1:], nodes[-1:]])
     np.testing.assert_allclose(retime(nodes[0], path, NOTHING, step_length_m), path, atol=1e-9)
-
-
-@settings(deadline=None)
-@given(st.lists(st.floats(0.1, 3.0), min_size=1, max_size=8), st.floats(0.2, 5.0))
-def test_the_length_of_a_straight_way_is_kept(lengths, step):
-    """On a straight way chord is arc: the length walked is the way's, or N full steps."""
-    path = np.outer(np.cumsum(lengths), [0.6, 0.8])
-    walked = length_of(np.vstack([START, retime(START, path, NOTHING, step)]))
-    assert walked == pytest.approx(min(sum(lengths), step * len(lengths)))
 
 
 @settings(deadline=None)

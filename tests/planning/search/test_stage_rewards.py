@@ -52,20 +52,6 @@ def test_rewards_along_a_path_are_the_windows_and_its_worth():
     assert rewards.along(nodes).sum() == pytest.approx(worth, rel=1e-9)
 
 
-def test_nothing_is_gained_out_of_reach_or_in_obstacles():
-    """The window has every node within reach along both axes; others are worth minus infinity."""
-    rewards, field, situation = rewards_of(terms_problem(TRACKING))
-    ny, nx = field.mean_db.shape
-    worth = rewards(1, (slice(0, ny), slice(0, nx)))
-    rows, columns = field.window
-    within = (np.abs(field.grid_m - situation.position_m) <= 6.0).all(axis=2)
-    assert within[rows, columns].all() and within.sum() == within[rows, columns].size
-    assert np.isneginf(worth[~within]).all()
-    known = np.isfinite(field.mean_db) & within
-    np.testing.assert_array_equal(np.isfinite(worth), known)
-    assert known.sum() > 50
-
-
 @pytest.mark.parametrize("terms", [(TRACKING,), (TRACKING, LEARNING)])
 def test_a_step_that_misses_the_bound_costs_more_than_all_can_gain(terms):
     """However little it misses."""

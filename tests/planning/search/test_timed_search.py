@@ -1,15 +1,12 @@
 """Paths beside others in space and time, against a search by brute force."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import shapely
 from scenes import search_of, situation_of, small_problem
 
 from planopt.planning.scene import first_moves
-from planopt.planning.search.timed_search import is_apart, timed_places
-from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+from planopt.world.moving_discs import MovingDiscs
 
 STREET = (shapely.box(8, 0, 32, 13), shapely.box(8, 17, 32, 30))
 LEAST_M = 4.0
@@ -85,23 +82,6 @@ def test_takes_no_longer_than_a_search_by_force(other):
     assert fewest - 4 <= arrived <= fewest + 1
 
 
-def test_beside_nothing_it_is_the_path_alone():
-    """As long as a lattice path is, and as fast."""
-    problem = small_problem(effort_weight_s2_m2=0.0)
-    start, (given, places, path) = found_beside(
-        problem,
-        replace(
-            NOTHING_MOVES, centres_m=np.zeros((0, STEPS + 1, 2)), radius_m=np.zeros((0, STEPS))
-        ),
-    )
-    assert path.arrives
-    length = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
-    straight = float(np.linalg.norm(np.subtract(problem.goal_m, problem.robots[0].start_m)))
-    # The lattice has sixteen headings.
-    assert straight <= length <= 1.05 * straight
-    assert np.linalg.norm(given.path_m[-1] - start.path_m[-1]) <= problem.step_length_m
-
-
 def test_waits_aside_where_the_other_stays_in_the_way():
     """A street that is shut for good: the path leads to where nobody is met."""
     problem = small_problem(*STREET, start_m=(12.0, 15.0), goal_m=(36.0, 15.0))
@@ -117,22 +97,3 @@ def test_none_where_the_other_drives_over_it():
     shut = shapely.box(31, 0, 33, 30)
     problem = small_problem(*STREET, shut, start_m=(29.0, 15.0), goal_m=(5.0, 15.0))
     assert found_beside(problem, disc([(22 + k, 15) for k in range(8)]))[1] is None
-
-
-def test_timed_places_drive_at_full_speed_and_stop():
-    """Three metres and then an L of five, in steps of two."""
-    places = timed_places(
-        np.array([[0.0, 0.0], [3.0, 0.0]]), np.array([[6.0, 0.0], [6.0, 2.0]]), 2.0, 6
-    )
-    assert np.allclose(places, [[0, 0], [3, 0], [5, 0], [6, 1], [6, 2], [6, 2], [6, 2]])
-
-
-def test_apart_counts_steps_and_lets_go_who_is_too_near():
-    """Too near at the start one may leave; later one may not come."""
-    discs = disc([(0, 0)])
-    x = np.minimum(3.0 + 2.0 * np.arange(STEPS + 1), 60.0)
-    away = np.column_stack([x, np.zeros(STEPS + 1)])
-    assert is_apart(discs, away)
-    assert not is_apart(discs, away[::-1])
-    assert is_apart(discs, away[1:], first=1)
-    assert not is_apart(discs, away[:-1], first=1)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import shapely
-from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import ENERGY, TRACKING, judge_of, situation_of, terms_problem
 
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.loop.closed_loop import simulate
@@ -113,10 +113,3 @@ def test_a_spacing_longer_than_a_step_is_measured_again_and_again(horizon):
     assert run.runs[0].outcome.value == "completed"
     assert run.metrics["measured_steps"] >= 6
     assert run.metrics["path_m"] > 25.0
-
-
-def test_learning_drives_out_as_mapping_does():
-    """Criterion D, whose worth is 0 without a measurement."""
-    problem, situation, judge, ground = scene(LEARNING, horizon=2)
-    plan = HorizonPlanner(problem, ground).plan(situation, judge)
-    assert plan.verdict is Verdict.VERIFIED and np.ptp(plan.positions_m, axis=0).max() > 1.0

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.objectives.tracking import RECOURSE_STEPS
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
 from planopt.planning.search import place_paths
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.place_paths import COMPARED, TRIED, ProbedPlaces
-from planopt.planning.values import context as situation_module
+from planopt.planning.search.place_paths import TRIED, ProbedPlaces
 from planopt.planning.values.objective_value import ObjectiveValue
 
 RECOURSE = {**TRACKING, "form": "recourse"}
@@ -77,19 +75,3 @@ def test_the_best_of_all_places_is_among_the_compared(seed, monkeypatch):
     best = max(worth(way) for way in found_ways(problem, situation, ground))
     monkeypatch.setattr(place_paths, "COMPARED", 10**6)
     assert best >= 0.99 * max(worth(way) for way in found_ways(problem, situation, ground))
-
-
-def test_few_places_are_predicted(step, monkeypatch):
-    """Besides those of the target only the ends that are compared, whatever is within reach."""
-    problem, situation, _, ground = step
-    asked: list[int] = []
-    predict = situation_module.search_prediction
-
-    def counted(law, places):
-        asked.append(len(places))
-        return predict(law, places)
-
-    monkeypatch.setattr(situation_module, "search_prediction", counted)
-    found_ways(problem, replace(situation), ground)
-    beyond = problem.planner.horizon + RECOURSE_STEPS
-    assert 0 < sum(asked) <= COMPARED + beyond

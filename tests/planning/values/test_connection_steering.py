@@ -12,11 +12,9 @@ from terms_scene import CONNECT, judge_of, situation_of, terms_problem
 
 from planopt.channel.kriging import predict
 from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition, extend
+from planopt.channel.posterior import condition
 from planopt.objectives.until_connected import (
-    WAITING,
     charged_distance_m,
-    counted_legs_m,
     search_length_m,
 )
 from planopt.planning.loop.closed_loop import simulate
@@ -115,24 +113,6 @@ def test_one_more_connected_place_never_makes_the_search_longer():
     assert (abs(drawn.mean(axis=0) - found) < error + 1e-9).all()
 
 
-def test_small_chances_are_told_apart():
-    """Where none is likely to be connected the search goes on by the odds, not in circles."""
-    length, chance = np.array([5.0, 50.0]), np.array([1e-6, 1e-3])
-    assert np.argmin(search_length_m(length, chance, 10.0)) == 1
-    unlikely = search_length_m(length, np.zeros(2), 10.0)
-    assert np.isfinite(unlikely).all() and unlikely[0] < unlikely[1]
-
-
-def test_what_was_measured_without_connection_is_no_try_again():
-    """The search goes elsewhere once its end is measured to be out of contact."""
-    situation, ground = known(search_problem())
-    first = steered(situation, ground).end_m
-    low = measured(first[None], np.array([THRESHOLD_DBM - 20.0]))
-    later = replace(situation, posteriors=(extend(situation.posterior, low),))
-    again = steered(later, ground).end_m
-    assert np.linalg.norm(again - first) >= situation.problem.channel.measure_spacing_m
-
-
 def test_a_plan_is_charged_the_way_that_is_left():
     """And after it what a failed try is expected to cost; more, the farther it ends away."""
     problem = search_problem(horizon=3)
@@ -176,31 +156,6 @@ def test_every_planner_arrives_and_never_stands(name, stations, horizon):
     assert (steps[1:] + steps[:-1]).min() > 0.2 * problem.step_length_m
 
 
-def test_nothing_to_try_steers_nowhere():
-    """Where every place is within the spacing of where the robot is, none is a try."""
-    situation, ground = known(search_problem())
-    wide = replace(situation.problem.channel, measure_spacing_m=60.0)
-    problem = replace(situation.problem, channel=wide)
-    assert steered(replace(situation, problem=problem), ground) is None
-
-
-def test_small_steps_and_waiting_are_no_tries():
-    """A place nearer than the spacing to an earlier one has its multipath."""
-    problem = search_problem(horizon=3)
-    situation, ground = known(problem)
-    situation = replace(situation, steering=steered(situation, ground))
-    here = situation.position_m
-    spacing = problem.channel.measure_spacing_m
-    small = here + np.array([[0.3 * spacing, 0.0], [0.0, 0.3 * spacing], [0.0, 0.0]])
-    legs = np.linalg.norm(np.diff(np.vstack([here, small]), axis=0), axis=1)
-    beyond = problem.terms[0].charged_beyond_m(situation, small[-1:])[0]
-    length = float(counted_legs_m(legs, problem.step_length_m).sum())
-    assert ObjectiveValue(situation)(small) == pytest.approx(-length - beyond)
-    still = np.tile(here, (3, 1))
-    waited = 3.0 * WAITING * problem.step_length_m
-    assert ObjectiveValue(situation)(still) == pytest.approx(-waited - beyond)
-
-
 def test_a_mirrored_scene_steers_to_the_mirrored_place():
     """The wall is its own mirror image; station, measurements and start are mirrored."""
 
@@ -222,14 +177,3 @@ def test_a_mirrored_scene_steers_to_the_mirrored_place():
     )
     found = steered(other, build_ground(problem, other.position_m))
     np.testing.assert_allclose(mirror(found.turns_m), way.turns_m, atol=1e-9)
-
-
-@pytest.mark.parametrize(("start", "threshold"), [((32.0, 34.0), -33.0), ((32.0, 20.0), -36.0)])
-def test_waiting_never_pays(start, threshold):
-    """A path driven a step later is worth less, and the later the less, while a try is left."""
-    situation, ground = known(search_problem(start, threshold, horizon=4))
-    way = steered(situation, ground)
-    situation = replace(situation, steering=way)
-    path = way.path_m(4, situation.problem.step_length_m)
-    waited = [np.vstack([np.tile(situation.position_m, (k, 1)), path[: 4 - k]]) for k in range(5)]
-    assert (np.diff([ObjectiveValue(situation)(each) for each in waited]) < 0.0).all()

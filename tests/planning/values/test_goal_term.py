@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import norm
-from terms_scene import ENERGY, LEARNING, judge_of, situation_of, terms_problem
+from terms_scene import LEARNING, judge_of, situation_of, terms_problem
 
-from planopt import InputError, check, load, load_result, simulate, solve
+from planopt import InputError, check, load, load_result, simulate
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.search.steering import GoalSteering
-from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.steered_path import SteeringWay
 from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables
@@ -42,18 +41,6 @@ def scene(problem):
     situation, belief = situation_of(problem)
     ground = judge_of(situation, belief)[1]
     return situation, ground, GoalSteering(problem, ground, problem.terms[0])
-
-
-def test_without_obstacles_the_worth_is_the_distance_gained():
-    """Summed over the steps; the straight way has no turns."""
-    problem = with_obstacles(to_goal(GOAL))
-    situation, _, steering = scene(problem)
-    way = steering.find_way(situation)
-    np.testing.assert_allclose(way.turns_m, [problem.robots[0].start_m, problem.goal_m])
-    path = situation.position_m + np.random.default_rng(0).normal(size=(5, 2)).cumsum(axis=0)
-    left = np.linalg.norm(path - problem.goal_m, axis=1)
-    worth = ObjectiveValue(replace(situation, steering=way))(path)
-    assert worth == pytest.approx((20.0 - left).sum())
 
 
 def test_the_way_round_an_obstacle_is_the_shortest():
@@ -147,13 +134,6 @@ def test_each_robot_has_a_goal_of_its_own():
     assert run.outcome.value == "reached" and run.metrics["min_separation_m"] >= 1.5
 
 
-def test_who_does_not_move_has_failed():
-    """Energy that outweighs the goal: standing is best, and no success."""
-    dear = {**ENERGY, "per_metre_j_m": 1e3}
-    run = simulate(to_goal({**GOAL, "weight": 1e-3}, dear, max_steps=5), horizon=2, seed=0)
-    assert run.outcome.value == "stalled"
-
-
 def test_what_is_wrong_is_said():
     """The goal and its term go together; one thing steers."""
     with pytest.raises(InputError, match=r"a term of kind goal needs robots\[0\]\.goal_m"):
@@ -163,10 +143,3 @@ def test_what_is_wrong_is_said():
     steering = {"kind": "mapping", "form": "two_layer"}
     with pytest.raises(InputError, match=r"two of objective\.terms steer"):
         to_goal(GOAL, steering)
-
-
-def test_a_plan_has_what_it_was_steered_along():
-    """Turns from the start to the goal."""
-    solution = solve(to_goal(GOAL), horizon=3, seed=0)
-    (aim,) = solution.aims
-    np.testing.assert_allclose(aim.steering_turns_m[[0, -1]], [(10.0, 15.0), (30.0, 15.0)])

@@ -29,13 +29,6 @@ def test_fewest_held_leaves_no_run_too_long():
         assert held.sum() == fewest
 
 
-def test_steps_that_the_path_keeps_are_held_first():
-    """The last of them before the run would be too long."""
-    keeps = np.array([True, True, False, False, True])
-    held = fewest_held(np.ones(5), keeps, limit=2.0, before=0.0)
-    assert held.tolist() == [False, True, False, False, True]
-
-
 def _keeps(sizes, held, limit, before):
     run = before
     for size, is_held in zip(sizes, held, strict=True):

@@ -130,16 +130,3 @@ def test_value_is_near_the_exact_worth(stations, terms):
     local = evaluate(path).value.value - evaluate(other).value.value
     exact = worth(path) - worth(other)
     assert local == pytest.approx(exact, rel=0.02, abs=0.02)
-
-
-def test_worth_is_the_weighted_sum_of_its_terms():
-    """Twice the weight is twice the term."""
-    once, twice = ({**TRACKING, "weight": w} for w in (1.0, 2.0))
-    situation, _ = situation_of(terms_problem(once, LEARNING, ENERGY))
-    doubled, _ = situation_of(terms_problem(twice, LEARNING, ENERGY))
-    path = a_path(situation)
-    parts, more = ObjectiveValue(situation).by_term(path), ObjectiveValue(doubled).by_term(path)
-    assert more[0] == pytest.approx(2.0 * parts[0])
-    assert more[1:] == pytest.approx(parts[1:])
-    assert ObjectiveValue(situation)(path) == pytest.approx(sum(parts))
-    assert parts[2] < 0.0

@@ -8,7 +8,7 @@ from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, situation_of, terms
 
 from planopt.objectives.moments import posterior_moments
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.planning.values.context import MOST_DRIVEN, Pending, anticipated
+from planopt.planning.values.context import Pending
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.objective_value import ObjectiveValue
 
@@ -88,25 +88,6 @@ def test_the_same_path_twice_brings_little():
     assert ObjectiveValue(beside(situation, path))(path) == 0.0
     near = ObjectiveValue(beside(situation, path))(path + 0.8)
     assert 0.0 < near < 0.8 * ObjectiveValue(situation)(path + 0.8)
-
-
-def test_places_driven_count_like_places_planned():
-    """Whether a plan is still ahead or behind makes no difference to what it tells."""
-    situation, _ = situation_of(terms_problem(mapping("average")))
-    first, second, _ = paths(situation)
-    driven = ObjectiveValue(beside(situation, driven_m=first))(second)
-    assert driven == pytest.approx(ObjectiveValue(beside(situation, first))(second), rel=1e-12)
-
-
-def test_only_the_nearest_of_many_driven_places_count():
-    """Far ones are left out, and the own measurements stay."""
-    situation, _ = situation_of(terms_problem(mapping("average")))
-    far = np.random.default_rng(0).uniform(0.0, 40.0, size=(MOST_DRIVEN + 50, 2))
-    (found,) = anticipated(situation.stations, Pending((), far), situation.position_m, 0.0)
-    new = found.measurements.positions_m[len(situation.posterior.measurements) :]
-    assert len(new) == MOST_DRIVEN
-    away = np.sort(np.linalg.norm(far - situation.position_m, axis=1))
-    assert np.linalg.norm(new - situation.position_m, axis=1).max() == away[MOST_DRIVEN - 1]
 
 
 @pytest.mark.parametrize("stations", [1, 2])

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import TRACKING, situation_of, terms_problem
+from terms_scene import TRACKING, terms_problem
 
-from planopt.planning.values.exploration import region_along, region_near, workspace_region
+from planopt.planning.values.exploration import region_near, workspace_region
 from planopt.world.clearance import clearance_m, index_obstacles
 
 
@@ -39,22 +39,3 @@ def test_averages_of_what_is_smooth_hardly_change():
         return region.weight @ np.cos(0.1 * region.grid_m).prod(axis=1)
 
     assert average(near) == pytest.approx(average(whole), abs=0.02)
-
-
-def test_a_long_reach_has_the_whole_region():
-    """Where the fine grid would be no finer."""
-    problem, whole, _ = regions()
-    far = replace(problem, planner=replace(problem.planner, horizon=200))
-    near = region_near(far, whole, np.array([10.0, 15.0]))
-    assert near is whole or len(near.weight) > len(whole.weight)
-
-
-def test_places_along_a_path_are_those_near_it():
-    """With the weights that they have."""
-    situation, _ = situation_of(terms_problem(TRACKING))
-    problem, _, near = regions()
-    path = situation.position_m + np.arange(1, 6)[:, None] * [0.3, 0.2]
-    along = region_along(problem, near, path)
-    away = np.linalg.norm(near.grid_m[:, None] - path, axis=2).min(axis=1)
-    assert 0 < len(along.weight) < len(near.weight)
-    assert along.weight.sum() == pytest.approx(near.weight[away <= 2.5].sum())

@@ -53,14 +53,6 @@ def predicted(serving: ConnectivityLaw, places: np.ndarray) -> Prediction:
     return serving.combined([Prediction(mean.value, deviation.value) for mean, deviation in each])
 
 
-def test_along_its_own_path_it_is_the_law_of_the_stages(serving) -> None:
-    """Mean, deviation and margin."""
-    mean, deviation = stages(serving)(PATH)
-    law = predicted(serving, PATH)
-    assert mean.value == pytest.approx(law.mean_db, abs=1e-9)
-    assert deviation.value == pytest.approx(law.deviation_db, abs=1e-9)
-
-
 def test_probabilities_are_exact_away_from_it(serving) -> None:
     """And so are the places that keep a bound."""
     places = PATH + np.array([1.7, -2.3])
@@ -95,14 +87,3 @@ def test_derivatives_are_finite_differences(serving, what: str) -> None:
         assert here.gradient[:, axis] == pytest.approx(slope, rel=1e-5, abs=1e-7)
         bend = (there.gradient - back.gradient) / (2.0 * h)
         assert here.hessian[:, axis : axis + 2] == pytest.approx(bend, rel=1e-4, abs=1e-6)
-
-
-def test_the_order_of_stations_changes_only_the_reference() -> None:
-    """Powers are for the first threshold."""
-    both = ConnectivityLaw((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
-    other = ConnectivityLaw((posterior(1), posterior(0)), THRESHOLDS[::-1], P_MIN)
-    places = PATH + np.array([-1.1, 0.4])
-    one, two = stages(both)(places), stages(other)(places)
-    assert two[0].value - THRESHOLDS[1] == pytest.approx(one[0].value - THRESHOLDS[0], abs=1e-7)
-    assert two[0].gradient == pytest.approx(one[0].gradient, abs=1e-8)
-    assert two[0].hessian == pytest.approx(one[0].hessian, abs=1e-8)

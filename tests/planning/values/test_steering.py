@@ -9,7 +9,6 @@ import pytest
 import shapely
 from terms_scene import judge_of, situation_of, terms_problem
 
-from planopt.channel.posterior import extend
 from planopt.planning.search.steering import Steering
 from planopt.planning.values.steered_path import SteeringWay
 from planopt.world.clearance import clearance_m, index_obstacles, swept_clearance_m
@@ -51,13 +50,6 @@ def test_without_obstacles_the_target_is_that_of_the_equation(decay):
     assert gained.argmax() == np.linalg.norm(steps[:, 0] - way.end_m, axis=1).argmin()
     straight = np.linalg.norm(at - way.end_m) - np.linalg.norm(steps[:, 0] - way.end_m, axis=1)
     np.testing.assert_allclose(gained, straight)
-
-
-def test_nothing_above_the_threshold_steers_nowhere():
-    """The map is good enough."""
-    situation, _, ground, problem = scene(variance_threshold_db2=1e4)
-    steering = Steering(problem, ground, problem.terms[0])
-    assert steering.find_way(situation) is None
 
 
 def only_place(situation, near_m):
@@ -127,17 +119,6 @@ def test_distance_is_that_of_the_shortest_way():
     )
 
 
-def test_measured_places_are_left_out():
-    """A place that was just measured is not gone to again."""
-    situation, _, ground, problem = scene()
-    steering = Steering(problem, ground, problem.terms[0])
-    first = steering.find_way(situation).end_m
-    measured = situation.posterior.measurements.take(np.array([0]))
-    posterior = extend(situation.posterior, replace(measured, positions_m=first[None]))
-    second = steering.find_way(replace(situation, posteriors=(posterior,))).end_m
-    assert np.linalg.norm(second - first) > 0.5
-
-
 def test_places_that_the_clearance_keeps_out_are_never_targets():
     """Nearer to an obstacle than the robot may come: it would stand beside them for ever."""
     situation, _, ground, problem = scene((shapely.box(16.0, 12.0, 22.0, 28.0),))
@@ -148,20 +129,3 @@ def test_places_that_the_clearance_keeps_out_are_never_targets():
         above = np.zeros(len(near))
         above[place] = 1.0
         assert steering.way_to_best(above, situation.position_m) is None
-
-
-def test_a_robot_that_cannot_move_is_steered_nowhere():
-    """In the middle of the obstacle no first move is open."""
-    situation, _, ground, problem = scene()
-    steering = Steering(problem, ground, problem.terms[0])
-    assert steering.find_way(replace(situation, state=np.array([20.0, 20.0]))) is None
-
-
-def test_a_walled_off_part_is_steered_nowhere_near():
-    """What cannot be come to counts nothing, also where nearness does not matter."""
-    situation, _, ground, problem = scene(
-        (shapely.box(25.0, -1.0, 26.0, 41.0),), closeness_per_m=0.0
-    )
-    steering = Steering(problem, ground, problem.terms[0])
-    way = steering.find_way(situation)
-    assert way is not None and way.end_m[0] < 25.0

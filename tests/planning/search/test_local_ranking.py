@@ -1,4 +1,4 @@
-"""Values of many ways at once: those of the exact worth, one by one."""
+"""Values and slopes of many paths at once: those of the exact objective value, one by one."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
 
 from planopt.channel.posterior import condition
+from planopt.objectives.stage_power import CUSP_ROUNDING
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.values.objective_value import ObjectiveValue
 
@@ -87,3 +88,74 @@ def test_order_of_measurements_changes_nothing():
         LocalRanking(situation, ways)(ways),
         rtol=1e-4,
     )
+
+
+STEP_M = 1e-2
+
+
+def differences(value, ways):
+    """Central differences of `value` by all places."""
+    found = np.zeros(ways.shape)
+    for k in range(ways.shape[1]):
+        for axis in range(2):
+            step = np.zeros(ways.shape[1:])
+            step[k, axis] = STEP_M
+            found[:, k, axis] = (value(ways + step) - value(ways - step)) / (2.0 * STEP_M)
+    return found
+
+
+def smooth_ways(situation):
+    """Ways none of whose places are near a cusp: a measurement, or another place."""
+    rng = np.random.default_rng(2)
+    parameters = situation.posterior.parameters
+    ways = situation.position_m + np.cumsum(rng.normal(size=(60, 4, 2)), axis=1)
+    others = np.concatenate(
+        [np.tile(situation.posterior.measurements.positions_m, (60, 1, 1)), ways], axis=1
+    )
+    apart = np.linalg.norm(ways[:, :, None] - others[:, None], axis=3)
+    apart[apart == 0.0] = np.inf
+    kept = apart.min(axis=(1, 2)) > 2.0 * CUSP_ROUNDING * parameters.decorrelation_m
+    assert kept.sum() > 5
+    return ways[kept][:6]
+
+
+@pytest.mark.parametrize(
+    "terms",
+    [
+        *[({**LEARNING, "criterion": kind},) for kind in "DTAV"],
+        *[(mapping(form),) for form in ("two_layer", "path", "information", "average")],
+        ({**LEARNING, "weight": 3.0}, {**mapping("path"), "weight": 0.2}, ENERGY),
+    ],
+)
+@pytest.mark.parametrize("stations", [1, 2])
+def test_slopes_are_those_of_the_values(terms, stations):
+    """In single precision; of one station, and added up over two."""
+    if stations > 1 and terms[0].get("form") == "two_layer":
+        return  # refused when it is loaded
+    situation, _ = situation_of(terms_problem(*terms, horizon=4, stations=stations))
+    ways = smooth_ways(situation)
+    ranking = LocalRanking(situation, ways)
+    _, slopes = ranking.slopes(ways)
+    wanted = differences(lambda moved: ranking.slopes(moved)[0], ways)
+    np.testing.assert_allclose(slopes, wanted, atol=2e-2 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("rule", ["each_step", "joint"])
+def test_slopes_lead_to_where_the_bound_is_kept(rule):
+    """Where ways miss it, what is missing counts far more than all else."""
+    situation, _ = situation_of(terms_problem(mapping("information"), horizon=4))
+    ways = smooth_ways(situation)
+    station = replace(situation.problem.stations[0], threshold_dbm=-32.0)
+    constraints = replace(
+        situation.problem.constraints,
+        p_min=0.8,
+        rule=replace(situation.problem.constraints.rule, connectivity=rule),
+    )
+    problem = replace(situation.problem, stations=(station,), constraints=constraints)
+    bounded = LocalRanking(replace(situation, problem=problem), ways)
+    free = LocalRanking(situation, ways)
+    values, slopes = bounded.slopes(ways)
+    missed = values < free(ways) - 1e-6
+    assert missed.any()
+    wanted = differences(lambda moved: bounded.slopes(moved)[0], ways)[missed]
+    np.testing.assert_allclose(slopes[missed], wanted, atol=2e-2 * np.abs(wanted).max())

@@ -1,0 +1,242 @@
+"""Fans of paths: free, at full speed where they can be, past the station, and the best of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import shapely
+from terms_scene import LEARNING, judge_of, situation_of, terms_problem
+
+from planopt.channel.parameters import Station
+from planopt.channel.posterior import condition
+from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.programme import path_nlp
+from planopt.planning.proof.verify import Verdict
+from planopt.planning.search.fan_guesses import (
+    DETOURS,
+    HEADINGS,
+    ONWARD,
+    TURNS_RAD,
+    FanGuesses,
+    arc_turn,
+    commands_via,
+    driven_paths,
+    fan_paths,
+    rough_clearance,
+)
+from planopt.planning.search.local_ranking import LocalRanking
+from planopt.world.clearance import clearance_m, inside_bounds, swept_clearance_m
+
+
+def fan_of(horizon, position_m=None):
+    """A fan from a place, its situation and ground."""
+    problem = terms_problem(LEARNING, horizon=horizon)
+    situation, belief = situation_of(problem)
+    if position_m is not None:
+        situation = replace(situation, state=np.asarray(position_m))
+    _, ground = judge_of(situation, belief)
+    rough = rough_clearance(problem, ground.index)
+    return fan_paths(situation, ground.index, rough, horizon), situation, ground, rough
+
+
+@pytest.mark.parametrize("position_m", [None, (16.9, 20.0), (1.0, 39.0)])
+@pytest.mark.parametrize("horizon", [1, 5, 20])
+def test_every_way_is_free(horizon, position_m):
+    """By the exact distances, with the pad; no step is longer than allowed."""
+    ways, situation, ground, _ = fan_of(horizon, position_m)
+    problem = situation.problem
+    assert ways.shape == (HEADINGS * (len(TURNS_RAD) if horizon > 1 else 1), horizon, 2)
+    for way in ways:
+        path = np.vstack([situation.position_m, way])
+        assert inside_bounds(problem.workspace, path).all()
+        moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 0.0
+        clear = swept_clearance_m(ground.index, path)
+        assert (clear[moved] >= problem.constraints.clearance_m).all()
+        assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= problem.step_length_m
+
+
+def test_ways_in_the_open_are_straight_and_even_arcs():
+    """Nothing is in the way: at full speed, the turn the same at every step."""
+    ways, situation, *_ = fan_of(3, (8.0, 20.0))
+    legs = np.diff(np.concatenate([np.full((len(ways), 1, 2), [8.0, 20.0]), ways], axis=1), axis=1)
+    np.testing.assert_allclose(
+        np.linalg.norm(legs, axis=2), situation.problem.step_length_m, atol=1e-5
+    )
+    heading = np.unwrap(np.arctan2(legs[..., 1], legs[..., 0]), axis=1)
+    turn = np.diff(heading, axis=1)
+    wanted = np.repeat(math.pi * np.asarray(TURNS_RAD) / 2.0, HEADINGS)
+    np.testing.assert_allclose(turn, np.column_stack([wanted, wanted]), atol=1e-9)
+
+
+def test_ways_go_on_at_a_wall():
+    """From beside the obstacle straight ways at it turn aside instead of standing still."""
+    ways, situation, *_ = fan_of(10, (15.0, 20.0))
+    ahead = ways[0]
+    assert np.linalg.norm(ahead[-1] - situation.position_m) > 3.0 * situation.problem.step_length_m
+    assert (np.linalg.norm(np.diff(ahead, axis=0), axis=1) > 0.0).sum() >= 7
+
+
+def test_slow_ways_are_short():
+    """Speed is a share of the largest."""
+    _, situation, ground, rough = fan_of(4)
+    turn, speed = np.zeros((4, 1)), np.array([[1.0], [0.5], [0.0], [0.25]])
+    way = driven_paths(situation, ground.index, rough, turn, speed)[0]
+    np.testing.assert_allclose(
+        way[:, 0] - situation.position_m[0], 2.0 * np.cumsum(speed[:, 0]), atol=1e-5
+    )
+
+
+def test_rough_clearance_is_near_the_exact_one():
+    """Within a cell of it, and false beyond the bounds."""
+    *_, ground, rough = fan_of(1)
+    places = np.random.default_rng(0).uniform(0.0, 40.0, (500, 2))
+    exact = clearance_m(ground.index, places)
+    for wanted in (0.5, 2.0):
+        free = rough.is_free(places, wanted)
+        assert free[exact > wanted + rough.cell_m].all()
+        assert not free[exact < wanted - rough.cell_m].any()
+    assert not rough.is_free(np.array([[-0.1, 5.0], [5.0, 40.1]]), 0.0).any()
+    assert rough.is_free(np.array([[0.0, 0.0], [40.0, 40.0]]), 0.5).all()
+
+
+START = np.array([3.0, 1.0])
+
+
+def driven(turn, speed, longest):
+    """In the open."""
+    heading = np.cumsum(turn, axis=0)
+    steps = longest * speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return START + np.cumsum(steps, axis=0).transpose(1, 0, 2)
+
+
+@pytest.mark.parametrize("offset", [(5.0, -2.0), (-0.3, 0.2), (4.0, 0.0), (0.0, 0.0)])
+def test_every_way_comes_to_the_place(offset):
+    """At a step of its own; no step is too long; those that go on go apart, one waits."""
+    place = START + offset
+    commands = commands_via(START, place, 9, 2.0)
+    assert commands is not None
+    ways = driven(*commands, 2.0)
+    away = np.linalg.norm(ways - place, axis=2)
+    np.testing.assert_allclose(away.min(axis=1), 0.0, atol=1e-9)
+    legs = np.diff(np.concatenate([np.tile(START, (len(ways), 1, 1)), ways], axis=1), axis=1)
+    assert np.linalg.norm(legs, axis=2).max() <= 2.0 + 1e-9
+    assert len(ways) == (1 + 2 * DETOURS) * (ONWARD + 1)
+    assert (away[:, -1] < 1e-9).sum() == 1 + 2 * DETOURS
+
+
+def test_out_of_reach_there_is_none():
+    """Nor without steps left to go on, but the one straight there."""
+    assert commands_via(START, START + [10.1, 0.0], 5, 2.0) is None
+    commands = commands_via(START, START + [10.0, 0.0], 5, 2.0)
+    assert commands is not None
+    assert commands[0].shape == (5, 1)
+
+
+@pytest.mark.parametrize(("chord", "steps"), [(3.0, 4), (0.0, 5), (1.0, 2), (4.0, 4)])
+def test_arcs_have_their_chord(chord, steps):
+    """Unit steps that turn evenly."""
+    heading = arc_turn(chord, steps) * np.arange(steps)
+    end = np.array([np.cos(heading).sum(), np.sin(heading).sum()])
+    assert np.linalg.norm(end) == pytest.approx(chord, abs=1e-5)
+
+
+INFORMATION = {"kind": "mapping", "form": "information"}
+
+
+def plan_for(situation, belief):
+    """The plan from a situation."""
+    judge, ground = judge_of(situation, replace(belief, posterior=situation.posterior))
+    return HorizonPlanner(situation.problem, ground).plan(situation, judge)
+
+
+@pytest.mark.parametrize("horizon", [1, 8])
+def test_ways_are_better_than_the_fan(horizon):
+    """And sound, and the same each time."""
+    problem = terms_problem(INFORMATION, horizon=horizon)
+    situation, belief = situation_of(problem)
+    judge, ground = judge_of(situation, belief)
+    search = FanGuesses(problem, ground)
+    found = search.find_paths(situation, [])
+    rough = rough_clearance(problem, ground.index)
+    fan = fan_paths(situation, ground.index, rough, horizon)
+    assert judge.objective(found[0]) >= LocalRanking(situation, fan)(fan).max() - 1e-9
+    for way, again in zip(found, search.find_paths(situation, []), strict=True):
+        np.testing.assert_array_equal(way, again)
+
+
+@pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
+def test_a_redundant_obstacle_changes_nothing(terms):
+    """One inside another obstacle, or beyond all steps."""
+    situation, belief = situation_of(terms_problem(*terms))
+    plan = plan_for(situation, belief)
+    workspace = situation.problem.workspace
+    known = workspace.obstacles[0]
+    more = (
+        replace(known, name="inner", polygon=shapely.box(19.0, 15.0, 21.0, 20.0)),
+        replace(known, name="far", polygon=shapely.box(36.0, 36.0, 38.0, 38.0)),
+    )
+    problem = replace(
+        situation.problem,
+        workspace=replace(workspace, obstacles=(*workspace.obstacles, *more)),
+    )
+    other = plan_for(replace(situation, problem=problem), belief)
+    np.testing.assert_allclose(other.positions_m, plan.positions_m, atol=1e-6)
+
+
+@pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
+def test_centimetres_for_metres_give_the_scaled_plan(terms, monkeypatch):
+    """All lengths a hundred times as long, path loss adapted; polished to the optimum."""
+    monkeypatch.setattr(path_nlp, "SETTLED", {})
+    situation, belief = situation_of(terms_problem(*terms))
+    plan = plan_for(situation, belief)
+    problem, parameters = situation.problem, situation.posterior.parameters
+    site = problem.stations[0].site
+
+    def longer(station):
+        x, y = station.position_m
+        return Station((1e2 * x, 1e2 * y), 1e2 * station.height_m)
+
+    robot, world = problem.robots[0], problem.workspace
+    scaled = replace(
+        problem,
+        workspace=replace(
+            world,
+            bounds_m=tuple(1e2 * bound for bound in world.bounds_m),
+            obstacles=tuple(
+                replace(
+                    obstacle,
+                    polygon=shapely.transform(obstacle.polygon, lambda corners: 1e2 * corners),
+                )
+                for obstacle in world.obstacles
+            ),
+        ),
+        robots=(replace(robot, speed_max_m_s=1e2 * robot.speed_max_m_s),),
+        stations=(replace(problem.stations[0], **asdict(longer(site))),),
+        constraints=replace(problem.constraints, clearance_m=1e2 * problem.constraints.clearance_m),
+    )
+    measured = situation.posterior.measurements
+    posterior = condition(
+        replace(
+            parameters,
+            k_pl_db=parameters.k_pl_db + 20.0 * parameters.n_pl,
+            decorrelation_m=1e2 * parameters.decorrelation_m,
+            station=longer(parameters.station),
+        ),
+        replace(measured, positions_m=1e2 * measured.positions_m),
+    )
+    other = plan_for(
+        replace(
+            situation,
+            problem=scaled,
+            posteriors=(posterior,),
+            state=1e2 * situation.state,
+            region=replace(situation.region, grid_m=1e2 * situation.region.grid_m),
+        ),
+        belief,
+    )
+    assert other.verdict is Verdict.VERIFIED
+    assert other.objective == pytest.approx(plan.objective, rel=5e-3)
+    np.testing.assert_allclose(1e-2 * other.positions_m, plan.positions_m, atol=0.1)

@@ -58,7 +58,7 @@ def share_and_time(
     planner = HorizonPlanner(place.problem, place.ground)
     planner.plan(situation, judge)
     again = replace(situation)
-    fresh = replace(judge, objective=replace(judge.objective, situation=again))
+    fresh = replace(judge, objective=replace(judge.objective, context=again))
     begun = process_time()
     plan = planner.plan(again, fresh)
     spent_s = process_time() - begun

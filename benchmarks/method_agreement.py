@@ -41,7 +41,7 @@ def main() -> None:
             # The first plan fills the map; what it found is forgotten.
             planner.plan(replace(situation), judge)
             again = replace(situation)
-            fresh = replace(judge, objective=replace(judge.objective, situation=again))
+            fresh = replace(judge, objective=replace(judge.objective, context=again))
             wall, cpu = perf_counter(), process_time()
             plans[name].append(planner.plan(again, fresh))
             wall_s[name].append(perf_counter() - wall)

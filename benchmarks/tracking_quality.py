@@ -73,7 +73,7 @@ def main() -> None:
         # The first plan fills the map.
         planner.plan(replace(situation), judge)
         again = replace(situation)
-        fresh = replace(judge, objective=replace(judge.objective, situation=again))
+        fresh = replace(judge, objective=replace(judge.objective, context=again))
         wall, cpu = perf_counter(), process_time()
         plan = planner.plan(again, fresh)
         wall_s.append(perf_counter() - wall)

@@ -101,27 +101,27 @@ class GlobalSearch:
         self._here_m = np.inf
         self._table = move_table(scene.road_map.lattice)
 
-    def find_start(self, situation: StepContext) -> GlobalStart | None:
+    def find_start(self, context: StepContext) -> GlobalStart | None:
         """Search from where the robot is; None if no node is in reach."""
         problem, scene = self._problem, self._scene
-        self.margins.refresh(situation.law, situation.power)
+        self.margins.refresh(context.law, context.power)
         ways = scene.ways
-        if self._has_wandered(situation.history):
-            nodes = self._shortest(situation, ways)
-            return None if nodes is None else self._start(situation, ways, nodes, direct=True)
+        if self._has_wandered(context.history):
+            nodes = self._shortest(context, ways)
+            return None if nodes is None else self._start(context, ways, nodes, direct=True)
         if problem.reach.cost_to_go == "connected":
-            ways = self._ways_from(situation.position_m)
-        nodes = self._cheapest(situation, ways, None, priced=True)
+            ways = self._ways_from(context.position_m)
+        nodes = self._cheapest(context, ways, None, priced=True)
         if nodes is None:
             return None
-        if self._gets_nowhere(situation, nodes):
+        if self._gets_nowhere(context, nodes):
             # The fastest path round the obstacles knows of no price, and leads on all the same.
-            nodes = self._cheapest(situation, ways, None, priced=self._forbids, effort_s2_m2=0.0)
+            nodes = self._cheapest(context, ways, None, priced=self._forbids, effort_s2_m2=0.0)
             if nodes is None:
                 return None
         if not problem.constraints.rule.every_step:
-            nodes = self._within_rule(situation, ways, nodes)
-        return self._start(situation, ways, nodes)
+            nodes = self._within_rule(context, ways, nodes)
+        return self._start(context, ways, nodes)
 
     def beside(
         self, position_m: NDArray[np.float64], start: GlobalStart, discs: MovingDiscs
@@ -221,7 +221,7 @@ class GlobalSearch:
         return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
     def _within_rule(
-        self, situation: StepContext, ways: CostToGo, cheapest: NDArray[np.intp]
+        self, context: StepContext, ways: CostToGo, cheapest: NDArray[np.intp]
     ) -> NDArray[np.intp]:
         """The cheapest path that keeps the rule and comes near enough to the goal; else nearer.
 
@@ -231,7 +231,7 @@ class GlobalSearch:
         places = self._scene.road_map.nodes_m
 
         def search(guide: Guide) -> list[NDArray[np.float64]]:
-            nodes = self._cheapest(situation, ways, guide, priced=True)
+            nodes = self._cheapest(context, ways, guide, priced=True)
             if nodes is None:
                 return []
             path = places[nodes]
@@ -239,29 +239,29 @@ class GlobalSearch:
             return [path]
 
         found[places[cheapest].tobytes()] = cheapest
-        find_guided(situation, search, lambda path: rule_missing(situation, path) == 0.0)
+        find_guided(context, search, lambda path: rule_missing(context, path) == 0.0)
         all_nodes = list(found.values())
-        missing = [round(rule_missing(situation, places[nodes]), 2) for nodes in all_nodes]
-        costs = [self._cost_s(situation, ways, nodes) for nodes in all_nodes]
+        missing = [round(rule_missing(context, places[nodes]), 2) for nodes in all_nodes]
+        costs = [self._cost_s(context, ways, nodes) for nodes in all_nodes]
         order = sorted(range(len(costs)), key=lambda k: (missing[k], costs[k]))
         if self._problem.constraints.rule.slack_max_db is not None:
             return all_nodes[order[0]]
-        begin = self._nearest_cost_m(situation, ways)
+        begin = self._nearest_cost_m(context, ways)
         least = LEAST_PROGRESS * (begin - ways.cost_m[cheapest[-1]])
         for k in order:
             if begin - ways.cost_m[all_nodes[k][-1]] >= least:
                 return all_nodes[k]
         return cheapest
 
-    def _nearest_cost_m(self, situation: StepContext, ways: CostToGo) -> float:
+    def _nearest_cost_m(self, context: StepContext, ways: CostToGo) -> float:
         """Cost-to-go from where the robot is."""
-        nodes, lengths = first_moves(self._scene.ground, self._problem, situation.position_m)
+        nodes, lengths = first_moves(self._scene.ground, self._problem, context.position_m)
         return float((lengths + ways.cost_m[nodes]).min())
 
-    def _cost_s(self, situation: StepContext, ways: CostToGo, nodes: NDArray[np.intp]) -> float:
+    def _cost_s(self, context: StepContext, ways: CostToGo, nodes: NDArray[np.intp]) -> float:
         """Cost of a path and of the way on from its end."""
         problem, road_map = self._problem, self._scene.road_map
-        places = np.vstack([situation.position_m, road_map.nodes_m[nodes]])
+        places = np.vstack([context.position_m, road_map.nodes_m[nodes]])
         cost = path_cost_s(
             places,
             np.asarray(problem.goal_m),
@@ -269,16 +269,16 @@ class GlobalSearch:
             problem.planner.step_s,
             problem.reach.effort_weight_s2_m2,
         )
-        _, here = self.margins.at(situation.position_m[None])
+        _, here = self.margins.at(context.position_m[None])
         share = np.concatenate([here, self.margins.outage_share[nodes]])
         lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
         charged = problem.reach.outage_price * charged_length_m(lengths, share)
         return cost + self._rate * (charged + float(ways.cost_m[nodes[-1]]))
 
-    def _shortest(self, situation: StepContext, ways: CostToGo) -> NDArray[np.intp] | None:
+    def _shortest(self, context: StepContext, ways: CostToGo) -> NDArray[np.intp] | None:
         """Nodes (N,) of a shortest path: of the fastest one, if no path is shorter than it."""
-        places, position = self._scene.road_map.nodes_m, situation.position_m
-        fastest = self._cheapest(situation, ways, None, priced=False, effort_s2_m2=0.0)
+        places, position = self._scene.road_map.nodes_m, context.position_m
+        fastest = self._cheapest(context, ways, None, priced=False, effort_s2_m2=0.0)
         if fastest is None:
             return None
         joined, lengths = first_moves(self._scene.ground, self._problem, position)
@@ -293,16 +293,16 @@ class GlobalSearch:
         horizon = self._problem.planner.horizon
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
-    def _gets_nowhere(self, situation: StepContext, nodes: NDArray[np.intp]) -> bool:
+    def _gets_nowhere(self, context: StepContext, nodes: NDArray[np.intp]) -> bool:
         """Return whether a path stays where the robot is, short of the goal."""
         places = self._scene.road_map.nodes_m[nodes]
-        farthest = np.linalg.norm(places - situation.position_m, axis=1).max()
+        farthest = np.linalg.norm(places - context.position_m, axis=1).max()
         at_goal = int(nodes[-1]) == self._scene.goal_node
         return not at_goal and bool(farthest <= STAGNANT_STEPS * self._problem.step_length_m)
 
     def _cheapest(
         self,
-        situation: StepContext,
+        context: StepContext,
         ways: CostToGo,
         guide: Guide | None,
         *,
@@ -316,12 +316,12 @@ class GlobalSearch:
         if effort_s2_m2 is None:
             effort_s2_m2 = self._problem.reach.effort_weight_s2_m2
         problem, scene, margins = self._problem, self._scene, self.margins
-        moving: MovingDiscs = situation.moving
+        moving: MovingDiscs = context.moving
         places = scene.road_map.nodes_m
-        first_nodes, first_lengths = first_moves(scene.ground, problem, situation.position_m)
-        kept = first_steps_apart(moving, situation.position_m, places[first_nodes])
+        first_nodes, first_lengths = first_moves(scene.ground, problem, context.position_m)
+        kept = first_steps_apart(moving, context.position_m, places[first_nodes])
         first_nodes, first_lengths = first_nodes[kept], first_lengths[kept]
-        margin_here, share_here = margins.at(situation.position_m[None])
+        margin_here, share_here = margins.at(context.position_m[None])
         here = problem.reach.outage_price * share_here
         if self._forbids:
             here = np.where(margin_here < 0.0, FORBIDDEN, here)
@@ -365,7 +365,7 @@ class GlobalSearch:
 
     def _start(
         self,
-        situation: StepContext,
+        context: StepContext,
         ways: CostToGo,
         nodes: NDArray[np.intp],
         *,
@@ -384,7 +384,7 @@ class GlobalSearch:
             soon = soon[1 : below[0]] if below.size else soon[1:]
         else:
             path = road_map.nodes_m[nodes]
-            margin = step_rows(situation, path).margins_db(situation.power(path))
+            margin = step_rows(context, path).margins_db(context.power(path))
             soon = soon[1:]
         return GlobalStart(
             nodes=nodes,

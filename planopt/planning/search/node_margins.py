@@ -1,7 +1,7 @@
-"""Predictions at the nodes of a lattice: connectivity, and what terms ask.
+"""Predictions at the nodes of a lattice, corrected where paths depend on them.
 
-The map conditions each tile on the measurements nearest to it, which is fast and slightly off. If a
-path is about to rest on a node's value, the exact posterior's value replaces it.
+The map conditions each tile on the measurements nearest to it, which is fast and approximate. A
+prediction of more measurements replaces the value of a node that a path depends on.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from planopt.world.lattice import Lattice, RoadMap, node_positions
 
 
 class LatticeMap:
-    """A tile map for each station, combined where there are several."""
+    """A tile map for each station, and their combination."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
@@ -45,7 +45,7 @@ class LatticeMap:
         law: ConnectivityLaw,
         window_m: tuple[float, float, float, float] | None = None,
     ) -> None:
-        """Follow what is believed, within a window or everywhere."""
+        """Update the maps to the belief, within a window or everywhere."""
         while len(self._maps) < len(law.posteriors):
             self._maps.append(self._tile_map())
         for own, station in zip(self._maps, law.posteriors, strict=True):
@@ -62,12 +62,12 @@ class LatticeMap:
 
     @property
     def stations(self) -> list[TileMap]:
-        """Each station's own predictions."""
+        """Return each station's own predictions."""
         return self._maps
 
 
 class NodeMargins:
-    """Margins in dB and probabilities at the nodes of a road map, for one belief at a time."""
+    """Margins in dB and shares of outage at the nodes of a road map."""
 
     def __init__(
         self, road_map: RoadMap, threshold_dbm: float, p_min: float, everywhere: bool = False
@@ -86,7 +86,7 @@ class NodeMargins:
 
     @property
     def outside(self) -> NDArray[np.bool_]:
-        """``(n,)`` which nodes miss the bound, or keep it by less than planners ask for."""
+        """Return which nodes (n,) violate the bound, or keep it by less than the planners' pad."""
         return self.margin_db < MARGIN_PAD_DB
 
     def refresh(
@@ -94,7 +94,7 @@ class NodeMargins:
         law: ConnectivityLaw,
         power: Callable[[NDArray[np.float64]], Prediction] | None = None,
     ) -> None:
-        """Follow the belief: recompute what its new measurements changed."""
+        """Update to the belief."""
         self._map.refresh(law)
         self._power = power or partial(search_prediction, law)
         self.mean_db = self._map.mean_db.take(self._nodes)
@@ -105,11 +105,11 @@ class NodeMargins:
         self._exact[:] = False
 
     def at(self, places_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Margins and outage shares at any places (n, 2), as good as searches need them."""
+        """Return margins and shares of outage at any positions (n, 2)."""
         return self._values(self._predicted(places_m))
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
-        """Put exact values at these nodes; true if any of them had not been exact before."""
+        """Predict these nodes better; return whether any had not been corrected."""
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
             return False
@@ -132,27 +132,23 @@ class NodeMargins:
 
 
 class NodeField:
-    """Predicted power on a lattice, corrected where plans touch it.
-
-    The map conditions each tile on the measurements nearest to it, which is fast and slightly off.
-    Wherever a path is about to rest on a node's value, that of more measurements replaces it.
-    """
+    """Predicted power on a lattice."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._map = LatticeMap(lattice)
         self._exact = np.zeros(lattice.shape, dtype=bool)
         self._lattice = lattice
-        self._situation: StepContext | None = None
+        self._context: StepContext | None = None
         self.grid_m = node_positions(lattice)
         self.mean_db = self._map.mean_db
         self.deviation_db = self._map.deviation_db
         self.window = slice(0, 0), slice(0, 0)
 
-    def refresh(self, situation: StepContext, reach_m: float) -> None:
-        """Follow the belief within `reach_m` of the robot along both axes."""
-        low, high = situation.position_m - reach_m, situation.position_m + reach_m
+    def refresh(self, context: StepContext, reach_m: float) -> None:
+        """Update to the belief within `reach_m` of the robot along both axes."""
+        low, high = context.position_m - reach_m, context.position_m + reach_m
         self._map.refresh(
-            situation.law,
+            context.law,
             (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
         )
         self.mean_db, self.deviation_db = self._map.mean_db, self._map.deviation_db
@@ -164,14 +160,14 @@ class NodeField:
         )
         self.window = rows, columns
         self._exact[:] = False
-        self._situation = situation
+        self._context = context
 
     def places_m(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Positions of `nodes` (n, 2), given as (iy, ix)."""
+        """Return the positions of `nodes` (n, 2), given as (iy, ix)."""
         return self.grid_m[nodes[:, 0], nodes[:, 1]]
 
     def nearest(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the power at the node of the window nearest to each place (n, 2); NaN as there."""
+        """Return the power at the window's node nearest to each position; NaN if it is blocked."""
         lattice, (rows, columns) = self._lattice, self.window
         first = np.array([columns.start, rows.start])
         last = np.array([columns.stop, rows.stop]) - 1
@@ -180,14 +176,14 @@ class NodeField:
         return Prediction(self.mean_db[row, column], self.deviation_db[row, column])
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
-        """Put better values at `nodes` (n, 2); true if any of them had not been corrected."""
-        if self._situation is None:
+        """Predict `nodes` (n, 2) better; return whether any had not been corrected."""
+        if self._context is None:
             raise AssertionError("refresh first")
         rows, columns = nodes[:, 0], nodes[:, 1]
         new = nodes[~self._exact[rows, columns]]
         if not len(new):
             return False
-        power = self._situation.power(self.places_m(new))
+        power = self._context.power(self.places_m(new))
         self.mean_db[new[:, 0], new[:, 1]] = power.mean_db
         self.deviation_db[new[:, 0], new[:, 1]] = power.deviation_db
         self._exact[new[:, 0], new[:, 1]] = True
@@ -195,5 +191,5 @@ class NodeField:
 
     @property
     def stations(self) -> list[TileMap]:
-        """Each station's own predictions; those of several are not corrected."""
+        """Return each station's own predictions; those of several are not corrected."""
         return self._map.stations

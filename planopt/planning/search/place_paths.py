@@ -77,37 +77,37 @@ class ProbedPlaces:
         reach_m = problem.planner.horizon * self._longest_m
         self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
 
-    def find_paths(self, situation: StepContext, field: NodeField) -> list[NDArray[np.float64]]:
+    def find_paths(self, context: StepContext, field: NodeField) -> list[NDArray[np.float64]]:
         """Return the best paths (N, 2), best first."""
-        places = self._places(situation)
-        seen = free_ends(self._problem, self._ground, situation.position_m, places)
+        places = self._places(context)
+        seen = free_ends(self._problem, self._ground, context.position_m, places)
         seen[0] = True
-        ways = [*self._straight(situation.position_m, places[seen])]
-        ways += self._round(situation, places[~seen])
+        ways = [*self._straight(context.position_m, places[seen])]
+        ways += self._round(context, places[~seen])
         paths = np.array(ways)
-        guessed = self._chance(situation, self._beside(field, paths.reshape(-1, 2)))
+        guessed = self._chance(context, self._beside(field, paths.reshape(-1, 2)))
         guessed = np.nan_to_num(guessed).reshape(paths.shape[:2])
-        kept = self._best(situation, paths, guessed, COMPARED)
+        kept = self._best(context, paths, guessed, COMPARED)
         paths, guessed = paths[kept], guessed[kept]
         stops = paths[:, -1]
         at_stop = (paths == stops[:, None]).all(axis=2)
-        ends = self._chance(situation, situation.power(stops))
+        ends = self._chance(context, context.power(stops))
         guessed = np.where(at_stop, ends[:, None], guessed)
         tried = TRIED if self._alone else COMPARED
-        return [paths[i] for i in self._best(situation, paths, guessed, tried)]
+        return [paths[i] for i in self._best(context, paths, guessed, tried)]
 
     def _best(
         self,
-        situation: StepContext,
+        context: StepContext,
         paths: NDArray[np.float64],
         chance: NDArray[np.float64],
         count: int,
     ) -> NDArray[np.intp]:
         """Return which of the paths (c, N, 2) are best if packets arrive by `chance` (c, N)."""
         value = np.zeros(len(paths))
-        for number, term in enumerate(situation.problem.terms):
+        for number, term in enumerate(context.problem.terms):
             if term.probes_end:
-                value += tried_worth(situation, number, paths, chance)
+                value += tried_worth(context, number, paths, chance)
         missing = np.zeros(len(paths))
         if self._problem.constraints.asks_connection:
             constraints = self._problem.constraints
@@ -130,18 +130,16 @@ class ProbedPlaces:
         """The free nodes of the lattice."""
         return PlaceTree(self._ground.road_map.nodes_m)
 
-    def _chance(self, situation: StepContext, power: Prediction) -> NDArray[np.float64]:
-        return connection_probability(
-            power.mean_db, power.deviation_db, situation.thresholds_dbm[0]
-        )
+    def _chance(self, context: StepContext, power: Prediction) -> NDArray[np.float64]:
+        return connection_probability(power.mean_db, power.deviation_db, context.thresholds_dbm[0])
 
-    def _places(self, situation: StepContext) -> NDArray[np.float64]:
+    def _places(self, context: StepContext) -> NDArray[np.float64]:
         """Return the place of the robot, the others on circles, and known ones within reach."""
-        here, known = situation.position_m, situation.links.connected_m
+        here, known = context.position_m, context.links.connected_m
         circles = here + self._offsets_m
         reach_m = self._problem.planner.horizon * self._longest_m
         known = known[np.linalg.norm(known - here, axis=1) <= reach_m]
-        target = situation.target_m
+        target = context.target_m
         if target is not None and len(known) > MOST_KNOWN:
             away = np.linalg.norm(known[:, None] - target, axis=2).sum(axis=1)
             known = known[np.argsort(away, kind="stable")[:MOST_KNOWN]]
@@ -162,16 +160,16 @@ class ProbedPlaces:
         return np.where((share >= 1.0)[..., None], places_m[:, None], ways)
 
     def _round(
-        self, situation: StepContext, hidden_m: NDArray[np.float64]
+        self, context: StepContext, hidden_m: NDArray[np.float64]
     ) -> list[NDArray[np.float64]]:
         """Ways round obstacles to the places (n, 2) that are nearest to the target."""
-        target, horizon = situation.target_m, self._problem.planner.horizon
+        target, horizon = context.target_m, self._problem.planner.horizon
         if not len(hidden_m) or target is None:
             return []
         away = np.linalg.norm(hidden_m - target[-1], axis=1)
         hidden_m = hidden_m[np.argsort(away, kind="stable")[:MOST_HIDDEN]]
         reach_m = horizon * self._longest_m
-        ways = WaysFrom(self._problem, self._ground, situation.position_m, reach_m)
+        ways = WaysFrom(self._problem, self._ground, context.position_m, reach_m)
         nodes = self._ground.road_map.nodes_m
         beside = self._nodes.nearest(hidden_m, 1)[0][:, 0]
         found: list[NDArray[np.float64]] = []
@@ -179,7 +177,7 @@ class ProbedPlaces:
             turns = ways.turns_m(int(node), nodes[node])
             stops = stops_along(turns, self._longest_m)[1:]
             if 0 < len(stops) <= horizon:
-                found.append(held(situation, list(stops)))
+                found.append(held(context, list(stops)))
         return found
 
 
@@ -187,11 +185,11 @@ STEPS_MORE = 2
 """Places that so many more steps lead to than to the nearest are compared with it."""
 
 
-def way_to_unmeasured(situation: StepContext, ground: Ground) -> NDArray[np.float64] | None:
+def way_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float64] | None:
     """The first N steps of the way there, (N, 2), standing where it ends; None if none is left."""
-    problem, here = situation.problem, situation.position_m
+    problem, here = context.problem, context.position_m
     lattice, nodes = ground.road_map.lattice, ground.road_map.nodes_m
-    left = left_to_learn(problem, ground.index, lattice, here, situation.anticipated)
+    left = left_to_learn(problem, ground.index, lattice, here, context.anticipated)
     if not len(left):
         return None
     ways = WaysFrom(problem, ground, here)
@@ -202,7 +200,7 @@ def way_to_unmeasured(situation: StepContext, ground: Ground) -> NDArray[np.floa
     if not np.isfinite(steps[near]).all():
         return None
     single = left[near][:, None]
-    best = int(near[(LocalRanking(situation, single)(single) / steps[near]).argmax()])
+    best = int(near[(LocalRanking(context, single)(single) / steps[near]).argmax()])
     stops = stops_along(ways.turns_m(int(beside[best]), left[best]), longest)[1:]
     horizon = problem.planner.horizon
     return np.concatenate([stops, np.repeat(stops[-1:], horizon, axis=0)])[:horizon]

@@ -71,9 +71,9 @@ class Steering:
         away: NDArray[np.float64] = np.linalg.norm(beside - places, axis=1)
         self._beside_m = np.where(clear, away, np.inf)
 
-    def find_way(self, situation: StepContext) -> SteeringWay | None:
+    def find_way(self, context: StepContext) -> SteeringWay | None:
         """The way to steer along; None if no place that can be come to is above the threshold."""
-        (own,), (posterior,) = situation.stations, situation.anticipated
+        (own,), (posterior,) = context.stations, context.anticipated
         if posterior is own:
             self._map.refresh(own)
             variance = self._map.deviation_db[self._at] ** 2
@@ -81,9 +81,9 @@ class Steering:
             # What the others will have measured changes every step: no map keeps up with it.
             variance = search_power(posterior, self._places_m).deviation_db ** 2
         above = variance - self._term.variance_threshold_db2
-        is_open = situation.measuring.is_open(self._places_m)
+        is_open = context.measuring.is_open(self._places_m)
         counted = np.where(is_open, np.maximum(above, 0.0), 0.0)
-        return self.way_to_best(counted, situation.position_m)
+        return self.way_to_best(counted, context.position_m)
 
     def way_to_best(
         self, above_db2: NDArray[np.float64], position_m: NDArray[np.float64]
@@ -124,11 +124,11 @@ class ConnectionSteering:
         self._map = LatticeMap(ground.road_map.lattice)
         self._radius_m = FIRST_RADIUS_STEPS * problem.step_length_m
 
-    def find_way(self, situation: StepContext) -> SteeringWay | None:
+    def find_way(self, context: StepContext) -> SteeringWay | None:
         """Return the way to the place of the shortest search; None if no place can be tried."""
-        road_map, here = self._ground.road_map, situation.position_m
-        widest = situation.workspace_diagonal_m
-        rule = situation.probing
+        road_map, here = self._ground.road_map, context.position_m
+        widest = context.workspace_diagonal_m
+        rule = context.probing
         rule = replace(rule, spacing_m=OPEN_SPACINGS * rule.spacing_m)
         while True:
             radius = self._radius_m
@@ -137,8 +137,8 @@ class ConnectionSteering:
             near = np.flatnonzero(np.isfinite(ways.length_m))
             near = near[rule.is_open(road_map.nodes_m[near])]
             if len(near):
-                chance = self._chance(situation, near, radius)
-                length = self._term.search_length_m(situation, ways.length_m[near], chance)
+                chance = self._chance(context, near, radius)
+                length = self._term.search_length_m(context, ways.length_m[near], chance)
                 best = int(length.argmin())
                 if last or length[best] <= radius:
                     node = int(near[best])
@@ -149,12 +149,12 @@ class ConnectionSteering:
             self._radius_m *= WIDER
 
     def _chance(
-        self, situation: StepContext, nodes: NDArray[np.intp], radius_m: float
+        self, context: StepContext, nodes: NDArray[np.intp], radius_m: float
     ) -> NDArray[np.float64]:
         """Chance of a connection at some nodes within `radius_m` of the robot; ``(k,)``."""
-        low, high = situation.position_m - radius_m, situation.position_m + radius_m
+        low, high = context.position_m - radius_m, context.position_m + radius_m
         window = float(low[0]), float(low[1]), float(high[0]), float(high[1])
-        self._map.refresh(situation.law, window)
+        self._map.refresh(context.law, window)
         at = self._ground.road_map.rows[nodes], self._ground.road_map.columns[nodes]
         threshold = self._problem.stations[0].threshold_dbm
         mean, deviation = self._map.mean_db[at], self._map.deviation_db[at]
@@ -178,13 +178,13 @@ class GoalSteering:
         nodes, lengths = first_moves(ground, problem, self._goal_m)
         self._goal_node = int(nodes[lengths.argmin()]) if len(nodes) else None
 
-    def find_way(self, situation: StepContext) -> SteeringWay | None:
+    def find_way(self, context: StepContext) -> SteeringWay | None:
         """Return the cheapest way on what is believed now; None if obstacles cut the goal off."""
-        road_map, here = self._ground.road_map, situation.position_m
+        road_map, here = self._ground.road_map, context.position_m
         nodes, lengths = first_moves(self._ground, self._problem, here)
         if self._goal_node is None or not len(nodes):
             return None
-        self._margins.refresh(situation.law)
+        self._margins.refresh(context.law)
         metre_cost = np.where(self._margins.outside & self._bounded, FORBIDDEN, 1.0)
         ways = lattice_paths(road_map, self._goal_node, metre_cost)
         cost = lengths * metre_cost[nodes] + ways.cost_m[nodes]

@@ -39,38 +39,38 @@ JOINT_NEIGHBOURS = 128
 
 
 def local_value(
-    situation: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
+    context: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
 ) -> EvaluatePath:
     """Return the value near a guess (N, 2), and the margins and sum that `rows` bound."""
-    problem = situation.problem
+    problem = context.problem
     structure = structure_of(problem)
 
     @cache
     def predictor() -> StagePredictor | ServingStages:
-        return stage_predictor(situation.law, path_m, problem.planner.neighbours)
+        return stage_predictor(context.law, path_m, problem.planner.neighbours)
 
-    anticipated = _joint_channels(situation, situation.anticipated, path_m)
+    anticipated = _joint_channels(context, context.anticipated, path_m)
     channels = [channel for channel, _ in anticipated]
-    if situation.anticipated != situation.stations:
-        known = _joint_channels(situation, situation.stations, path_m)
+    if context.anticipated != context.stations:
+        known = _joint_channels(context, context.stations, path_m)
         channels = [channel for channel, _ in known]
     rule = None
     if any(term.is_measured for term in problem.terms):
-        rule = situation.near_measuring
+        rule = context.near_measuring
     # Each place keeps to the turn that its start sees: places that move little see it too.
-    steering = situation.steering
+    steering = context.steering
     ahead = None if steering is None else steering.next_turns(path_m)
     tried = None
     if any(term.steers == "connection" for term in problem.terms):
-        tried = situation.probing.takes(path_m)
-    rows = rows if rows is not None else rule_rows(situation, path_m)
+        tried = context.probing.takes(path_m)
+    rows = rows if rows is not None else rule_rows(context, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)
 
     def evaluate(places_m: NDArray[np.float64]) -> Evaluation:
         gates = None if rule is None else rule.gates(places_m[None])
         near = NearPath(
-            situation,
+            context,
             places_m,
             lambda: predictor()(places_m),
             channels,
@@ -117,15 +117,15 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
 
 
 def _joint_channels(
-    situation: StepContext, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
+    context: StepContext, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
 ) -> list[tuple[LocalChannel, LocalGrid | None]]:
     """Return each station's channel and map, where a term couples the places; else none."""
-    problem = situation.problem
+    problem = context.problem
     if not shares_places(problem):
         return []
     region = None
     if any(term.averages_map for term in problem.terms):
-        region = region_along(problem, situation.near_region, path_m)
+        region = region_along(problem, context.near_region, path_m)
     found: list[tuple[LocalChannel, LocalGrid | None]] = []
     for station in posteriors:
         channel = LocalChannel.around(station, path_m, JOINT_NEIGHBOURS)

@@ -29,12 +29,12 @@ from planopt.robots.dynamics import Drive
 class ObjectiveValue:
     """The objective value of paths in one context."""
 
-    situation: StepContext
+    context: StepContext
 
     def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
         """Return the weighted sum of the terms for a path (N, 2), less the price of its slack."""
         del drive  # terms depend on positions alone
-        return float(sum(self.by_term(path_m))) - slack_cost(self.situation, path_m)
+        return float(sum(self.by_term(path_m))) - slack_cost(self.context, path_m)
 
     def by_term(self, path_m: NDArray[np.float64]) -> tuple[float, ...]:
         """Return the contribution of each term of the objective, its weight included."""
@@ -43,18 +43,18 @@ class ObjectiveValue:
     def of_each(self, paths_m: Sequence[NDArray[np.float64]]) -> list[float]:
         """Return the same of several paths, which are predicted together."""
         for path in paths_m:
-            self.situation.soon(path)
+            self.context.soon(path)
         total = np.zeros(len(paths_m))
         for number in range(len(self._terms)):
             total += self._of_term(number, paths_m)
         return [
-            worth - slack_cost(self.situation, path)
+            worth - slack_cost(self.context, path)
             for worth, path in zip(total.tolist(), paths_m, strict=True)
         ]
 
     def _of_term(self, number: int, paths_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
         """Return the contribution of a term to several paths; ``(c,)``."""
-        term, at = self._terms[number], self.situation
+        term, at = self._terms[number], self.context
         if not term.probes_end or not paths_m:
             return np.array([self._contributed(number, path) for path in paths_m])
         ways = np.array(paths_m)
@@ -64,13 +64,13 @@ class ObjectiveValue:
 
     @property
     def _terms(self) -> tuple[Term, ...]:
-        return self.situation.problem.terms
+        return self.context.problem.terms
 
     def _contributed(self, number: int, path_m: NDArray[np.float64]) -> float:
         term = self._terms[number]
-        with _named(self.situation, number):
+        with _named(self.context, number):
             with calling(term, "value", key="value"):
-                value = term.value(self.situation, path_m)
+                value = term.value(self.context, path_m)
             words = "one finite number"
             return term.weight * float(returned(term, "value", value, (), words=words, key="value"))
 

@@ -76,13 +76,13 @@ def has_step_rows(problem: Problem) -> bool:
     return problem.constraints.asks_connection and not has_sum_row(problem)
 
 
-def rule_rows(situation: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
+def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     """Return the rows for a refinement of `path_m` (N, 2)."""
-    problem, history = situation.problem, situation.history
-    legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path_m]), axis=0), axis=1)
+    problem, history = context.problem, context.history
+    legs = np.linalg.norm(np.diff(np.vstack([context.position_m, path_m]), axis=0), axis=1)
     rule, p_min, count = rule_of(problem, legs), problem.constraints.p_min, len(path_m)
     threshold = problem.stations[0].threshold_dbm
-    power = situation.power(path_m)
+    power = context.power(path_m)
     if rule.holds_steps:
         keeps = margins_asked_db(problem, power) >= 0.0
         asked = rule.held(keeps, history) & problem.constraints.asks_connection
@@ -91,9 +91,9 @@ def rule_rows(situation: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     achieved, slope = rule.slopes(chance, history)
     least = rule.required(p_min, history, count)
     if rule.correlates(p_min):
-        result = rule_result(situation, path_m)
+        result = rule_result(context, path_m)
         if not result.is_missed:
-            least = min(least, scaled_value(rule, situation, float(achieved), count, result))
+            least = min(least, scaled_value(rule, context, float(achieved), count, result))
     none = np.zeros(count, dtype=np.bool_)
     total = least - float(achieved) + float(slope @ chance)
     return RuleRows(threshold, np.full(count, UNASKED), none, slope, total)
@@ -104,13 +104,13 @@ LARGEST_FACTOR = 4.0
 
 
 def scaled_value(
-    rule: Rule, situation: StepContext, achieved: float, count: int, result: RuleResult
+    rule: Rule, context: StepContext, achieved: float, count: int, result: RuleResult
 ) -> float:
     """Return the value whose shortfall has the risk that is allowed (equation 5.7).
 
     The shortfall from certain connection is scaled by the risk allowed over the risk verified.
     """
-    most = float(rule.valued(np.ones(count), situation.history))
+    most = float(rule.valued(np.ones(count), context.history))
     factor = (1.0 - result.asked) / max(1.0 - result.achieved, 1e-12)
     return most - (most - achieved) * float(np.clip(factor, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR))
 
@@ -126,7 +126,7 @@ USED_UP_SHARE = 0.97
 
 
 def rows_again(
-    situation: StepContext,
+    context: StepContext,
     rows: RuleRows,
     path_m: NDArray[np.float64],
     tried: list[tuple[float, RuleResult]],
@@ -137,11 +137,11 @@ def rows_again(
     By the secant between the last path within the risk and the last beyond, once there are both,
     or half-way where that does not change sides. `tried` grows by the path.
     """
-    rule, history = rule_of(situation.problem), situation.history
-    if not rule.correlates(situation.problem.constraints.p_min) or rows.weight is None:
+    rule, history = rule_of(context.problem), context.history
+    if not rule.correlates(context.problem.constraints.p_min) or rows.weight is None:
         return None
     allowed, found = 1.0 - result.asked, 1.0 - result.achieved
-    power, most = situation.power(path_m), float(rows.weight.sum())
+    power, most = context.power(path_m), float(rows.weight.sum())
     is_held = most - rows.sum_of(power) >= USED_SHARE * (most - rows.total)
     kept = not result.is_missed or result.slack_db > 0.0
     if kept and (found >= USED_UP_SHARE * allowed or not is_held):
@@ -157,21 +157,21 @@ def rows_again(
             share = 0.5
         value = low + share * (high - low)
     else:
-        value = scaled_value(rule, situation, tried[-1][0], len(path_m), result)
+        value = scaled_value(rule, context, tried[-1][0], len(path_m), result)
     achieved, slope = rule.slopes(chance, history)
     return replace(rows, weight=slope, total=value - float(achieved) + float(slope @ chance))
 
 
-def step_rows(situation: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
+def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     """Return the rows of a programme that bounds single steps only, about a path (N, 2).
 
     A bound on a sum becomes one on each of its steps: what the path has to spare, or lacks, is
     spread evenly over them.
     """
-    rows = rule_rows(situation, path_m)
+    rows = rule_rows(context, path_m)
     if rows.weight is None:
         return rows
-    power = situation.power(path_m)
+    power = context.power(path_m)
     chance = connection_probability(power.mean_db, power.deviation_db, rows.threshold_dbm)
     spare = (rows.sum_of(power) - rows.total) / max(float(rows.weight.sum()), 1e-9)
     level = chance - spare
@@ -209,14 +209,14 @@ PATTERNS = 4
 
 
 def find_guided(
-    situation: StepContext, search: GuidedSearch, is_kept: IsKept
+    context: StepContext, search: GuidedSearch, is_kept: IsKept
 ) -> list[NDArray[np.float64]]:
     """Return paths (N, 2) of a search under the guides that suit the rule."""
-    problem, history = situation.problem, situation.history
+    problem, history = context.problem, context.history
     rule, count = rule_of(problem), problem.planner.horizon
     no_credit = np.zeros(count)
     if rule.holds_steps:
-        masks = _held_patterns(rule, situation, count)
+        masks = _held_patterns(rule, context, count)
         guides = [Guide(problem.constraints.p_min, mask, no_credit) for mask in masks]
         return [path for guide in guides for path in search(guide)]
     none = Guide(0.0, np.zeros(count, dtype=np.bool_), no_credit)
@@ -253,9 +253,9 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
     return min(high, 1.0 - LEAST_LEVEL)
 
 
-def _held_patterns(rule: Rule, situation: StepContext, count: int) -> list[NDArray[np.bool_]]:
+def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray[np.bool_]]:
     """Return masks (N,) of steps that suffice: as late as may be, the first earlier, and all."""
-    history, asks = situation.history, situation.problem.constraints.asks_connection
+    history, asks = context.history, context.problem.constraints.asks_connection
     every = np.ones(count, dtype=np.bool_)
     latest = rule.held(every, history)
     if rule.by_step or not latest.any():

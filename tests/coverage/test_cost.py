@@ -134,15 +134,6 @@ def test_range_within_the_cell(square: ConvexRegion) -> None:
     assert found.cost == pytest.approx(inner + 100.0 * (1e4 - 150.0 * math.pi))
 
 
-def test_long_range_changes_nothing(hexagon: ConvexRegion) -> None:
-    """A range beyond the region's size is none."""
-    cells = voronoi_cells(hexagon, scattered(hexagon, 9, rng(6)))
-    for density in densities(hexagon):
-        near, far = coverage(cells, density, 500.0), coverage(cells, density)
-        assert near.cost == pytest.approx(far.cost, rel=1e-8)
-        assert near.centroids_m == pytest.approx(far.centroids_m, abs=1e-9)
-
-
 def test_agents_at_one_place(square: ConvexRegion) -> None:
     """Coincident agents share the derivative; moving them together changes H by all of it."""
     agents = np.array([[20.0, 30.0], [20.0, 30.0], [70.0, 60.0]])
@@ -216,10 +207,3 @@ def test_bad_densities(square: ConvexRegion) -> None:
         with pytest.raises(InputError) as caught:
             attempt()
         assert (caught.value.key or "").startswith("density"), number
-
-
-def test_raster_reach(square: ConvexRegion) -> None:
-    """A raster says whether it reaches over the region."""
-    grid = np.arange(5.0, 100.0, 10.0)
-    assert RasterDensity(Raster(grid, grid, np.ones((10, 10)))).covers(square)
-    assert not RasterDensity(Raster(grid + 1.0, grid, np.ones((10, 10)))).covers(square)

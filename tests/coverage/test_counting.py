@@ -135,21 +135,6 @@ def test_minima_agree_after_the_diameter() -> None:
     assert len(set(minima_estimates(minima).tolist())) == 1
 
 
-def test_agents_that_join_lower_the_minima() -> None:
-    """Minima follow agents that join without starting anew."""
-    small, large = network_of(nx.cycle_graph(10)), network_of(nx.cycle_graph(40))
-    generator = np.random.default_rng(5)
-    minima = generator.standard_exponential((10, 400))
-    for _ in range(5):
-        minima = minima_round(minima, small)
-    before = minima_estimates(minima)
-    minima = np.concatenate((minima, generator.standard_exponential((30, 400))))
-    for _ in range(20):
-        minima = minima_round(minima, large)
-    assert before == pytest.approx(10.0, rel=0.2)
-    assert minima_estimates(minima) == pytest.approx(40.0, rel=0.2)
-
-
 @pytest.mark.parametrize("seed", [3, 7, 12, 21])
 def test_running_count_comes_to_its_limit(seed: int) -> None:
     """From anywhere; the limit of the leader is n, and nobody holds less."""
@@ -168,28 +153,3 @@ def test_running_count_comes_to_its_limit(seed: int) -> None:
     assert np.linalg.matrix_power(matrix, rounds) @ (start - limit) == pytest.approx(
         np.zeros(n), abs=1e-3
     )
-
-
-def test_running_count_follows_the_network() -> None:
-    """Agents join, some leave and the leader with them: the count follows without a restart."""
-    full = network_of(nx.complete_graph(12))
-    values = np.full(12, 3.0)
-    for _ in range(5000):
-        values = running_round(values, full, 11, 0.02)
-    assert (np.rint(values) == 12).all()
-    fewer = network_of(nx.complete_graph(7))
-    values, leader = values[:7], elect_leader(fewer, np.arange(7))[0]
-    for _ in range(5000):
-        values = running_round(values, fewer, leader, 0.02)
-    assert (np.rint(values) == 7).all()
-    more, joined = network_of(nx.complete_graph(15)), np.zeros(8)
-    values = np.concatenate((values, joined))
-    generator = np.random.default_rng(6)
-    for _ in range(9000):
-        values = running_round(values, more, 14, 0.02, loss=0.2, generator=generator)
-    assert np.abs(values - 15.0).max() < 0.5
-
-
-def test_unheard_agents() -> None:
-    """Before a value has reached an agent its count is infinite."""
-    assert inverted(np.array([0.5, 0.0])).tolist() == [2.0, math.inf]

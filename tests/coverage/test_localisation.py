@@ -65,20 +65,10 @@ def test_information_by_differences() -> None:
     assert fisher_information(SENSOR, places, EVENT, counts) == pytest.approx(wanted, rel=1e-6)
 
 
-def test_the_event_itself_tells_nothing() -> None:
-    """Agents that drive to the event learn a bounded amount on the way, and nothing there."""
-    there = np.repeat(EVENT[None], 5, axis=0)
-    assert (fisher_information(SENSOR, there, EVENT) == 0.0).all()
-    assert cramer_rao_m2(fisher_information(SENSOR, there, EVENT)) == math.inf
-    # The law p' = p + k dt (s - p) from several sides, and twice as many steps of it.
-    starts = EVENT + 4.0 * np.stack((np.cos(np.arange(3.0)), np.sin(np.arange(3.0))), axis=1)
-    ways = [EVENT + (starts - EVENT) * 0.8**k for k in range(400)]
-    short = fisher_information(SENSOR, np.concatenate(ways[:200]), EVENT)
-    long = fisher_information(SENSOR, np.concatenate(ways), EVENT)
-    assert long == pytest.approx(short, rel=1e-9)
-    ring = ring_places(starts, EVENT, SENSOR.best_distance_m)
-    one = fisher_information(SENSOR, ring, EVENT)
-    assert np.trace(one) * 200 > 20.0 * np.trace(short)
+def test_no_information_at_the_event() -> None:
+    """Measurements at the event contain no information on its position."""
+    there = fisher_information(SENSOR, np.repeat(EVENT[None], 5, axis=0), EVENT)
+    assert (there == 0.0).all() and cramer_rao_m2(there) == math.inf
 
 
 @pytest.mark.parametrize("agents", [2, 3, 5, 8])
@@ -215,15 +205,6 @@ def test_moving_event_against_scipy() -> None:
     assert np.allclose(now.velocity_m_s, 0.0, atol=1e-6)
     assert np.allclose(now.position_m, still.position_m, atol=1e-5)
     assert np.allclose(now.covariance_m2, still.covariance_m2, rtol=1e-4)
-
-
-def test_more_measurements_come_closer() -> None:
-    """Estimates are consistent: the error falls as the root of the number of measurements."""
-    generator = np.random.default_rng(4)
-    places = EVENT + generator.uniform(-3.0, 3.0, (8, 2))
-    errors = [monte_carlo(SENSOR, places, repeats, 100) for repeats in (20, 80, 320)]
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.35)
-    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.35)
 
 
 def test_one_straight_path_leaves_the_mirror_image() -> None:

@@ -1,4 +1,4 @@
-"""The task coverage: command, results, and bad input."""
+"""The task coverage: command, results, radio, and bad input."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 import shapely
 
 import planopt
+from planopt.cli import main
 from planopt.coverage.limits import Motion, packing_reach_m
 from planopt.coverage.simulation import ABSENT
 from planopt.coverage.verify import verify_moves
@@ -49,6 +50,8 @@ figures = false
 """
 
 
+BOUNDS = "bounds_m = [0, 0, 40, 30]"
+RASTER = '[density]\nkind = "raster"\nx_m = [0, 40]\ny_m = [0, 30]\nvalues = '
 RECEDING = '\n[planner]\nname = "receding"\nhorizon = 2\n'
 
 
@@ -133,48 +136,16 @@ def cell(file: str, column: str, number: int, new: str):
         ((("[12, 11]", "[50, 11]"),), "", "events[0].place_m", "outside"),
         ((("ends_s = 40", "ends_s = 7"),), "", "events[0].ends_s", "not after"),
         ((("agents = 3 }", "agents = 3 }\nvelocity_m_s = [1, 0]"),), "", "velocity_m_s", "outside"),
-        (
-            (('kind = "random", count = 12', 'kind = "list", places_m = [[1,1], [50,1], [2,2]]'),),
-            "",
-            "agents.start.places_m[1]",
-            "outside",
-        ),
-        (
-            (("bounds_m = [0, 0, 40, 30]", "outline_m = [[0, 0], [40, 30], [40, 0], [0, 30]]"),),
-            "",
-            "world.outline_m",
-            "not simple",
-        ),
-        (
-            (
-                (
-                    "bounds_m = [0, 0, 40, 30]",
-                    'bounds_m = [0, 0, 40, 30]\nobstacles = [{ name = "wall", '
-                    "polygon = [[20, -1], [22, -1], [22, 31], [20, 31]] }]",
-                ),
-            ),
-            "",
-            "world.obstacles",
-            "2 parts",
-        ),
-        (
-            (),
-            '[density]\nkind = "raster"\nx_m = [0, 40]\ny_m = [0, 30]\nvalues = [[1, -1], [1, 1]]',
-            "density",
-            "-1",
-        ),
-        (
-            (),
-            '[density]\nkind = "raster"\nx_m = [0, 40]\ny_m = [0, 30]\nvalues = [[0, 0], [0, 0]]',
-            "density",
-            "zero everywhere",
-        ),
-        (
-            (),
-            '[density]\nkind = "gaussians"\nbumps = [{ weight = 0, mean_m = [1, 1], std_m = 1 }]',
-            "density.weights",
-            "not all 0",
-        ),
+        ((('kind = "random", count = 12', 'kind = "list", places_m = [[1,1], [50,1], [2,2]]'),), "",
+         "agents.start.places_m[1]", "outside"),
+        (((BOUNDS, "outline_m = [[0, 0], [40, 30], [40, 0], [0, 30]]"),), "", "world.outline_m",
+         "not simple"),
+        (((BOUNDS, BOUNDS + '\nobstacles = [{ name = "wall", polygon = '
+           "[[20, -1], [22, -1], [22, 31], [20, 31]] }]"),), "", "world.obstacles", "2 parts"),
+        ((), RASTER + "[[1, -1], [1, 1]]", "density", "-1"),
+        ((), RASTER + "[[0, 0], [0, 0]]", "density", "zero everywhere"),
+        ((), '[density]\nkind = "gaussians"\nbumps = [{ weight = 0, mean_m = [1, 1], std_m = 1 }]',
+         "density.weights", "not all 0"),
         ((('kind = "number", agents = 3', 'kind = "accuracy", accuracy_m = 1e-4'),), "",
          "events[0].demand.accuracy_m", "there are 12"),
         ((('"number", agents = 3', '"number", agents = 13'),), "", "events[0].demand.agents",
@@ -353,26 +324,6 @@ def _links_are_drawn(kept, lost):
     assert {"base station", "radio link", "no connection"} <= labels
 
 
-def test_horizons_of_the_committed_problems():
-    """The problems of the results page: without inertia every horizon gives the law's run."""
-    folder = Path(__file__).parents[2] / "benchmarks" / "problems"
-    runs = {}
-    for name in ("spread_speed", "spread_inertia"):
-        content = planopt.load(folder / f"{name}.toml")
-        control = content.given.control.model_copy(update={"duration_s": 12.0})
-        content = replace(content, given=content.given.model_copy(update={"control": control}))
-        for horizon in (2, 5):
-            done = planopt.simulate(content, horizon=horizon, seed=100)
-            assert done.data["faults"] == []
-            runs[name, horizon] = done.value.costs
-        if name == "spread_speed":
-            law = planopt.simulate(content, planner="law", seed=100).value.costs
-            assert runs[name, 5] == pytest.approx(law, rel=1e-9)
-            assert runs[name, 2] == pytest.approx(law, rel=1e-9)
-    assert runs["spread_inertia", 5][-1] < runs["spread_inertia", 2][-1]
-    assert (runs["spread_inertia", 5][1:] > runs["spread_speed", 5][1:]).all()
-
-
 def test_radio_is_kept_where_the_law_loses_it():
     """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
     content = planopt.load("coverage_radio")
@@ -401,3 +352,93 @@ def test_solve_and_check(written, tmp_path, run):
     alone = planopt.simulate(planopt.load(written(*late)), seed=2)
     assert found["objective"] <= alone.data["metrics"]["cost_last"] * 1.001
     assert run("check", out)[0] == 0
+
+
+PROBLEM = """
+[problem]
+schema = 1
+name = "surveyed"
+task = "coverage"
+[world]
+bounds_m = [0, 0, 90, 60]
+[agents]
+start = { kind = "random", count = 8, within_m = [5, 5, 25, 25] }
+speed_max_m_s = 3.0
+[radio]
+stations_m = [[10, 10]]
+p_min = 0.95
+k_pl_db = -30.0
+n_pl = 3.0
+deviation_db = 4.0
+threshold_dbm = -78.0
+[control]
+duration_s = 16
+coverage_gain_per_s = 0.8
+[planner]
+name = "receding"
+horizon = 3
+[report]
+figures = false
+"""
+SIMULATED = "[[radio.survey]]\ncount = 80\nseed = 3\n"
+
+
+def log(folder: Path, *more: str) -> str:
+    """Write a log of 60 powers with a wall's shadow beyond x = 50; its table."""
+    rng = np.random.default_rng(4)
+    places = rng.random((60, 2)) * (90.0, 60.0)
+    away = np.linalg.norm(places - 10.0, axis=1)
+    power = -30.0 - 30.0 * np.log10(away) - 25.0 * (places[:, 0] > 50.0) + rng.normal(size=60)
+    rows = [f"{x:.2f},{y:.2f},{p:.1f}" for (x, y), p in zip(places, power, strict=True)]
+    (folder / "log.csv").write_text("\n".join(("x_m,y_m,power_dbm", *rows, *more)) + "\n")
+    return '[[radio.survey]]\nfile = "log.csv"\n'
+
+
+def test_surveyed_links_are_kept_and_judged(tmp_path, capsys):
+    """No move breaks the learnt links, the folder is judged again, and the laws lose them."""
+    file = tmp_path / "problem.toml"
+    file.write_text(PROBLEM + SIMULATED)
+    out = tmp_path / "out"
+    assert main(["simulate", str(file), "--out", str(out), "--json"]) in (0, 4)
+    found = json.loads(capsys.readouterr().out)
+    assert found["faults"] == []
+    assert found["metrics"]["cost_last"] < 0.6 * found["metrics"]["cost_first"]
+    assert main(["check", str(out)]) == 0
+    lost = planopt.simulate(planopt.load(file), planner="law").data["faults"]
+    assert lost and all("fault of radio" in each for each in lost)
+
+
+def test_a_log_teaches_where_links_fail(tmp_path):
+    """Direct links are trusted before the wall only, and a saved problem needs no log."""
+    table = log(tmp_path)
+    (tmp_path / "problem.toml").write_text(PROBLEM + table)
+    problem = planopt.load(tmp_path / "problem.toml")
+    mapped = problem.station_map
+    before, behind = np.array([[30.0, 20.0]]), np.array([[70.0, 20.0]])
+    assert mapped.near(before, before)[0, 0] < 0.4
+    assert mapped.near(behind, behind)[0, 0] > 0.9
+    tables = json.loads(json.dumps(problem.tables()))
+    (tmp_path / "log.csv").unlink()
+    again = problem_from(tables, folder=tmp_path / "nowhere", file=None)
+    np.testing.assert_array_equal(again.station_map.failures, mapped.failures)
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "words"),
+    [
+        (SIMULATED + SIMULATED, "radio.survey", "2 entries for 1 stations"),
+        ("[[radio.survey]]\n", "radio.survey", "exactly one"),
+        ('[[radio.survey]]\nfile = "nowhere.csv"\n', "radio.survey[0]", "nowhere.csv|not there"),
+        ("[[radio.survey]]\nplaces_m = [[1, 1]]\npower_dbm = []\n", "radio.survey", "one power"),
+        (SIMULATED + "decorrelation_m = 0.2\n", "radio.survey[0].decorrelation_m", "cells"),
+        ("log", "radio.survey[0]", "abc"),
+    ],
+)
+def test_wrong_surveys_are_named(table, key, words, tmp_path):
+    """Each mistake gets one error with its key."""
+    if table == "log":
+        table = log(tmp_path, "1,2,abc")
+    (tmp_path / "problem.toml").write_text(PROBLEM + table)
+    with pytest.raises(InputError, match=words) as caught:
+        planopt.load(tmp_path / "problem.toml")
+    assert caught.value.key is not None and key in caught.value.key

@@ -1,0 +1,296 @@
+"""Assignment of agents: demands, flags and matching against sorting, enumeration and programmes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import networkx as nx
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scattered import scattered
+from scipy.optimize import linprog
+
+from planopt.coverage.assignment import (
+    NONE,
+    Assignment,
+    Demand,
+    accuracy_demand,
+    capped_demand,
+    deferred_acceptance,
+    demanded,
+    fair_shares,
+    optimal_assignment,
+    propagate_flags,
+    table_demand,
+    trade_off_demand,
+)
+from planopt.coverage.localisation import EventSensor
+from planopt.coverage.network import Network
+from planopt.coverage.voronoi import ConvexRegion, agent_neighbours, voronoi_cells
+from planopt.errors import InputError
+
+
+@pytest.mark.parametrize(
+    "demand",
+    [
+        table_demand({3: 1, 8: 4, 20: 5}),
+        capped_demand(0.3, 6, 4),
+        accuracy_demand(EventSensor(0.1, 1.0), 0.1),
+        trade_off_demand(100.0, 2.0, 1.0, 3.0),
+    ],
+)
+def test_never_more_than_there_are(demand: Demand) -> None:
+    """Every kind stays between 0 and n, and never falls as n grows."""
+    wanted = [demanded(demand, n) for n in range(1, 200)]
+    assert all(0 <= p <= n for n, p in enumerate(wanted, start=1))
+    assert wanted == sorted(wanted)
+
+
+def test_caps() -> None:
+    """The smallest of the share, the cap and what coverage leaves."""
+    demand = capped_demand(0.3, 6, 4)
+    assert [demand(n) for n in (1, 4, 5, 10, 11, 19, 50)] == [0, 0, 1, 3, 4, 6, 6]
+
+
+def test_accuracy_meets_its_bound() -> None:
+    """The number is the least whose Cramer-Rao bound on an equal-angle ring is small enough."""
+    noise, strength, wanted = 0.05, 2.0, 0.04
+    demand = accuracy_demand(EventSensor(noise, strength), wanted)
+    slope = 9.0 * strength / (8.0 * math.sqrt(3.0))
+
+    def error_m2(agents: int) -> float:
+        turn = np.arange(agents) * (0.5 * np.pi if agents == 2 else 2.0 * np.pi / agents)
+        away = np.stack((np.cos(turn), np.sin(turn)), axis=1)
+        return float(np.trace(np.linalg.inv(slope**2 / noise**2 * away.T @ away)))
+
+    least = next(p for p in range(2, 100) if error_m2(p) <= wanted**2)
+    assert demand(1000) == least == 4
+    assert demand(3) == 3
+    assert accuracy_demand(EventSensor(noise, strength), wanted, measurements=4)(1000) == 2
+
+
+def test_trade_off_is_the_minimum() -> None:
+    """No other whole number gives less."""
+    for area, kappa, w_c, w_s in (
+        (100.0, 2.0, 1.0, 3.0),
+        (5.0, 9.0, 0.1, 2.0),
+        (1.0, 1.0, 1.0, 1e-4),
+    ):
+        demand = trade_off_demand(area, kappa, w_c, w_s)
+        for n in range(2, 60):
+            costs = [
+                w_c * 5.0 / (18.0 * math.sqrt(3.0)) * area**2 / (n - p) + w_s * kappa / p
+                for p in range(1, n)
+            ]
+            assert costs[demand(n) - 1] == pytest.approx(min(costs), rel=1e-12)
+
+
+def test_functions_of_the_users_own() -> None:
+    """A function is checked where it is asked."""
+    assert demanded(lambda n: n // 2, 9) == 4
+    for bad in (lambda n: n + 1, lambda n: -1, lambda n: 0.5):
+        with pytest.raises(InputError, match="demand"):
+            demanded(bad, 3)
+
+
+def scene(region: ConvexRegion, seed: int, count: int) -> tuple[Network, NDArray[np.float64]]:
+    """Agents' Voronoi neighbours and their distances to an event."""
+    places = scattered(region, count + 1, np.random.default_rng(seed))
+    network = Network(count, agent_neighbours(voronoi_cells(region, places[:-1])))
+    return network, np.linalg.norm(places[:-1] - places[-1], axis=1)
+
+
+def nearest(distances: NDArray[np.float64], wanted: int) -> NDArray[np.bool_]:
+    """Flags of the nearest agents, by sorting."""
+    flags = np.zeros(len(distances), dtype=bool)
+    flags[np.argsort(distances, kind="stable")[:wanted]] = True
+    return flags
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_lists_find_the_nearest(hexagon: ConvexRegion, seed: int) -> None:
+    """Lists give the P nearest within the diameter, and never miss one."""
+    generator = np.random.default_rng(1000 + seed)
+    count = int(generator.integers(2, 60))
+    network, distances = scene(hexagon, seed, count)
+    wanted = int(generator.integers(0, count + 1))
+    right = nearest(distances, wanted)
+    lists = propagate_flags(network, distances, wanted)
+    assert (lists.flagged == right).all()
+    assert len(lists.history) - 1 <= nx.diameter(nx.Graph(network.links.tolist()))
+    assert lists.history[:, right].all()
+    assert (lists.history[-1] == right).all()
+
+
+def test_every_agent_has_a_nearer_neighbour(square: ConvexRegion) -> None:
+    """The nearest agents are connected, and the next one is beside them: the lemmas behind it."""
+    for seed in range(30):
+        network, distances = scene(square, 300 + seed, 25)
+        order = np.argsort(distances)
+        rank = np.argsort(order)
+        joined = np.sort(rank[network.links], axis=1)
+        assert set(range(1, 25)) <= set(joined[:, 1].tolist())
+
+
+def test_messages_by_hand() -> None:
+    """A chain of three: who sends what is counted over single links."""
+    chain = Network(3, np.array([[0, 1], [1, 2]]))
+    found = propagate_flags(chain, np.array([1.0, 2.0, 3.0]), 1)
+    # All send their one entry; agents 1 and 2 change; they send again; agent 2 changes and sends.
+    assert found.messages == 4 + 3 + 1
+    assert found.history.tolist() == [[True] * 3, [True, False, False], [True, False, False]]
+
+
+def test_repeated_and_lost_messages(square: ConvexRegion) -> None:
+    """Half of the messages may be lost: after more rounds the flags are right all the same."""
+    network, distances = scene(square, 7, 40)
+    lossy = propagate_flags(
+        network, distances, 6, rounds=60, loss=0.5, generator=np.random.default_rng(0)
+    )
+    assert (lossy.flagged == nearest(distances, 6)).all()
+    again = propagate_flags(
+        network, distances, 6, rounds=60, loss=0.5, generator=np.random.default_rng(0)
+    )
+    assert (again.history == lossy.history).all()
+    assert lossy.history[:, nearest(distances, 6)].all()
+
+
+def test_agents_with_their_own_count(square: ConvexRegion) -> None:
+    """Agents that reckon with a larger demand keep longer lists; nobody wanted is missed."""
+    network, distances = scene(square, 8, 30)
+    wanted = np.where(np.arange(30) % 2 == 0, 4, 5)
+    found = propagate_flags(network, distances, wanted)
+    assert found.flagged[nearest(distances, 4)].all()
+    assert found.flagged.sum() <= 5
+
+
+def test_bad_input() -> None:
+    """Wrong shapes and numbers, and losses without a number of rounds."""
+    chain = Network(3, np.array([[0, 1], [1, 2]]))
+    distances = np.array([1.0, 2.0, 3.0])
+    for attempt in (
+        lambda: propagate_flags(chain, distances[:2], 1),
+        lambda: propagate_flags(chain, distances, -1),
+        lambda: propagate_flags(chain, distances, 1, loss=0.5),
+    ):
+        with pytest.raises(InputError):
+            attempt()
+
+
+def drawn(seed: int, agents: int, demands: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Distances between random agents and events."""
+    generator = np.random.default_rng(seed)
+    places = generator.random((agents, 2)), generator.random((len(demands), 2))
+    return np.linalg.norm(places[0][:, None] - places[1], axis=2)
+
+
+def counts(found: Assignment, events: int) -> list[int]:
+    """How many respond to each event."""
+    return np.bincount(found.event_of[found.event_of != NONE], minlength=events).tolist()
+
+
+def test_shares_by_enumeration() -> None:
+    """Shares are the best in the order of the smallest, the second smallest, and so on."""
+    for demands in itertools.product(range(1, 5), repeat=3):
+        for agents in range(sum(demands) + 2):
+            used = min(agents, sum(demands))
+            best = max(
+                sorted(g / d for g, d in zip(given, demands, strict=True))
+                for given in itertools.product(*(range(d + 1) for d in demands))
+                if sum(given) == used
+            )
+            found = fair_shares(np.array(demands), agents)
+            assert found.sum() == used and (found <= demands).all()
+            assert sorted(found / np.array(demands)) == best
+    assert fair_shares(np.array([0, 3]), 2).tolist() == [0, 2]
+    assert fair_shares(np.array([], dtype=np.intp), 5).tolist() == []
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_matching_is_stable(seed: int) -> None:
+    """Demands are met, and no agent and event would both rather have each other."""
+    generator = np.random.default_rng(seed)
+    demands = generator.integers(0, 6, size=int(generator.integers(1, 5)))
+    agents = int(demands.sum() + generator.integers(1, 10))
+    distances = drawn(100 + seed, agents, demands)
+    found = deferred_acceptance(distances, demands)
+    assert counts(found, len(demands)) == demands.tolist()
+    own = np.where(found.event_of == NONE, np.inf, 0.0)
+    sent = found.event_of != NONE
+    own[sent] = distances[sent, found.event_of[sent]]
+    for event in range(len(demands)):
+        team = distances[found.event_of == event, event]
+        worst = team.max() if len(team) else -np.inf
+        blocking = (distances[:, event] < own) & (distances[:, event] < worst)
+        assert not blocking.any()
+    assert found.released <= agents * len(demands)
+    assert found.asked == demands.sum() + found.released
+
+
+def test_matching_is_what_lists_give() -> None:
+    """Flag lists for each event, with agents leaving the farther ones, end in the same matching."""
+    demands = np.array([4, 3, 5])
+    for seed in range(10):
+        distances = drawn(seed, 20, demands)
+        complete = Network(20, np.array(list(itertools.combinations(range(20), 2))))
+        open_ = distances.copy()
+        while True:
+            flags = np.stack(
+                [propagate_flags(complete, open_[:, k], int(demands[k])).flagged for k in range(3)],
+                axis=1,
+            )
+            twice = flags.sum(axis=1) > 1
+            if not twice.any():
+                break
+            for agent in np.flatnonzero(twice):
+                best = np.where(flags[agent], distances[agent], np.inf).argmin()
+                leave = flags[agent] & (np.arange(3) != best)
+                open_[agent, leave] = 1e9
+        event_of = np.where(flags.any(axis=1), flags.argmax(axis=1), NONE)
+        assert (deferred_acceptance(distances, demands).event_of == event_of).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_optimum_is_that_of_the_linear_programme(seed: int) -> None:
+    """The programme's optimum is integral and costs what the assignment does."""
+    demands = np.array([2, 3, 1])
+    distances = drawn(seed, 9, demands)
+    found = optimal_assignment(distances, demands)
+    once = np.kron(np.eye(9), np.ones(3))
+    met = np.kron(np.ones(9), np.eye(3))
+    programme = linprog(
+        distances.ravel(), A_ub=once, b_ub=np.ones(9), A_eq=met, b_eq=demands, method="highs-ds"
+    )
+    assert found.total_m == pytest.approx(programme.fun)
+    assert programme.x == pytest.approx(np.round(programme.x))
+    assert counts(found, 3) == demands.tolist()
+    greedy = deferred_acceptance(distances, demands)
+    assert greedy.total_m >= found.total_m * (1.0 - 1e-12)
+
+
+def test_gap_by_hand() -> None:
+    """The nearest agent goes to the nearer event, and the other one pays for it."""
+    distances = np.array([[1.0, 1.1], [1.2, 9.0]])
+    demands = np.array([1, 1])
+    stable, best = deferred_acceptance(distances, demands), optimal_assignment(distances, demands)
+    assert stable.event_of.tolist() == [0, 1]
+    assert best.event_of.tolist() == [1, 0]
+    assert (stable.total_m, best.total_m) == pytest.approx((10.0, 2.3))
+
+
+def test_no_events_and_bad_input() -> None:
+    """Without events or demands nobody is assigned; wrong shapes and numbers are errors."""
+    nothing = np.array([], dtype=np.intp)
+    for method in (deferred_acceptance, optimal_assignment):
+        assert (method(np.zeros((3, 0)), nothing).event_of == NONE).all()
+        assert (method(np.ones((3, 1)), np.array([0])).event_of == NONE).all()
+        for distances, demands in (
+            (np.ones((3, 2)), np.array([1])),
+            (np.ones((3, 2)), np.array([2, 2])),
+            (np.ones((3, 2)), np.array([-1, 2])),
+            (np.full((3, 1), np.nan), np.array([1])),
+        ):
+            with pytest.raises(InputError):
+                method(distances, demands)

@@ -251,7 +251,7 @@ def chosen_seeds(seeds: object) -> list[int]:
     if is_whole(seeds):
         seeds = range(cast("int", seeds))
     is_list = isinstance(seeds, Iterable) and not isinstance(seeds, str | Mapping)
-    chosen = list(cast("Iterable[Any]", seeds)) if is_list else [seeds]
+    chosen: list[Any] = list(cast("Iterable[Any]", seeds)) if is_list else [seeds]
     for number, seed in enumerate(chosen):
         if not is_whole(seed) or seed < 0 or seed in chosen[:number]:
             raise InputError(

@@ -194,7 +194,8 @@ def _load_comparison(folder: Path) -> Comparison:
         wall_s, resumed = float(data["wall_s"]), int(data["resumed"])
         file = folder / RUNS_FILE
         # Comparisons that were saved before there were traces lack them.
-        lines = [{"traces": {}, **json.loads(line)} for line in read_text(file).splitlines()]
+        records = map(json.loads, read_text(file).splitlines())
+        lines: list[dict[str, Any]] = [{"traces": {}, **record} for record in records]
         runs = tuple(decoded(RunSummary, line) for line in lines)
         if not runs:
             raise InputError("has no run", file=file, remedy=REMEDY)

@@ -402,18 +402,25 @@ def test_maps_that_fail_on_the_way(base) -> None:
         rolled_out(car, state, np.zeros((3, 2)), 1.0)
 
 
+def belt_map(after, bounds: tuple[float, float], inputs: tuple[float, float]) -> CasadiMap:
+    """A map of x, y and the speed v of a belt; `after` gives x and v after a step."""
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 1)
+    forward, speed = after(x, u)
+    return CasadiMap(
+        function=ca.Function("f", [x, u], [ca.vertcat(forward, x[1], speed)]),
+        state_names=("x_m", "y_m", "v"),
+        input_names=("a",),
+        speed_max_m_s=3.0,
+        state_bounds=((-999.0, 999.0), (-999.0, 999.0), bounds),
+        input_bounds=(inputs,),
+        rest_input=(0.0,),
+    )
+
+
 def test_a_map_may_rest_elsewhere(base) -> None:
     """A robot that starts moving, and whose rest needs another component than zero."""
-    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 1)
-    after = ca.vertcat(x[0] + x[2] - 0.5, x[1], 0.5 * x[2] + 0.25 + u)
-    car = CasadiMap(
-        function=ca.Function("f", [x, u], [after]),
-        state_names=("x_m", "y_m", "belt_m_s"),
-        input_names=("a",),
-        speed_max_m_s=2.0,
-        state_bounds=((-999.0, 999.0),) * 3,
-        input_bounds=((-2.0, 2.0),),
-        rest_input=(0.0,),
+    car = belt_map(
+        lambda x, u: (x[0] + x[2] - 0.5, 0.5 * x[2] + 0.25 + u), (-999.0, 999.0), (-2.0, 2.0)
     )
     robot = replace(base.robots[0], dynamics=car, start_rest=(0.8,))
     assert made(base, robots=robot).robots[0].start_rest == (0.8,)
@@ -439,17 +446,7 @@ def test_a_map_may_rest_elsewhere(base) -> None:
 )
 def test_rest_is_looked_for_where_a_map_is_finite(base, speed, start, bounds, change_m) -> None:
     """Bounds of the state beyond which, or at which, the map is NaN or infinite."""
-    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 1)
-    after = ca.vertcat(x[0] + speed(x[2]), x[1], x[2] + u)
-    car = CasadiMap(
-        function=ca.Function("f", [x, u], [after]),
-        state_names=("x_m", "y_m", "v"),
-        input_names=("a",),
-        speed_max_m_s=3.0,
-        state_bounds=((-999.0, 999.0), (-999.0, 999.0), bounds),
-        input_bounds=((-0.01, 0.0),),
-        rest_input=(0.0,),
-    )
+    car = belt_map(lambda x, u: (x[0] + speed(x[2]), x[2] + u), bounds, (-0.01, 0.0))
     robot = replace(base.robots[0], dynamics=car, start_rest=(start,))
     found = np.abs(car.change_at_rest(robot.start_state, 1.0)).max()
     assert found == pytest.approx(change_m, abs=1e-6)

@@ -6,10 +6,8 @@ import csv
 import hashlib
 import json
 import os
-import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -283,28 +281,3 @@ def test_a_planner_from_outside(tmp_path: Path, workers: str, capsys) -> None:
     assert (own["planner"], own["success_rate"], own["correct_rate"]) == ("auto", 1.0, 1.0)
     assert liar["planner"] == "liar" and liar["verified_rate"] == 1.0
     assert liar["success_rate"] == 0.0 and liar["correct_rate"] == 0.0
-
-
-@pytest.mark.skipif(os.name != "posix", reason="signals")
-def test_killed_and_run_again(tmp_path: Path) -> None:
-    """Whole rows survive a kill; the same command answers the others, and nothing twice."""
-    out = tmp_path / "out"
-    arguments = ["bench", "run", "--problems", "outdoor_map", "--run-seeds", "0"]
-    arguments += ["--seeds", "2", "--horizons", "1,2", "--workers", "2", "--out", str(out)]
-    code = "import sys; from planopt.cli import main; sys.exit(main())"
-    process = subprocess.Popen([sys.executable, "-c", code, *arguments])
-    until = time.monotonic() + 120.0
-    while len(list(out.glob("rows/[!.]*.json"))) < 3:
-        assert time.monotonic() < until and process.poll() is None
-        time.sleep(0.02)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    time.sleep(2.0)  # workers see that their parent is gone
-    kept = {path.name: path.read_bytes() for path in out.glob("rows/[!.]*.json")}
-    assert 3 <= len(kept) <= 40 and not (out / "rows.csv").exists()
-    assert all(json.loads(content)["result"]["accepted"] for content in kept.values())
-    assert main(arguments) == 0
-    rows = {path.name: path.read_bytes() for path in out.glob("rows/[!.]*.json")}
-    assert len(rows) == 2 * 2 * 10 and kept.items() <= rows.items()
-    with (out / "rows.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 40

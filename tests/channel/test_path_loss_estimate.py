@@ -57,24 +57,6 @@ def test_lemma_3_equals_the_batch():
         np.testing.assert_allclose(recursion, batch, rtol=1e-9)
 
 
-def test_error_covariance_by_simulation():
-    """Errors of both estimates over drawn channels scatter as their covariances say."""
-    first = simulated(CHANNEL, 3, 25, 150.0)
-    gamma, covariance = design(first)
-    rng = np.random.default_rng(0)
-    draws = rng.standard_normal((2000, 25)) @ np.linalg.cholesky(covariance).T
-    truth = np.array([CHANNEL.k_pl_db, CHANNEL.n_pl])
-    for how in ("ml", "ls"):
-        found = [
-            estimate_theta(dataclasses.replace(first, power_dbm=gamma @ truth + e), CHANNEL, how)
-            for e in draws
-        ]
-        errors = np.array([each.theta for each in found]) - truth
-        whitened = np.linalg.solve(np.linalg.cholesky(found[0].covariance), errors.T)
-        # Four standard errors of a sample covariance.
-        np.testing.assert_allclose(whitened @ whitened.T / 2000, np.eye(2), atol=0.13)
-
-
 def test_prediction_with_least_squares_theta_is_calibrated():
     """Its variance is the mean square error over drawn channels, larger than the ml one's."""
     first = simulated(CHANNEL, 4, 12, 150.0)

@@ -111,14 +111,6 @@ def test_branches_of_one_posterior_do_not_disturb_each_other():
         np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=1e-10)
 
 
-def test_more_measurements_never_raise_the_deviation():
-    """Information only grows."""
-    data = measured(80)
-    few = condition(PARAMETERS, part(data, slice(0, 40)))
-    many = few.extend(part(data, slice(40, 80)))
-    assert (many.predict(places()).deviation_db <= few.predict(places()).deviation_db).all()
-
-
 @pytest.mark.parametrize(
     "parameters",
     [
@@ -186,26 +178,6 @@ def test_one_distance_from_the_station_takes_the_weak_prior(count):
     assert gamma @ posterior.theta_covariance @ gamma < 41.0
     assert gamma @ posterior.theta < gamma @ THETA
     assert np.isfinite(posterior.predict(places()).deviation_db).all()
-
-
-def test_deviation_is_the_simulated_error():
-    """Universal kriging's variance equals the mean squared error over many draws (equation 1.8)."""
-    generator = np.random.default_rng(4)
-    data = measured(25, seed=2)
-    here = places(6)
-    everywhere = np.concatenate([data.positions_m, here])
-    covariance = shadow_covariance_db2(everywhere, everywhere, PARAMETERS) + 4.0 * np.eye(31)
-    root = np.linalg.cholesky(covariance)
-    path_loss = regressors(everywhere, PARAMETERS.station) @ THETA
-    errors = []
-    for _ in range(400):
-        power = path_loss + root @ generator.standard_normal(31)
-        found = condition(
-            PARAMETERS, Measurements(data.positions_m, power[:25], data.censored)
-        ).predict(here)
-        errors.append(found.mean_db - power[25:])
-    ratio = np.mean(np.square(errors), axis=0) / found.deviation_db**2
-    np.testing.assert_allclose(ratio, 1.0, atol=4.0 * np.sqrt(2.0 / 400.0))
 
 
 @pytest.mark.parametrize("resolution", [None, 5.0, 12.0])

@@ -117,33 +117,6 @@ def test_unknown_theta_is_gstools_universal_kriging(channel, data):
     assert_same(posterior.predict(places()), mean, variance + channel.multipath_std_db**2)
 
 
-def test_theta_is_gstools_mean(channel, data):
-    """Path loss alone, by generalised least squares."""
-    posterior = condition(channel, data)
-    mean = universal_kriging(channel, posterior)(places().T, only_mean=True, return_var=False)
-    np.testing.assert_allclose(
-        regressors(places(), channel.station) @ posterior.theta, mean, rtol=AGREEMENT
-    )
-
-
-def test_known_theta_is_gstools_simple_kriging(channel, data):
-    """Simple kriging of what path loss leaves, the nugget in GSTools' own model."""
-    model = gstools.Exponential(
-        dim=2,
-        var=channel.shadow_std_db**2,
-        len_scale=channel.decorrelation_m,
-        nugget=channel.multipath_std_db**2,
-    )
-    left = data.power_dbm - path_loss_dbm(channel, data.positions_m)
-    kriging = gstools.krige.Simple(model, data.positions_m.T, left, mean=0.0, pseudo_inv=False)
-    mean, variance = kriging(places().T)
-    assert_same(
-        condition(channel, data, theta="known").predict(places()),
-        mean + path_loss_dbm(channel, places()),
-        variance,
-    )
-
-
 def test_sites_and_updates_keep_to_the_peers(channel):
     """Censored measurements are kriging from their sites; measurements that came one by one."""
     whole = simulated(channel, 2, 60, SIDE_M, censored_share=0.2)

@@ -190,24 +190,6 @@ def test_no_error_is_the_posterior_variance():
     np.testing.assert_allclose(delta, deviation**2, rtol=1e-10)
 
 
-def test_seed_expression():
-    """Section II-B term by term, by dense inverses."""
-    u = shadow_covariance_db2(MEASURED, MEASURED, TRUE) + 1.5**2 * np.eye(25)
-    u_est = shadow_covariance_db2(MEASURED, MEASURED, WRONG) + 2.5**2 * np.eye(25)
-    gamma = regressors(MEASURED, TRUE.station)
-    expected = []
-    for q in PLACES:
-        phi = shadow_covariance_db2(MEASURED, q[None], TRUE)[:, 0]
-        weights = np.linalg.solve(u_est, shadow_covariance_db2(MEASURED, q[None], WRONG)[:, 0])
-        varphi = regressors(q[None], TRUE.station)[0] - gamma.T @ weights
-        expected.append(
-            16.0 + 2.25 - weights @ (2.0 * phi - u @ weights) + (varphi @ [3.0, -0.4]) ** 2
-        )
-    np.testing.assert_allclose(
-        mean_squared_error_db2(TRUE, WRONG, MEASURED, PLACES), expected, rtol=1e-10
-    )
-
-
 def test_curves_perturb_what_they_say():
     """Each curve's factor on the parameter it is named after."""
     for name, attribute, factor in [
@@ -224,24 +206,11 @@ def test_curves_perturb_what_they_say():
         assert curve == pytest.approx([direct])
 
 
-def test_without_measurements():
-    """Nothing measured: the variance of power, plus the squared error of the path loss."""
-    delta = mean_squared_error_db2(TRUE, WRONG, np.zeros((0, 2)), PLACES)
-    bias = path_loss(TRUE, PLACES) - path_loss(WRONG, PLACES)
-    np.testing.assert_allclose(delta, 16.0 + 2.25 + bias**2, rtol=1e-12)
-
-
 @pytest.mark.parametrize(("name", "error"), [("beta", 0.1), ("n_pl", -1.0), ("n_pl", np.nan)])
 def test_bad_perturbation(name, error):
     """An unknown name, or an error that leaves nothing."""
     with pytest.raises(InputError):
         perturbed(TRUE, name, error)
-
-
-def test_bad_places():
-    """Positions that are not (n, 2)."""
-    with pytest.raises(InputError):
-        mean_squared_error_db2(TRUE, WRONG, MEASURED, np.zeros(3))
 
 
 def test_too_many_measurements_are_refused():

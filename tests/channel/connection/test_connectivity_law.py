@@ -74,15 +74,6 @@ def test_derivatives_are_finite_differences(spread: float) -> None:
         assert hessian[:, station] == pytest.approx(bend, abs=1e-7)
 
 
-def test_derivatives_in_the_tails() -> None:
-    """Of two stations alike each has half of the effect where both are far below."""
-    _, gradient, _ = any_score_derivatives(np.full((2, 1), -300.0))
-    assert gradient[:, 0] == pytest.approx([0.5, 0.5], abs=1e-4)
-    _, gradient, hessian = any_score_derivatives(np.array([[-300.0], [2.0]]))
-    assert gradient[:, 0] == pytest.approx([0.0, 1.0])
-    assert hessian[:, :, 0] == pytest.approx(np.zeros((2, 2)), abs=1e-12)
-
-
 THRESHOLDS = (-80.0, -76.0, -83.0)
 
 

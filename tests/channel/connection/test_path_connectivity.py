@@ -1,6 +1,5 @@
 """Bivariate and multivariate normal probabilities, joint connectivity and first passage."""
 
-import dataclasses
 import itertools
 
 import numpy as np
@@ -20,7 +19,6 @@ from planopt.channel import (
     condition,
     first_passage,
     joint_connectivity,
-    joint_prediction,
     sample_power,
 )
 from planopt.channel.parameters import regressors
@@ -99,12 +97,6 @@ def test_every_prefix_against_scipy():
     assert found.error.max() <= 1e-4
 
 
-def test_equicorrelation_of_one_half():
-    """P(X <= 0 in all) = 1 / (h + 1) where all correlations are 1/2."""
-    found = prefix_probabilities(np.zeros(12), 0.5 + 0.5 * np.eye(12), rng())
-    np.testing.assert_allclose(found.probability, 1.0 / np.arange(2.0, 14.0), atol=2e-4)
-
-
 def test_independent_far_tail():
     """Products that no sampler would hit keep their digits: P = Phi(-20)^3, about 1e-265."""
     found = prefix_probabilities(np.full(3, -20.0), np.eye(3), rng())
@@ -149,13 +141,6 @@ def test_error_estimate_covers():
         found = prefix_probabilities(np.zeros(10), covariance, np.random.default_rng(seed), 1e-2)
         held += abs(found.probability[-1] - 1.0 / 11.0) <= found.error[-1]
     assert held >= 18
-
-
-def test_tolerance_out_of_reach_ends():
-    """The last lattice's answer comes with the error it has."""
-    found = prefix_probabilities(np.zeros(3), 0.5 + 0.5 * np.eye(3), rng(), 1e-300)
-    assert 0.0 < found.error[-1] < 1e-5
-    assert found.probability[-1] == pytest.approx(0.25, abs=1e-5)
 
 
 def line(shadow_std_db, multipath_std_db, decorrelation_m, marginal, count=20):
@@ -220,14 +205,6 @@ def test_corrected_product_under_negative_correlation(seed, count, strength):
         assert found.corrected_product.value == pytest.approx(found.exact.value, abs=slack)
 
 
-def test_hunter_is_exact_for_two_places():
-    """Inclusion and exclusion, for correlations of either sign."""
-    for covariance in ([[1.0, 0.6], [0.6, 1.0]], [[1.0, -0.6], [-0.6, 1.0]]):
-        prediction = JointPrediction(np.array([0.4, 0.9]), np.array(covariance))
-        found = joint_connectivity(prediction, 0.0, np.random.default_rng(0), 1e-6)
-        assert found.hunter.value == pytest.approx(found.exact.value, abs=2e-6)
-
-
 def test_negative_correlation_is_said():
     """No product bound, and why; Hunter's is the lower bound."""
     covariance = np.array([[1.0, -0.2, 0.1], [-0.2, 1.0, 0.3], [0.1, 0.3, 1.0]])
@@ -248,24 +225,6 @@ def test_certain_places():
     assert inside.exact.value == inside.lower == inside.upper.value == 1.0
     outside = joint_connectivity(certain, 1.5, np.random.default_rng(0))
     assert outside.exact.value == outside.lower == outside.upper.value == 0.0
-
-
-def test_from_a_posterior():
-    """Measurements above the threshold raise the joint probability."""
-    channel = ChannelParameters(-30.0, 3.0, 6.0, 40.0, 2.0, Station((0.0, 0.0)))
-    path = np.column_stack([np.full(10, 50.0), np.linspace(0.0, 20.0, 10)])
-    strong = Measurements(path[::3], np.full(4, -70.0), np.zeros(4, dtype=bool))
-    nothing = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
-    prior, given_data = (
-        joint_connectivity(
-            joint_prediction(condition(channel, data, theta="known"), path),
-            -83.0,
-            np.random.default_rng(1),
-        )
-        for data in (nothing, strong)
-    )
-    assert given_data.exact.value > prior.exact.value + 0.1
-    assert prior.product.proven
 
 
 @settings(deadline=None, max_examples=25)
@@ -351,27 +310,6 @@ def test_posterior_on_a_curve_by_simulation(disconnected_now):
         error = np.sqrt(expected * (1.0 - expected) / count)
         assert abs(searching.mean() - expected) < 4.0 * error + 2e-4
     assert abs(driven.mean() - found.expected_distance_m) < 4.0 * driven.std() / np.sqrt(count)
-
-
-def test_independent_places():
-    """Without shadowing pi_k is the product of the single misses."""
-    channel = dataclasses.replace(CHANNEL, shadow_std_db=0.0, multipath_std_db=6.0)
-    posterior = condition(channel, NOTHING, theta="known")
-    found = first_passage(posterior, CURVE, THRESHOLD, np.random.default_rng(0))
-    missed = 1.0 - posterior.connectivity(CURVE[1:], THRESHOLD)
-    np.testing.assert_allclose(found.not_connected, np.cumprod([1.0, *missed]), rtol=1e-9)
-    np.testing.assert_allclose(found.connected_by, 1.0 - found.not_connected)
-
-
-def test_being_disconnected_is_bad_news():
-    """Given no connection now, the expected distance is longer than without knowing."""
-    generator = np.random.default_rng(0)
-    unknown, out = (
-        first_passage(PRIOR, LINE, THRESHOLD, generator, disconnected_now=known)
-        for known in (False, True)
-    )
-    assert out.expected_distance_m > 1.05 * unknown.expected_distance_m
-    assert out.not_connected[0] == 1.0
 
 
 def test_impossible_condition():

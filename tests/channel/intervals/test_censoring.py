@@ -45,15 +45,6 @@ def posterior(measurements, sites, channel=CHANNEL):
     return mean + gain @ (sites.values_db - mean), prior - gain @ prior
 
 
-def test_without_censoring_values_and_omega_pass_through():
-    """Uncensored measurements keep their power and get variance omega^2."""
-    measurements, _ = simulated(0, share=-0.0)
-    measurements = dataclasses.replace(measurements, censored=np.zeros(40, bool))
-    sites = gaussian_sites(CHANNEL, measurements)
-    np.testing.assert_array_equal(sites.values_db, measurements.power_dbm)
-    np.testing.assert_array_equal(sites.noise_variance_db2, 4.0)
-
-
 def test_rounded_posterior_agrees_with_gibbs_sampling():
     """Coarse steps, a floor at the end of one: sampling the noise within each interval agrees."""
     exact, power = simulated(4, share=0.0)

@@ -83,14 +83,6 @@ def test_two_intervals_against_numerical_integration(omega):
     assert found.log_evidence == pytest.approx(log_mass, abs=0.01)
 
 
-def test_evidence_of_three_correlated_limits_is_the_orthant_probability():
-    """EP's log evidence is close to the multivariate normal probability below the limits."""
-    upper = np.array([-81.0, -81.0, -81.0])
-    found = interval_sites(THREE, limits(upper), 1.0)
-    exact = multivariate_normal(THREE.mean_db, COVARIANCE + np.eye(3)).cdf(upper)
-    assert found.log_evidence == pytest.approx(np.log(exact), abs=0.01)
-
-
 @pytest.mark.parametrize("width", [np.inf, 3.0, 0.1])
 def test_slope_is_the_derivative_of_the_evidence_by_omega(width):
     """At the fixed point the evidence moves with omega^2 through the likelihood alone."""
@@ -114,26 +106,6 @@ def test_without_noise_intervals_are_boxes():
     deviations = np.sqrt(np.einsum("ij,ijk->k", weight, (grid - exact) ** 2) / weight.sum())
     np.testing.assert_allclose(np.sqrt(np.diag(posterior)), deviations, rtol=0.03)
     assert found.log_evidence == pytest.approx(np.log(weight.sum() * 2.5e-5), abs=0.01)
-
-
-def test_unknown_mean_is_a_wide_prior():
-    """A flat prior of delta equals columns in the covariance with a very wide normal one."""
-    columns = np.column_stack([np.ones(5), [0.0, 1.0, 3.0, 4.0, 9.0]])
-    distance = np.abs(np.subtract.outer(columns[:, 1], columns[:, 1]))
-    covariance, mean = 16.0 * np.exp(-distance / 2.0), np.full(5, -80.0)
-    known = Intervals(
-        np.array([-78.5, -80.0, -81.0, -84.5, -84.0]), np.array([3.0, 3.0, 1.0, 3.0, np.inf])
-    )
-    flat = LatentPrior(mean, covariance, columns, np.zeros((2, 2)), np.zeros(2))
-    found = interval_sites(flat, known, 1.0)
-    wide2 = 1e6
-    wide = LatentPrior.known_mean(mean, covariance + wide2 * columns @ columns.T)
-    expected = interval_sites(wide, known, 1.0)
-    np.testing.assert_allclose(found.precision, expected.precision, rtol=1e-4)
-    np.testing.assert_allclose(found.shift, expected.shift, atol=1e-4)
-    # The normal's density at 0 stands for the flat prior's 1.
-    constant = np.log(2.0 * np.pi * wide2)
-    assert found.log_evidence == pytest.approx(expected.log_evidence + constant, abs=1e-3)
 
 
 def test_score_and_information_of_the_mean_are_a_measurement_of_it():

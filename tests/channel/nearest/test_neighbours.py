@@ -53,22 +53,6 @@ def test_places_that_came_after_the_tree_are_found():
     assert_nearest(older, positions[:700], 12)
 
 
-def test_more_than_the_tree_holds():
-    """A count above the number of places in the tree, yet below all."""
-    positions = scattered(700)
-    index = PlaceIndex.of(positions[:500]).grown(positions)
-    assert index.tree is not None and len(index.tree) == 500
-    assert_nearest(index, positions, 650)
-
-
-def test_taking_everyone_leaves_the_reach_open():
-    """Where all are taken the next measurement will be taken too, however far."""
-    for total in (0, 3):
-        indices, farthest = PlaceIndex.of(np.zeros((total, 2))).nearest(CENTRES, 3)
-        assert indices.shape == (25, total)
-        assert np.isinf(farthest).all()
-
-
 def uneven(count, seed=0):
     """Random uneven, dense to one side."""
     return np.random.default_rng(seed).uniform(0.0, 1.0, (count, 2)) ** [1.0, 3.0] * [100.0, 300.0]

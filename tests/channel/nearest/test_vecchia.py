@@ -10,7 +10,7 @@ from planopt.channel.measurement_covariance import (
     measured_origins,
     own_covariance_db2,
 )
-from planopt.channel.neighbours import BESIDE, BLOCK, PlaceIndex
+from planopt.channel.neighbours import BESIDE, BLOCK
 from planopt.channel.parameters import regressors
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
@@ -45,14 +45,6 @@ def test_with_all_earlier_ones_it_is_exact(count):
     np.testing.assert_allclose(found, dense(*given)[0], rtol=1e-9, atol=1e-9)
 
 
-def test_close_to_exact_for_many():
-    """Products of 1,200 within 1 % of those of the factor of all."""
-    given = measured(1200)
-    found, (expected, _) = vecchia_information(PARAMETERS, *given).products, dense(*given)
-    scale = np.sqrt(np.diag(expected))
-    assert 0.0 < np.abs((found - expected) / np.outer(scale, scale)).max() < 0.01
-
-
 def test_the_order_of_a_batch_does_not_matter():
     """Products depend on the places, not on the order of the rows."""
     data, values, noise = measured(300)
@@ -77,27 +69,3 @@ def test_offsets_are_integrated_out(receivers):
     prior = RECEIVER_OFFSET_STD_DB**2
     given = prior * np.eye(len(numbers)) - prior**2 * indicators.T @ inverse @ indicators
     np.testing.assert_allclose(found.offset_covariance_db2(), given, atol=1e-8)
-
-
-def test_extended_singly_or_at_once():
-    """A batch and its measurements one by one add the same, new receivers included."""
-    data, values, noise = measured(400, [0, 0, 4])
-    new = data.receiver.copy()
-    new[370:] = np.arange(30) % 6
-    data = Measurements(data.positions_m, data.power_dbm, data.censored, receiver=new)
-
-    def first(count):
-        return data.take(slice(0, count)), values[:count], noise[:count]
-
-    def index(count):
-        return PlaceIndex.of(data.positions_m[:count])
-
-    start = vecchia_information(PARAMETERS, *first(350))
-    at_once = vecchia_information(PARAMETERS, *first(400), before=(start, index(350)))
-    singly = start
-    for count in range(351, 401):
-        singly = vecchia_information(PARAMETERS, *first(count), before=(singly, index(count - 1)))
-    np.testing.assert_array_equal(singly.receivers, [1, 2, 3, 4, 5])
-    np.testing.assert_array_equal(at_once.receivers, singly.receivers)
-    np.testing.assert_allclose(at_once.products, singly.products, rtol=1e-10, atol=1e-10)
-    np.testing.assert_array_equal(start.receivers, [4])

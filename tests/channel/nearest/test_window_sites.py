@@ -69,19 +69,6 @@ def test_one_limit_is_exact():
     )
 
 
-def test_two_limits_are_nearly_the_bivariate_normal():
-    """Expectation propagation of a two-dimensional probability is good to some thousandths."""
-    measurements = Measurements(
-        np.array([[0.0, 0.0], [12.0, 0.0]]), np.array([-99.0, -97.0]), np.ones(2, dtype=bool)
-    )
-    covariance = own_covariance_db2(measured_origins(measurements, CHANNEL), CHANNEL)
-    normal = multivariate_normal(np.full(2, -95.0), covariance + 4.0 * np.eye(2))
-    expected = float(np.log(normal.cdf(measurements.power_dbm)))
-    assert density(measurements, -95.0, settled(measurements, -95.0)) == pytest.approx(
-        expected, abs=5e-3
-    )
-
-
 def test_slope_is_that_of_the_likelihood_alone():
     """With one limit: the derivative by omega^2 with the cavity held."""
     measurements = Measurements(np.zeros((1, 2)), np.array([-99.0]), np.ones(1, dtype=bool))
@@ -132,15 +119,6 @@ def test_coarse_steps_and_position_errors_are_counted():
     found, joint = neighbour_sites(PARAMETERS, data), gaussian_sites(PARAMETERS, data)
     np.testing.assert_allclose(found.values_db, joint.values_db, atol=0.1)
     np.testing.assert_allclose(found.noise_variance_db2, joint.noise_variance_db2, rtol=0.02)
-
-
-def test_close_to_the_joint_sites_for_many():
-    """Of 700, what a site says is what the joint one says, in units of its own noise."""
-    data = sample(700, 0.3)
-    found, joint = neighbour_sites(PARAMETERS, data), gaussian_sites(PARAMETERS, data)
-    off = (found.values_db - joint.values_db) / np.sqrt(joint.noise_variance_db2)
-    assert 0.0 < np.abs(off).max() < 0.3
-    assert np.sqrt(np.mean(off**2)) < 0.02
 
 
 def test_many_limits_at_one_place():

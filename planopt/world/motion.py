@@ -45,33 +45,6 @@ class TimedCurve(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class EvenCurve:
-    """Even motion on a straight line."""
-
-    ends_m: NDArray[np.float64]  # (2, 2) where it begins and ends
-
-    @property
-    def breaks(self) -> NDArray[np.float64]:
-        """Return both ends: it is smooth."""
-        return WHOLE_STEP
-
-    @property
-    def curving_m(self) -> float:
-        """Return 0."""
-        return 0.0
-
-    @property
-    def within_m(self) -> float:
-        """Return 0: it is exact."""
-        return 0.0
-
-    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places on the line; at both ends exactly."""
-        late = share[:, None]
-        return (1.0 - late) * self.ends_m[0] + late * self.ends_m[1]
-
-
 SAG_M = 5e-7
 """Largest distance of a curve from the lines between the points that stand for it."""
 
@@ -101,15 +74,12 @@ class PointCurve:
     # Largest distance from the straight lines between them; of a timed curve, from even motion
     within_m: float
 
+    curving_m = 0.0  # It is straight between its points
+
     @property
     def breaks(self) -> NDArray[np.float64]:
         """Return the times of its points."""
         return np.linspace(0.0, 1.0, len(self.places_m))
-
-    @property
-    def curving_m(self) -> float:
-        """Return 0: it is straight between them."""
-        return 0.0
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return places on the lines between them."""
@@ -133,20 +103,13 @@ class Parabola:
     along_m: NDArray[np.float64]
     bend_m: NDArray[np.float64]
 
-    @property
-    def breaks(self) -> NDArray[np.float64]:
-        """Return both ends: it is smooth."""
-        return WHOLE_STEP
+    breaks = WHOLE_STEP
+    within_m = 0.0
 
     @property
     def curving_m(self) -> float:
         """Return its second derivative, which is constant."""
         return 2.0 * float(np.hypot(*self.bend_m))
-
-    @property
-    def within_m(self) -> float:
-        """Return 0: it is exact."""
-        return 0.0
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return places by the formula."""
@@ -157,14 +120,17 @@ class Parabola:
         """Return points whose lines are off by at most |bend| / (4 n^2)."""
         bend = float(np.hypot(*self.bend_m))
         count = max(1, math.ceil(math.sqrt(bend / (4.0 * SAG_M))))
-        t = np.linspace(0.0, 1.0, count + 1)[:, None]
-        places = self.start_m + t * self.along_m + t * t * self.bend_m
-        return places, bend / (4.0 * count * count)
+        return self.at(np.linspace(0.0, 1.0, count + 1)), bend / (4.0 * count * count)
 
     def clearance_m(self, index: ObstacleIndex) -> float:
         """Return a lower bound, less than a micrometre off."""
         places, within = self.points_m()
         return max(0.0, _polyline_m(index, places) - within)
+
+
+def even_motion(ends_m: NDArray[np.float64]) -> Parabola:
+    """Return even motion on the straight line between two places (2, 2)."""
+    return Parabola(ends_m[0], ends_m[1] - ends_m[0], np.zeros(2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +140,10 @@ class Arc:
     start_m: NDArray[np.float64]  # (2,)
     heading_rad: float  # Direction of the tangent at the start
     length_m: float  # Negative where it is driven backward
-    turn_rad: float  # By how much the tangent turns from start to end
+    turn_rad: float  # Turn of the tangent from start to end
+
+    breaks = WHOLE_STEP
+    within_m = 0.0
 
     @property
     def bulge_m(self) -> float:
@@ -182,19 +151,9 @@ class Arc:
         return self.curving_m / 8.0
 
     @property
-    def breaks(self) -> NDArray[np.float64]:
-        """Return both ends: it is smooth."""
-        return WHOLE_STEP
-
-    @property
     def curving_m(self) -> float:
         """Return its second derivative, towards the centre: speed is constant."""
         return abs(self.length_m * self.turn_rad)
-
-    @property
-    def within_m(self) -> float:
-        """Return 0: it is exact."""
-        return 0.0
 
     def points_m(self) -> tuple[NDArray[np.float64], float]:
         """Return points whose lines are off by at most length turn / (8 n^2)."""
@@ -324,8 +283,8 @@ class TimedMotion:
     def curve(self, step: int) -> TimedCurve:
         """Return the curve of step number `step`, 0 the first; standing after the last."""
         if step >= self.steps:
-            return EvenCurve(self.places_m[-1:].repeat(2, axis=0))
-        return self.curves[step] if self.curves else EvenCurve(self.places_m[step : step + 2])
+            return even_motion(self.places_m[-1:].repeat(2, axis=0))
+        return self.curves[step] if self.curves else even_motion(self.places_m[step : step + 2])
 
     def lasting(self, steps: int) -> TimedMotion:
         """Return the same motion over `steps` steps, standing where it has fewer."""

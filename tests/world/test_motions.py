@@ -16,12 +16,12 @@ from planopt.world.clearance import index_obstacles
 from planopt.world.motion import (
     CLOSE_M,
     Arc,
-    EvenCurve,
     Parabola,
     PointCurve,
     TimedMotion,
     closest_approach_m,
     curve_distance_m,
+    even_motion,
     least_gap,
     nearest_to_origin_m,
     step_distances_m,
@@ -151,7 +151,7 @@ def random_way(generator: np.random.Generator, kind: int):
     start = generator.uniform(-4.0, 4.0, 2)
     match kind:
         case 0:
-            return EvenCurve(np.stack([start, generator.uniform(-4.0, 4.0, 2)]))
+            return even_motion(np.stack([start, generator.uniform(-4.0, 4.0, 2)]))
         case 1:
             return Parabola(start, *generator.uniform(-5.0, 5.0, (2, 2)))
         case 2:
@@ -244,7 +244,7 @@ def test_ways_that_curve_without_end_are_not_looked_at_for_ever() -> None:
     """What cannot be known is not claimed."""
     far = Parabola(np.zeros(2), np.full(2, 1e12), np.full(2, 1e12))
     endless = Parabola(np.zeros(2), np.zeros(2), np.full(2, np.inf))
-    still = EvenCurve(np.array([[5.0, 0.0], [5.0, 0.0]]))
+    still = even_motion(np.array([[5.0, 0.0], [5.0, 0.0]]))
     assert curve_distance_m(endless, still) == 0.0
     assert curve_distance_m(far, still) <= 5.0
 
@@ -271,7 +271,7 @@ def test_the_least_step_is_found(seed: int) -> None:
     later = [
         TimedMotion(
             np.vstack([each.places_m[:1], each.places_m]),
-            (EvenCurve(each.places_m[:1].repeat(2, axis=0)), *each.curves),
+            (even_motion(each.places_m[:1].repeat(2, axis=0)), *each.curves),
         )
         for each in (one, two)
     ]

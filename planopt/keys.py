@@ -111,8 +111,13 @@ def input_error(
         case "missing":
             message = "is missing"
         case "union_tag_not_found" | "union_tag_invalid":
-            path = (*path, "kind")
-            message = _kind_message(fault)
+            # No alternative of the table has this kind.
+            path, context = (*path, "kind"), fault.get("ctx", {})
+            message = (
+                f"is {shown(context['tag'])}, should be one of {context['expected_tags']}"
+                if "tag" in context
+                else "is missing"
+            )
         case "too_long" | "too_short":
             count, words = len(fault["input"]), _allowed(fault, field)
             message = f"has {count} entries, {words.partition(', not ')[0]}"
@@ -176,14 +181,6 @@ def nearest(word: str, known: Sequence[str]) -> str:
 
 def _sorted_words(key: str) -> str:
     return "_".join(sorted(key.lower().split("_")))
-
-
-def _kind_message(fault: ErrorDetails) -> str:
-    """Return the fault of a table whose ``kind`` selects none of its alternatives."""
-    context = fault.get("ctx", {})
-    if "tag" not in context:
-        return "is missing"
-    return f"is {shown(context['tag'])}, should be one of {context['expected_tags']}"
 
 
 def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -76,10 +77,6 @@ def _law_keys(law: Any) -> Any:
             return law
 
 
-def _law_of(table: MultipathTable) -> Multipath:
-    return table.law
-
-
 COUNT_WORDS = (
     "Number of first measurements, taken from the truth at seeded free places; 0 where fit.given "
     "has path loss too, or in saved results, of first measurements that were given in Python."
@@ -88,7 +85,7 @@ Shadowing = Annotated[float, Field(ge=0, le=100, description="xi, deviation of s
 Decorrelation = Annotated[
     float, Field(gt=0, le=1e6, description="beta, decorrelation distance of shadowing in metres.")
 ]
-Fading = Annotated[Multipath, ReadAs(MultipathTable, _law_of)]
+Fading = Annotated[Multipath, ReadAs(MultipathTable, attrgetter("law"))]
 Cell = Annotated[float, Field(gt=0, le=1e6, description="Cell side of the drawn map in metres.")]
 Floor = Annotated[
     Decibels | None,

@@ -70,10 +70,6 @@ def _named(settings: Any) -> dict[str, Any]:
         ) from None
 
 
-def _sorted(settings: dict[str, float]) -> tuple[tuple[str, float], ...]:
-    return tuple(sorted(settings.items()))
-
-
 @dataclass(frozen=True)
 class ConnectivityRule(Part):
     """The rule of connectivity along a path; a step counts by the place that it ends at.
@@ -119,7 +115,7 @@ class ConnectivityRule(Part):
         ValidatedAs(dict[str, float]),
         Field(max_length=100),
         BeforeValidator(_named),
-        AfterValidator(_sorted),
+        AfterValidator(lambda settings: tuple(sorted(settings.items()))),
     ] = ()
     """Values of the fields of a rule that is registered, by name."""
 

@@ -15,7 +15,6 @@ from planopt.problems.channel_setup import (
     ArrayTruth,
     ChannelSetup,
     FunctionTruth,
-    GivenParameters,
     LoggedMeasurements,
     RasterTruth,
     SampledMeasurements,
@@ -41,7 +40,8 @@ def check_files(problem: Problem) -> None:
     """
     truth, measurements = problem.channel.truth, problem.channel.measurements
     none_taken = isinstance(measurements, SampledMeasurements) and measurements.count == 0
-    if none_taken and not _is_known(problem.channel.given):
+    given = problem.channel.given
+    if none_taken and (given is None or given.k_pl_db is None):
         raise InputError(
             "is 0, should be greater than or equal to 1",
             file=problem.file,
@@ -57,11 +57,6 @@ def check_files(problem: Problem) -> None:
             own = radio.log_file is not None
             key = f"stations[{number}].log_file" if own else "channel.measurements.file"
             _check_file(problem, log_of(measurements, radio).file, key)
-
-
-def _is_known(given: GivenParameters | None) -> bool:
-    """Return whether nothing of the channel's parameters is left to be estimated."""
-    return given is not None and given.k_pl_db is not None
 
 
 def _check_map(problem: Problem, path: Path, key: str) -> None:

@@ -195,24 +195,26 @@ class Problem:
         """
         if any(type(term).derivatives is Term.derivatives for term in self.terms):
             return False
-        has_dynamics = not all(robot.moves_freely for robot in self.robots)
-        return has_dynamics or not any(term.probes_end for term in self.terms)
+        return self.has_dynamics or not any(term.probes_end for term in self.terms)
+
+    @property
+    def has_dynamics(self) -> bool:
+        """Return whether a robot has dynamics other than the single integrator."""
+        return not all(robot.moves_freely for robot in self.robots)
 
     @property
     def term_setting(self) -> TermSetting:
         """Return the parts that decide how terms are planned for."""
+        objective = self.objective
+        has_one = isinstance(objective, TermsObjective) and len(objective.terms) == 1
         return TermSetting(
             self.planner.horizon,
             len(self.stations),
             bool(self.targets),
-            not all(robot.moves_freely for robot in self.robots),
-            not self.constraints.asks_connection and self._has_one_term,
+            self.has_dynamics,
+            not self.constraints.asks_connection and has_one,
             any(target.packets == "estimates" for target in self.targets),
         )
-
-    @property
-    def _has_one_term(self) -> bool:
-        return isinstance(self.objective, TermsObjective) and len(self.objective.terms) == 1
 
     @property
     def task(self) -> Task:
@@ -238,9 +240,16 @@ def _objective(
     return TermsObjective(found)
 
 
+PARTS = (
+    *("channel", "robots", "stations", "targets", "objective", "constraints", "planner"),
+    *("report", "compare"),
+)
+"""Parts of a problem that are tables of the same name."""
+
+
 def tables_of(problem: Problem) -> dict[str, Any]:
     """Return the tables of a problem, as the parts that it is made of."""
-    tables = {
+    tables: dict[str, Any] = {
         "problem": {
             "schema": SCHEMA_VERSION,
             "name": problem.name,
@@ -248,10 +257,8 @@ def tables_of(problem: Problem) -> dict[str, Any]:
             "description": problem.description,
         },
         "world": problem.workspace,
-        "compare": problem.compare,
     }
-    same = ("channel", "robots", "stations", "targets", "objective", "constraints", "planner")
-    tables |= {key: getattr(problem, key) for key in (*same, "report")}
+    tables |= {key: getattr(problem, key) for key in PARTS}
     return {key: value for key, value in tables.items() if value is not None}
 
 
@@ -270,17 +277,9 @@ def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Pro
             name=tables.problem.name,
             description=tables.problem.description,
             workspace=tables.world,
-            channel=tables.channel,
-            robots=tables.robots,
-            stations=tables.stations,
-            objective=tables.objective,
-            targets=tables.targets,
-            constraints=tables.constraints,
-            planner=tables.planner,
-            report=tables.report,
-            compare=tables.compare,
             file=file,
             checked=True,
+            **{key: getattr(tables, key) for key in PARTS},
         )
         check(problem)
     return problem

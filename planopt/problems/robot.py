@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, cast
 
@@ -174,7 +173,7 @@ def _start_rest(dynamics: Dynamics, given: object) -> tuple[float, ...]:
     values = tuple(cast("Any", given)) if isinstance(given, list | tuple | np.ndarray) else None
     if values == ():
         return (0.0,) * len(rest)
-    if values is None or len(values) != len(rest) or not all(map(_is_finite, values)):
+    if values is None or len(values) != len(rest) or not _are_finite(values):
         raise InputError(
             f"has the start_rest {given!r}, should have finite numbers for {listed(rest)}",
             key=Robot.at,
@@ -183,8 +182,10 @@ def _start_rest(dynamics: Dynamics, given: object) -> tuple[float, ...]:
     return tuple(float(value) for value in values)
 
 
-def _is_finite(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and math.isfinite(cast("float", value))
+def _are_finite(values: tuple[Any, ...]) -> bool:
+    return all(isinstance(one, int | float | np.number) for one in values) and bool(
+        np.isfinite(values).all()
+    )
 
 
 def _require_dynamics(given: object) -> None:

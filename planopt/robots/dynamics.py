@@ -346,19 +346,15 @@ def braked_motion(path_m: NDArray[np.float64], drive: Drive | None, step_s: floa
     """
     if drive is None:
         return TimedMotion(path_m)
-    stop = braking_drive(drive.dynamics, drive.states[-1], step_s)
+    dynamics, last = drive.dynamics, drive.states[-1]
+    braking = dynamics.braking(last, step_s, dynamics.stop_steps(last, step_s))
+    stop = rolled_out(dynamics, last, braking, step_s)
     states = np.vstack([drive.states, stop.states[1:]])
     inputs = np.vstack([drive.inputs, stop.inputs])
     return TimedMotion(
         np.vstack([path_m, stop.positions_m[1:]]),
-        tuple(drive.dynamics.curves(states[:-1], inputs, step_s)),
+        tuple(dynamics.curves(states[:-1], inputs, step_s)),
     )
-
-
-def braking_drive(dynamics: Dynamics, state: NDArray[np.float64], step_s: float) -> Drive:
-    """Return the braking drive from `state` (s,); of no step where it stops at once."""
-    steps = dynamics.stop_steps(state, step_s)
-    return rolled_out(dynamics, state, dynamics.braking(state, step_s, steps), step_s)
 
 
 def stopping_motion(dynamics: Dynamics, state: NDArray[np.float64], step_s: float) -> TimedMotion:

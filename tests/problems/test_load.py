@@ -90,63 +90,58 @@ def test_text_that_is_no_problem_is_one_error(
     assert caught.value.row == row
 
 
-def test_error_of_an_obstacle_file_names_both_places(tmp_path: Path) -> None:
-    """The file that is wrong is the obstacle file; the key says where it is asked for."""
+TRUTH = OPEN_FIELD[OPEN_FIELD.index("[channel.truth]") :]
+TRUTH = TRUTH[: TRUTH.index("\n[channel.m")]
+RASTER = '[channel.truth]\nkind = "raster"\nfile = "map.asc"\nfloor_db = -130.0\n'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words", "file", "key"),
+    [
+        ('wkt = "POLYGON', 'file = "a.wkt" #', "Point", "a.wkt", "world.obstacles[2]"),
+        (
+            "[102.0, 60.0], [102.0, 72.0]",
+            "[102.0, 72.0], [102.0, 60.0]",
+            "shed",
+            "p.toml",
+            "world.obstacles[1]",
+        ),
+        (
+            "count = 120",
+            f'file = "{"x" * 300}"',
+            "is not a file",
+            "p.toml",
+            "channel.measurements.file",
+        ),
+        (TRUTH, RASTER, r"'\.asc' is no format of maps", "p.toml", "channel.truth.file"),
+    ],
+)
+def test_faults_of_other_files_name_file_and_key(
+    tmp_path: Path, old: str, new: str, words: str, file: str, key: str
+) -> None:
+    """The file that is wrong, and the key that names it."""
     (tmp_path / "a.wkt").write_text("POINT (1 2)")
-    text = OPEN_FIELD.replace('wkt = "POLYGON', 'file = "a.wkt" #').replace('name = "pond"\n', "")
-    with pytest.raises(InputError, match="Point") as caught:
-        load(written(tmp_path, text))
-    assert caught.value.file == str(tmp_path / "a.wkt")
-    assert caught.value.key == "world.obstacles[2]"
-
-
-def test_polygon_that_crosses_itself_names_its_entry(tmp_path: Path) -> None:
-    """Geometry that means nothing is refused at the border, with the problem file and the key."""
-    text = OPEN_FIELD.replace("[102.0, 60.0], [102.0, 72.0]", "[102.0, 72.0], [102.0, 60.0]")
-    path = written(tmp_path, text)
-    with pytest.raises(InputError, match="shed") as caught:
-        load(path)
-    assert caught.value.file == str(path)
-    assert caught.value.key == "world.obstacles[1]"
-
-
-def test_folder_is_not_a_problem_file(tmp_path: Path) -> None:
-    """A folder is told apart from a missing file."""
-    with pytest.raises(InputError, match="is a folder"):
-        load(tmp_path)
-
-
-@pytest.mark.parametrize("name", ["none.toml", "no/such.toml", "x" * 300, "a\0b", "", "\ud800"])
-def test_what_is_not_there_is_one_error(name: str) -> None:
-    """Names that the file system has not, or would not even take, are the same clear error."""
-    with pytest.raises(InputError):
-        load(name)
-
-
-def test_unknown_name_suggests_the_nearest() -> None:
-    """A slip in a library name is answered with the right one."""
-    with pytest.raises(InputError, match="did you mean munich_courier") as caught:
-        load("munich_curier")
-    assert caught.value.file is None
-
-
-def test_data_file_with_a_name_too_long_is_one_error(tmp_path: Path) -> None:
-    """A name that the file system does not take is a missing file, with its key."""
-    text = OPEN_FIELD.replace("count = 120", f'file = "{"x" * 300}"')
-    with pytest.raises(InputError, match="is not a file") as caught:
-        load(written(tmp_path, text))
-    assert caught.value.key == "channel.measurements.file"
-
-
-def test_map_of_an_unknown_format_is_one_error(tmp_path: Path) -> None:
-    """The ending is told when the problem is loaded, with its key."""
     (tmp_path / "map.asc").write_text("")
-    table = '[channel.truth]\nkind = "raster"\nfile = "map.asc"\nfloor_db = -130.0\n'
-    head, rest = OPEN_FIELD.split("[channel.truth]")
-    text = head + table + rest[rest.index("\n[channel.") :]
-    with pytest.raises(InputError, match=r"'\.asc' is no format of maps") as caught:
+    assert old in OPEN_FIELD
+    text = OPEN_FIELD.replace(old, new)
+    text = text.replace('name = "pond"\n', "") if "a.wkt" in new else text
+    with pytest.raises(InputError, match=words) as caught:
         load(written(tmp_path, text))
-    assert caught.value.key == "channel.truth.file"
+    assert (caught.value.file, caught.value.key) == (str(tmp_path / file), key)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (".", "is a folder"),
+        ("munich_curier", "did you mean munich_courier"),
+        *((name, ".") for name in ("none.toml", "no/such.toml", "x" * 300, "a\0b", "", "\ud800")),
+    ],
+)
+def test_what_is_not_there_is_one_error(name: str, words: str) -> None:
+    """Folders, slips, and names that the file system has not, or would not even take."""
+    with pytest.raises(InputError, match=words):
+        load(name)
 
 
 def test_file_that_cannot_be_read_is_one_error(

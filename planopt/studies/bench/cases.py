@@ -159,8 +159,7 @@ def _allows(problem: Problem, planner: str) -> bool:
         with_overrides(problem, planner=planner)
     except InputError:
         return False
-    single = all(robot.moves_freely for robot in problem.robots)
-    return single or kind.has_dynamics
+    return kind.has_dynamics or not problem.has_dynamics
 
 
 @dataclass(frozen=True, kw_only=True)

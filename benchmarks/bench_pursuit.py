@@ -11,11 +11,23 @@ from pursuit_study import captures, varied
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from planopt import compare
-from planopt.pursuit.arena import Arena
-from planopt.pursuit.evaders import Fleeing
-from planopt.pursuit.pursuers import DriveToReport, Policy, RecedingHorizon, StraightMotion
-from planopt.pursuit.service import SnapshotRecords, SnapshotService, Track, snapshot
-from planopt.pursuit.simulation import Evader, Pursuer, Pursuit, Scene, simulate_pursuit
+from planopt.pursuit import (
+    Arena,
+    DriveToReport,
+    Evader,
+    Fleeing,
+    Policy,
+    Pursuer,
+    Pursuit,
+    RecedingHorizon,
+    Scene,
+    SnapshotRecords,
+    SnapshotService,
+    StraightMotion,
+    Track,
+    simulate_pursuit,
+    snapshot,
+)
 
 STEPS = 1000
 SERVICE = SnapshotService(levels=8, mote_spacing_m=1.0, frame_s=0.05, bits_per_axis=5)

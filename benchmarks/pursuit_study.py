@@ -18,12 +18,26 @@ import planopt
 from planopt import compare
 from planopt.problems import TaskProblem
 from planopt.problems.tasks import problem_from
-from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
-from planopt.pursuit.guarantees import Chase, contraction, guarantees
-from planopt.pursuit.pursuers import DriveToReport, StraightMotion
-from planopt.pursuit.service import SnapshotRecords, SnapshotService, relative_error
-from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
-from planopt.pursuit.theorems import Theorem
+from planopt.pursuit import (
+    Chase,
+    DriveToReport,
+    Evader,
+    Fleeing,
+    Foresighted,
+    Pursuer,
+    Scene,
+    SnapshotRecords,
+    SnapshotService,
+    Static,
+    StraightMotion,
+    Theorem,
+    Wandering,
+    Zigzag,
+    capture_guarantees,
+    contraction,
+    relative_error,
+    simulate_pursuit,
+)
 
 EVADERS = {
     "static": {"kind": "static"},
@@ -88,7 +102,7 @@ def captures(first_seed: int, runs: int) -> None:
     for seed in range(first_seed, first_seed + runs):
         generator = np.random.default_rng(seed)
         chase, service, radius_m = drawn(generator)
-        promised = guarantees(chase, service.bounds)[Theorem.SNAPSHOTS]
+        promised = capture_guarantees(chase, service.bounds)[Theorem.SNAPSHOTS]
         behaviour = [
             Static(),
             Wandering(),
@@ -138,12 +152,12 @@ def drawn(generator: np.random.Generator) -> tuple[Chase, SnapshotService, float
         floor_m = 1.0
         for _ in range(12):
             chase = Chase(1.0, ratio, 0.1 * floor_m / ratio)
-            floor_m = guarantees(chase, service.bounds)[Theorem.SNAPSHOTS].floor_m
+            floor_m = capture_guarantees(chase, service.bounds)[Theorem.SNAPSHOTS].floor_m
             if not np.isfinite(floor_m) or floor_m > 200.0:
                 break
         else:
             chase = Chase(1.0, ratio, 0.1 * floor_m / ratio)
-            floor_m = guarantees(chase, service.bounds)[Theorem.SNAPSHOTS].floor_m
+            floor_m = capture_guarantees(chase, service.bounds)[Theorem.SNAPSHOTS].floor_m
             return chase, service, generator.uniform(1.05, 1.5) * floor_m
 
 

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planopt.pursuit.flooding import simulate_flooding
-from planopt.pursuit.service import SnapshotService
+from planopt.pursuit import SnapshotService, simulate_flooding
 
 Row = tuple[Any, ...]
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import planopt
-from planopt.pursuit.service import SnapshotService, Track, snapshot
+from planopt.pursuit import SnapshotService, Track, snapshot
 from planopt.report import animate_pursuit, draw_design, draw_knowledge, draw_pursuit, draw_view
 
 service = SnapshotService(levels=7, mote_spacing_m=1.0, frame_s=0.1, bits_per_axis=3)

@@ -1,1 +1,8 @@
-"""Pursuit over distance-sensitive snapshots: the service, its guarantees, its design, the chase."""
+"""Pursuit over distance-sensitive snapshots: the service, its guarantees, its design, the chase.
+
+Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+"""
+
+from planopt.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

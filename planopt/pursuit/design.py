@@ -20,7 +20,7 @@ from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
 from planopt.keys import SMALLEST, Metres, Table
-from planopt.pursuit.guarantees import Chase, Guarantee, contraction, guarantees
+from planopt.pursuit.guarantees import Chase, Guarantee, capture_guarantees, contraction
 from planopt.pursuit.service import (
     HOPS_PER_ROUND,
     MAX_LEVELS,
@@ -313,7 +313,7 @@ def _scan(
         slot_s, divisor = found.slot_width_s, found.rate_divisor
         bounds = task.network.service(slot_s, c, divisor).bounds
         power_w = task.network.power_w(slot_s, c, divisor)
-        each = guarantees(task.chase, bounds)
+        each = capture_guarantees(task.chase, bounds)
         designs.append(Design(task, slot_s, divisor, c, power_w, found.binding, each))
     if designs:
         return min(designs, key=objective)
@@ -396,7 +396,7 @@ def _failing(
 ) -> tuple[str, Inequality] | None:
     """Return the name and inequality of the first requirement that a slot misses."""
     assert task.capture_radius_m is not None and task.deadline_s is not None
-    found = guarantees(task.chase, task.network.service(slot_s, bits).bounds)[theorem]
+    found = capture_guarantees(task.chase, task.network.service(slot_s, bits).bounds)[theorem]
     for each in found.inequalities:
         if not each.holds:
             return theorem.value, each

@@ -129,7 +129,7 @@ class Guarantee:
         return float(pace @ np.diff(grid) + pace[0] * last)
 
 
-def guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Guarantee]:
+def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Guarantee]:
     """Return the guarantee of each theorem for a chase with a service of these bounds."""
     a, x = contraction(chase.speed_ratio, bounds.relative_error), staleness(chase, bounds)
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
@@ -220,7 +220,7 @@ def guarantees_among_obstacles(
             relative_error=share * bounds.relative_error,
             error_floor_m=share * bounds.error_floor_m,
         )
-        each = guarantees(replace(chase, pursuer_speed_m_s=speed_m_s), wider)
+        each = capture_guarantees(replace(chase, pursuer_speed_m_s=speed_m_s), wider)
         found[distances] = {
             theorem: replace(guarantee, distances=distances) for theorem, guarantee in each.items()
         }

@@ -20,7 +20,12 @@ from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
-from planopt.pursuit.guarantees import Chase, Guarantee, guarantees, guarantees_among_obstacles
+from planopt.pursuit.guarantees import (
+    Chase,
+    Guarantee,
+    capture_guarantees,
+    guarantees_among_obstacles,
+)
 from planopt.pursuit.pursuers import (
     DriveToReport,
     Motion,
@@ -241,7 +246,7 @@ class PursuitProblem(TaskProblem):
         delay_s = (1 + self.arena.corners) * (self.given.pursuit.step_s + motion.turning_s)
         chase, bounds = Chase(speed, motion.speed_max_m_s, delay_s), self.service.bounds
         if self.arena.obstacles is None:
-            return guarantees(chase, bounds)
+            return capture_guarantees(chase, bounds)
         kinds = guarantees_among_obstacles(chase, bounds, self.arena.detour)
         return {
             theorem: min((each[theorem] for each in kinds.values()), key=lambda one: one.floor_m)

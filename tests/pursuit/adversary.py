@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.pursuit.guarantees import Chase
-from planopt.pursuit.service import Record, ServiceBounds, Track
+from planopt.pursuit import Chase, Record, ServiceBounds, Track
 
 AGES, DIRECTIONS = 48, 24
 """Sample times and directions of the error that are tried for the worst record."""

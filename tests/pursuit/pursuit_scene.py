@@ -4,9 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planopt.pursuit.pursuers import DriveToReport, StraightMotion
-from planopt.pursuit.service import Record
-from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
+from planopt.pursuit import (
+    DriveToReport,
+    Evader,
+    Pursuer,
+    Record,
+    Scene,
+    StraightMotion,
+    simulate_pursuit,
+)
 
 
 @dataclass(frozen=True)

@@ -7,24 +7,26 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from planopt.errors import NoPlanError
-from planopt.pursuit.design import (
+from planopt import NoPlanError
+from planopt.pursuit import (
     MAX_BITS,
+    Chase,
     DesignTask,
     MoteNetwork,
     NoDesignError,
+    SnapshotService,
+    Theorem,
+    capture_guarantees,
     cheapest_design,
     cheapest_rated_design,
     least_energy_design,
     pareto_front,
+    relative_error,
     relaxed_design,
     sensitivities,
     sharp_design,
+    simulate_flooding,
 )
-from planopt.pursuit.flooding import simulate_flooding
-from planopt.pursuit.guarantees import Chase, guarantees
-from planopt.pursuit.service import SnapshotService, relative_error
-from planopt.pursuit.theorems import Theorem
 
 NETWORK = MoteNetwork(
     levels=6,
@@ -230,7 +232,7 @@ def test_sharp_design(theorem):
         (OTHER.network.service(found.slot_width_s, found.bits_per_axis).bounds, True),
         (wider, False),
     ):
-        guarantee = guarantees(OTHER.chase, bounds)[theorem]
+        guarantee = capture_guarantees(OTHER.chase, bounds)[theorem]
         caught = guarantee.holds and guarantee.captures(20.0).holds
         assert (caught and guarantee.capture_time_s(200.0, 20.0) < 200.0) == met
     assert len(found.binding) == 1

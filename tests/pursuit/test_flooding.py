@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.pursuit.design import mean_blocks_per_frame
-from planopt.pursuit.flooding import simulate_flooding
-from planopt.pursuit.service import SnapshotService
+from planopt.pursuit import SnapshotService, mean_blocks_per_frame, simulate_flooding
 
 
 def flood_blocks_per_round(service, border_relays):

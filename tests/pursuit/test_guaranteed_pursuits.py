@@ -5,10 +5,20 @@ import pytest
 from adversary import AdversarialRecords
 from pursuit_scene import pursue
 
-from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
-from planopt.pursuit.guarantees import Chase, contraction, guarantees
-from planopt.pursuit.service import ServiceBounds, SnapshotRecords, SnapshotService
-from planopt.pursuit.theorems import Theorem
+from planopt.pursuit import (
+    Chase,
+    Fleeing,
+    Foresighted,
+    ServiceBounds,
+    SnapshotRecords,
+    SnapshotService,
+    Static,
+    Theorem,
+    Wandering,
+    Zigzag,
+    capture_guarantees,
+    contraction,
+)
 
 BEHAVIOURS = [
     Static(),
@@ -46,7 +56,7 @@ def test_snapshots(behaviour, speed_ratio, bits, x, divisor, theorems):
     )
     radius_m = 1.05 * _floor_m(service, speed_ratio)
     chase = Chase(1.0, speed_ratio, 0.1 * radius_m / speed_ratio)
-    found = guarantees(chase, service.bounds)
+    found = capture_guarantees(chase, service.bounds)
     holding = {theorem for theorem, each in found.items() if each.holds}
     assert holding == theorems | {Theorem.SAMPLED_DISTANCE}
     for seed in range(2):
@@ -71,7 +81,7 @@ def _floor_m(service, speed_ratio):
     floor_m = 1.0
     for _ in range(12):
         chase = Chase(1.0, speed_ratio, 0.105 * floor_m / speed_ratio)
-        floor_m = guarantees(chase, service.bounds)[Theorem.SNAPSHOTS].floor_m
+        floor_m = capture_guarantees(chase, service.bounds)[Theorem.SNAPSHOTS].floor_m
     return floor_m
 
 
@@ -86,7 +96,7 @@ def test_adversarial_records(behaviour, speed_ratio, k, x):
     """Records as bad as allowed: under rule R a < 1 captures for any x, within its bounds."""
     bounds = ServiceBounds(x, 1.0 / k, 0.01, 0.1)
     chase = Chase(1.0, speed_ratio, 0.1 / speed_ratio)
-    found = guarantees(chase, bounds)
+    found = capture_guarantees(chase, bounds)
     trail = found[Theorem.SAMPLED_DISTANCE]
     for seed in range(2):
         pursuit = pursue(
@@ -118,7 +128,7 @@ def test_floor_grows_with_staleness():
     bounds = ServiceBounds(3.0, 0.0, 1e-6, 1.0)
     chase = Chase(1.0, 2.0, 0.01)
     sum_of_floors = 1e-6 + 1.0 * (2.0 + 1.0) / (2.0 - 1.0)
-    floor_m = guarantees(chase, bounds)[Theorem.SAMPLED_DISTANCE].floor_m
+    floor_m = capture_guarantees(chase, bounds)[Theorem.SAMPLED_DISTANCE].floor_m
     assert floor_m > 4.0 * sum_of_floors
     near = pursue(
         AdversarialRecords(bounds, chase),

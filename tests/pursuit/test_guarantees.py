@@ -6,10 +6,16 @@ from math import isinf
 import numpy as np
 import pytest
 
-from planopt.errors import InputError
-from planopt.pursuit.guarantees import Chase, contraction, guarantees
-from planopt.pursuit.service import ServiceBounds, SnapshotService
-from planopt.pursuit.theorems import Inequality, Theorem
+from planopt import InputError
+from planopt.pursuit import (
+    Chase,
+    Inequality,
+    ServiceBounds,
+    SnapshotService,
+    Theorem,
+    capture_guarantees,
+    contraction,
+)
 
 CHASES = [Chase(1.0, 2.0), Chase(2.5, 3.5, 0.3), Chase(0.4, 2.0, 0.05)]
 BOUNDS = [
@@ -52,7 +58,7 @@ def worst_by_sampling(theorem, chase, bounds, bound_m, generator, count=40_000):
 @pytest.mark.parametrize("chase", CHASES)
 def test_bound_of_a_stage_is_the_worst_case(theorem, chase, bounds):
     """No stage of driving ends higher, and some end there."""
-    found = guarantees(chase, bounds)[theorem]
+    found = capture_guarantees(chase, bounds)[theorem]
     generator = np.random.default_rng(0)
     for bound_m in (0.5, 3.0, 20.0, 400.0):
         drive, _ = found.stages[0](np.array(bound_m))
@@ -67,7 +73,7 @@ def test_bound_of_a_stage_is_the_worst_case(theorem, chase, bounds):
 def test_times_without_floors(chase):
     """Closed forms of equations 8.3 and 8.5, at 1000 m."""
     bounds, first = ServiceBounds(0.15, 0.1), 1000.0
-    found = guarantees(chase, bounds)
+    found = capture_guarantees(chase, bounds)
     a, x, kappa, alpha = contraction(2.0, 0.1), 0.15, 0.1, 2.0
     lemma = (1 + kappa) * first / alpha / (1 - a - x)
     assert found[Theorem.LEMMA].capture_time_s(first, 1.0) == pytest.approx(lemma, rel=1e-9)
@@ -90,7 +96,7 @@ def test_times_without_floors(chase):
 @pytest.mark.parametrize("chase", CHASES)
 def test_floors(chase, bounds):
     """Closed forms: the largest of those with either bound at its floor, or both."""
-    found = guarantees(chase, bounds)
+    found = capture_guarantees(chase, bounds)
     u, v = 1 / chase.speed_ratio, chase.evader_speed_m_s
     kappa, x = bounds.relative_error, bounds.age_s_m * v
     moved, error = v * bounds.age_floor_s, bounds.error_floor_m
@@ -133,9 +139,8 @@ def test_limits_of_the_slot_width():
         for _ in range(60):
             middle = 0.5 * (low + high)
             bounds = SnapshotService(6, 1.0, middle, 6).bounds
-            low, high = (
-                (middle, high) if guarantees(chase, bounds)[theorem].holds else (low, middle)
-            )
+            holds = capture_guarantees(chase, bounds)[theorem].holds
+            low, high = (middle, high) if holds else (low, middle)
         return low
 
     lemma = limit(Theorem.LEMMA)
@@ -153,18 +158,18 @@ def test_inequalities_say_by_how_much():
     each = Inequality("floor below the capture radius", 5.25, 5.0, "m")
     assert str(each) == "floor below the capture radius: 5.25 < 5 m fails by 0.25 m"
     assert not each.holds and each.margin == -0.25
-    found = guarantees(Chase(1.0, 2.0), ServiceBounds(0.4, 0.1))
+    found = capture_guarantees(Chase(1.0, 2.0), ServiceBounds(0.4, 0.1))
     assert str(found[Theorem.LEMMA].inequalities[0]) == "a + x below 1: 1.05 < 1 fails by 0.05"
-    slow = guarantees(Chase(1.0, 1.2), ServiceBounds(0.0, 0.2))[Theorem.SAMPLED_DISTANCE]
+    slow = capture_guarantees(Chase(1.0, 1.2), ServiceBounds(0.0, 0.2))[Theorem.SAMPLED_DISTANCE]
     assert not slow.holds and slow.inequalities[0].margin == pytest.approx(-0.2)
 
 
 def test_period_of_one_evader_step():
     """Where an evader leaves every cell within a period, rounds say nothing."""
-    found = guarantees(Chase(1.0, 2.0), ServiceBounds(2.0, 0.1, period_s_m=1.0))
+    found = capture_guarantees(Chase(1.0, 2.0), ServiceBounds(2.0, 0.1, period_s_m=1.0))
     assert Theorem.SNAPSHOTS in found and not found[Theorem.SNAPSHOTS].holds
     assert "period" in str(found[Theorem.SNAPSHOTS].inequalities[0])
-    assert Theorem.SNAPSHOTS not in guarantees(Chase(1.0, 2.0), ServiceBounds(2.0, 0.1))
+    assert Theorem.SNAPSHOTS not in capture_guarantees(Chase(1.0, 2.0), ServiceBounds(2.0, 0.1))
 
 
 @pytest.mark.parametrize(

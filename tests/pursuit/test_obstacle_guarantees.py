@@ -4,14 +4,29 @@ import numpy as np
 import pytest
 import shapely
 
-from planopt.errors import InputError
-from planopt.pursuit.arena import EVADER_SHARE, arena_of
-from planopt.pursuit.evaders import Fleeing, Static, Wandering, Zigzag
-from planopt.pursuit.guarantees import Chase, guarantees, guarantees_among_obstacles
-from planopt.pursuit.pursuers import DriveToReport, StraightMotion
-from planopt.pursuit.service import ServiceBounds, SnapshotRecords, SnapshotService
-from planopt.pursuit.simulation import Evader, Pursuer, Scene, simulate_pursuit
-from planopt.pursuit.theorems import Distances, Theorem
+from planopt import InputError
+from planopt.pursuit import (
+    EVADER_SHARE,
+    Chase,
+    Distances,
+    DriveToReport,
+    Evader,
+    Fleeing,
+    Pursuer,
+    Scene,
+    ServiceBounds,
+    SnapshotRecords,
+    SnapshotService,
+    Static,
+    StraightMotion,
+    Theorem,
+    Wandering,
+    Zigzag,
+    arena_of,
+    capture_guarantees,
+    guarantees_among_obstacles,
+    simulate_pursuit,
+)
 from planopt.world.workspace import Obstacle, Workspace
 
 
@@ -128,7 +143,7 @@ def test_a_wall_breaks_the_bounds_of_open_space():
     wall = arena(shapely.box(10, 29.6, 410, 29.8), clearance_m=0.1, bounds_m=(0, 0, 420, 64))
     service = SnapshotService(9, 1.0, 0.01, 3)
     chase = Chase(0.5, 3.0, (1 + wall.corners) * 0.05)
-    open_space = guarantees(chase, service.bounds)[Theorem.SNAPSHOTS]
+    open_space = capture_guarantees(chase, service.bounds)[Theorem.SNAPSHOTS]
     radius_m = 4.0
     assert open_space.holds and open_space.captures(radius_m).holds
     scene = Scene(
@@ -154,7 +169,7 @@ def test_a_wall_breaks_the_bounds_of_open_space():
 def test_factors():
     """Without detours only a report inside an obstacle widens errors; none is below 1."""
     chase, bounds = Chase(1.0, 3.0), ServiceBounds(0.2, 0.05, 0.1, 0.3)
-    wide = guarantees(chase, ServiceBounds(0.2, 0.1, 0.1, 0.6))
+    wide = capture_guarantees(chase, ServiceBounds(0.2, 0.1, 0.1, 0.6))
     for theorems in guarantees_among_obstacles(chase, bounds, 1.0).values():
         for theorem, each in theorems.items():
             assert (each.ratio, each.floor_m) == (wide[theorem].ratio, wide[theorem].floor_m)

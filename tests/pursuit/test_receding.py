@@ -5,9 +5,7 @@ import pytest
 from pursuit_scene import ExactRecords, pursue
 from scipy.linalg import expm
 
-from planopt.pursuit.evaders import Wandering
-from planopt.pursuit.pursuers import Estimate, RecedingHorizon, predicted, updated
-from planopt.pursuit.service import Record
+from planopt.pursuit import Estimate, RecedingHorizon, Record, Wandering, predicted, updated
 
 
 @pytest.mark.parametrize("lasts_s", [0.01, 3.0, 200.0])

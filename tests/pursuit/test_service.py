@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planopt.errors import InputError
-from planopt.pursuit.service import (
+from planopt import InputError
+from planopt.pursuit import (
     ServiceBounds,
     SnapshotService,
     Track,

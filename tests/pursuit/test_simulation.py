@@ -8,16 +8,24 @@ import pytest
 import shapely
 from pursuit_scene import ExactRecords, pursue
 
-from planopt.errors import InputError
-from planopt.pursuit.arena import Arena, arena_of
-from planopt.pursuit.evaders import Fleeing, Static, Wandering
-from planopt.pursuit.pursuers import DriveToReport, StraightMotion, UnicycleMotion, fresher
-from planopt.pursuit.service import Record, SnapshotRecords, SnapshotService
-from planopt.pursuit.simulation import (
+from planopt import InputError
+from planopt.pursuit import (
+    Arena,
+    DriveToReport,
     Evader,
+    Fleeing,
     Pursuer,
+    Record,
     Scene,
+    SnapshotRecords,
+    SnapshotService,
+    Static,
+    StraightMotion,
+    UnicycleMotion,
+    Wandering,
+    arena_of,
     first_within,
+    fresher,
     simulate_pursuit,
 )
 from planopt.robots.models import Unicycle

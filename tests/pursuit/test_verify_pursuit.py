@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 import planopt
-from planopt.pursuit.certificate import (
+from planopt.pursuit import (
+    Chase,
     DesignData,
+    SnapshotService,
+    Theorem,
+    capture_guarantees,
     certify,
     verify_guarantees,
+    verify_pursuit,
 )
-from planopt.pursuit.guarantees import Chase, guarantees
-from planopt.pursuit.service import SnapshotService
-from planopt.pursuit.theorems import Theorem
-from planopt.pursuit.verify import verify_pursuit
 from planopt.tasks.pursuit import claims, verifier_data
 
 LIBRARY = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_several")
@@ -197,7 +198,7 @@ def test_formulas_agree_with_the_planner(theorem):
         frame_s = generator.uniform(0.001, 0.05) * spacing / evader
         bits, divisor = int(generator.integers(3, 9)), int(generator.integers(1, 4))
         service = SnapshotService(8, spacing, frame_s, bits, rate_divisor=divisor)
-        found = guarantees(chase, service.bounds)[theorem]
+        found = capture_guarantees(chase, service.bounds)[theorem]
         radius_m, first_m = 1.2 * found.floor_m if found.holds else 50.0, 40.0 * spacing
         data = DesignData(
             *(chase.evader_speed_m_s, chase.pursuer_speed_m_s, chase.stage_delay_s, spacing),

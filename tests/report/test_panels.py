@@ -12,7 +12,7 @@ from artists import line_of, panel_of
 
 import planopt.report
 from planopt import InputError, OutputError
-from planopt.pursuit.service import SnapshotService, Track
+from planopt.pursuit import SnapshotService, Track
 from planopt.report import draw_costs, draw_run_series, draw_step_times, draw_view, save_figure
 from planopt.report.panel import new_figure
 

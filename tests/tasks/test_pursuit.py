@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import planopt
-from planopt.errors import InputError, NoPlanError
+from planopt import InputError, NoPlanError
 from planopt.problems.library import library_folder
 
 NAMES = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_several")

@@ -8,7 +8,7 @@ from test_coverage import SMALL
 
 import planopt
 from planopt.coverage.events import signals
-from planopt.pursuit.service import Track
+from planopt.pursuit import Track
 
 
 @pytest.mark.parametrize("planner", ["law", "receding"])

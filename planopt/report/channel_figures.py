@@ -52,8 +52,8 @@ from planopt.report.panel import (
     head,
     legend_below,
     legend_inside,
+    log_scale,
     new_figure,
-    plain_log_ticks,
 )
 from planopt.world.raster import Raster
 
@@ -220,8 +220,7 @@ def _draw_path_loss(
     words = f"{parameters.k_pl_db:.1f} dBm - {10.0 * parameters.n_pl:.1f} dB log10(d / 1 m)"
     panel.plot(span, line, color=PREDICTED, linewidth=2.0, label=words)
     dress(panel, "path loss", "distance to the station d [m]", "power [dBm]")
-    panel.set_xscale("log")
-    plain_log_ticks(panel.xaxis)
+    log_scale(panel, "x")
     legend_inside(panel)
 
 
@@ -436,10 +435,9 @@ def draw_stations(
         words = f"median {np.median(ordered):.2f} m, 90 % {np.quantile(ordered, 0.9):.2f} m"
         look = dashed_look(number)
         errors.plot(np.repeat(ordered, 2), 100.0 * shares, label=f"{name}: {words}", **look)
-    errors.set_xscale("log")
+    log_scale(errors, "x")
     errors.set_ylim(0.0, 100.0)
     dress(errors, "error of position", "distance to the true position [m]", "transmitters [%]")
-    plain_log_ticks(errors.xaxis)
     legend_inside(errors, "upper left")
     legend_below(figure, entries, 3)
     head(figure, f"{len(true_m)} transmitters, located by the power received from them")

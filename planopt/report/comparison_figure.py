@@ -25,6 +25,7 @@ from planopt.report.panel import (
     dress,
     head,
     legend_below,
+    log_scale,
     new_figure,
     plain_log_ticks,
 )
@@ -242,8 +243,7 @@ def _draw_step_times(panel: Panel, layout: Layout) -> list[Artist]:
         median, slow = 1e3 * np.array([row.p50_step_s, row.p95_step_s], dtype=np.float64)
         entries.append(_draw_mean(panel, slot, median, median, slow))
     dress(panel, "step time: median, up to 95 % quantile", layout.label, "step time [ms]")
-    panel.set_yscale("log")
-    plain_log_ticks(panel.yaxis)
+    log_scale(panel, "y")
     return entries
 
 
@@ -300,8 +300,7 @@ def _scale_trace(
     low, high = min(map(np.min, means)), max(map(np.max, means))
     logarithmic = low > 0.0 and high >= LOG_RATIO * low
     if logarithmic:
-        panel.set_yscale("log")
-        plain_log_ticks(panel.yaxis)
+        log_scale(panel, "y")
         panel.set_ylim(0.7 * low, 2.0 * high)
     other = NORMALISED.get(name)
     firsts = {float(run.traces[name][0]) for run in comparison.runs if other in run.traces}

@@ -35,8 +35,8 @@ from planopt.report.panel import (
     head,
     legend_below,
     legend_inside,
+    log_scale,
     new_figure,
-    plain_log_ticks,
     spaced,
 )
 
@@ -110,8 +110,7 @@ def draw_network(picture: NetworkPicture) -> Figure:
             _shade_events(panel, picture)
     else:
         panels[3].plot(run.times_s[:-1], np.maximum(run.residuals_m, 1e-9), color=BLUE)
-        panels[3].set_yscale("log")
-        plain_log_ticks(panels[3].yaxis)
+        log_scale(panels[3], "y")
         dress(panels[3], "largest distance to an agent's target", TIME, "distance [m]")
     legend_below(figure, entries, 10)
     head(figure, f"{spaced(picture.name)}: H {run.costs[0]:.4g} to {run.costs[-1]:.4g}")
@@ -151,10 +150,7 @@ def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]
     sizes = np.array(agents, dtype=np.float64)
     for number, (name, times) in enumerate(times_s.items()):
         panel.plot(sizes, times, label=name, **curve_look(number))
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    plain_log_ticks(panel.xaxis)
-    plain_log_ticks(panel.yaxis)
+    log_scale(panel, "x", "y")
     dress(panel, "a step of the network", "agents [1]", "processor time [s]")
     legend_inside(panel, "upper left")
     return figure
@@ -236,8 +232,7 @@ def _draw_paths(panel: Panel, picture: NetworkPicture, begin: int, end: int) -> 
 
 def _draw_cost(panel: Panel, run: NetworkRun, color: str, **look: Any) -> None:
     panel.plot(run.times_s[:-1], run.costs, color=color, **{"linewidth": 1.6, **look})
-    panel.set_yscale("log")
-    plain_log_ticks(panel.yaxis)
+    log_scale(panel, "y")
     dress(panel, "coverage cost H", TIME, COST)
 
 
@@ -267,8 +262,7 @@ def _draw_errors(panel: Panel, picture: NetworkPicture) -> None:
         std_m = np.where(np.isfinite(run.stds_m[:, number]), run.stds_m[:, number], np.nan)
         panel.plot(times_s, std_m, color=colour, linewidth=1.0, linestyle="--")
     if np.isfinite(run.estimates_m).any():
-        panel.set_yscale("log")
-        plain_log_ticks(panel.yaxis)
+        log_scale(panel, "y")
     panel.set_xlim(float(times_s[0]), float(times_s[-1]))
     dress(panel, "error of the estimate (dashed: its std)", TIME, "distance [m]")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import shapely
@@ -33,7 +33,6 @@ from planopt.report.panel import (
     YELLOW,
     Look,
     Panel,
-    add_colorbar,
     dress,
 )
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
@@ -225,7 +224,7 @@ def draw_layer(
         interpolation="nearest",
         zorder=LAYER_Z,
     )
-    bar = add_colorbar(figure, layer, panel, aspect=30, pad=0.02)
+    bar = cast("Any", figure).colorbar(layer, ax=panel, aspect=30, pad=0.02).ax
     bar.set_ylabel(label, fontsize=LABEL_PT)
     bar.tick_params(labelsize=TICK_PT)
     if mark is not None:

@@ -36,7 +36,7 @@ from planopt.report.panel import (
     draw_band,
     dress,
     legend_above,
-    plain_log_ticks,
+    log_scale,
     robot_colour,
     robot_marker,
     spaced,
@@ -268,8 +268,7 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
             panel.scatter(times, milliseconds[np.isin(log.t_s, times)], label=label, **look)
     dress(panel, "planning time of a step, by fallback", TIME, "step time [ms]")
     if len(log.t_s) > 1:
-        panel.set_yscale("log")
-        plain_log_ticks(panel.yaxis)
+        log_scale(panel, "y")
         legend_above(panel)
     else:
         panel.text(log.t_s[0], 0.5, "no step was released", fontsize=NOTE_PT)
@@ -336,8 +335,7 @@ def _draw_target(panel: Panel, run: Run) -> None:
             look = {"s": 22.0, "facecolors": fill, "edgecolors": PREDICTED, "zorder": 3.0}
             panel.scatter(t_s[1:][selection], trace[1:][selection], label=label, **look)
     dress(panel, "uncertainty of the target", TIME, "trace P [m²]")
-    panel.set_yscale("log")
-    plain_log_ticks(panel.yaxis)
+    log_scale(panel, "y")
     legend_above(panel)
 
 

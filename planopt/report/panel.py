@@ -1,18 +1,15 @@
-"""Figures and panels: typed Matplotlib, layout, files, and the common style of all figures.
+"""Figures and panels: layout, files, and the common style of all figures.
 
-Matplotlib leaves the styling keywords of its methods untyped; the protocol :class:`Panel` has the
-methods in use, with types. No pyplot and no global settings: figures belong to the caller.
+No pyplot and no global settings: figures belong to the caller.
 Colours are those of Okabe and Ito (2008) and the perceptually uniform maps viridis and cividis.
 """
-
-# ruff: noqa: D102 - matplotlib documents the methods that the protocols name
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +20,6 @@ from planopt.files.writing import write_whole
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axis import Axis
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.collections import Collection
     from matplotlib.figure import Figure
 
 BLACK, WHITE = "#000000", "#ffffff"
@@ -70,51 +65,8 @@ Look = dict[str, Any]
 """Keywords of Matplotlib that style what is drawn."""
 
 
-class Panel(Protocol):
-    """One set of axes: the methods of ``matplotlib.axes.Axes`` that are used here."""
-
-    @property
-    def xaxis(self) -> Axis: ...
-    @property
-    def yaxis(self) -> Axis: ...
-    @property
-    def transAxes(self) -> object: ...
-    def plot(self, x: Values, y: Values, /, **look: object) -> Sequence[Artist]: ...
-    def scatter(self, x: Values, y: Values, /, **look: object) -> Collection: ...
-    def bar(self, x: Values, height: Values, /, **look: object) -> object: ...
-    def barh(self, y: Values, width: Values, /, **look: object) -> object: ...
-    def stairs(self, values: Values, edges: Values, /, **look: object) -> Artist: ...
-    def errorbar(self, x: Values, y: Values, /, **look: object) -> object: ...
-    def fill_between(
-        self, x: Values, low: Values, high: Values | float, /, **look: object
-    ) -> Collection: ...
-    def imshow(self, values: NDArray[np.float64], /, **look: object) -> ScalarMappable: ...
-    def contour(
-        self, x: Values, y: Values, z: NDArray[np.float64], /, **look: object
-    ) -> object: ...
-    def axvspan(self, low: float, high: float, /, **look: object) -> object: ...
-    def axhline(self, y: float, /, **look: object) -> Artist: ...
-    def axvline(self, x: float, /, **look: object) -> Artist: ...
-    def text(self, x: float, y: float, words: str, /, **look: object) -> Artist: ...
-    def add_collection(self, collection: Collection, /, *, autolim: bool = True) -> object: ...
-    def legend(self, **look: object) -> object: ...
-    def get_legend_handles_labels(self) -> tuple[Sequence[Artist], Sequence[str]]: ...
-    def inset_axes(self, bounds: tuple[float, float, float, float], /) -> Panel: ...
-    def set_title(self, label: str, /, **look: object) -> object: ...
-    def set_xlabel(self, label: str, /, **look: object) -> object: ...
-    def set_ylabel(self, label: str, /, **look: object) -> object: ...
-    def set_xlim(self, low: float, high: float, /) -> object: ...
-    def set_ylim(self, low: float | None, high: float | None, /) -> object: ...
-    def set_xticks(self, ticks: Values, /, labels: Sequence[str] | None = None) -> object: ...
-    def set_yticks(self, ticks: Values, /, labels: Sequence[str] | None = None) -> object: ...
-    def set_xscale(self, name: str, /) -> object: ...
-    def set_yscale(self, name: str, /) -> object: ...
-    def set_aspect(self, aspect: str, /, **look: object) -> object: ...
-    def set_axisbelow(self, below: bool, /) -> None: ...
-    def secondary_yaxis(self, location: str, /, **look: object) -> Panel: ...
-    def set_axis_off(self) -> None: ...
-    def tick_params(self, **look: object) -> None: ...
-    def grid(self, visible: bool, /, **look: object) -> None: ...
+Panel = Any
+"""One ``matplotlib.axes.Axes``, whose styling keywords Matplotlib leaves untyped."""
 
 
 def new_figure(
@@ -140,26 +92,10 @@ def split_panel(figure: Figure, panel: Panel, shares: Sequence[float]) -> list[P
     """Replace a panel by panels above each other, with these shares of its height."""
     from matplotlib.gridspec import GridSpecFromSubplotSpec
 
-    axes = cast("Any", panel)
-    cell = axes.get_subplotspec()
-    axes.remove()
+    cell = panel.get_subplotspec()
+    panel.remove()
     rows = GridSpecFromSubplotSpec(len(shares), 1, cell, height_ratios=shares)
     return [cast("Any", figure).add_subplot(rows[row, 0]) for row in range(len(shares))]
-
-
-def add_colorbar(figure: Figure, layer: ScalarMappable, panel: Panel, **look: object) -> Panel:
-    """Add a colour bar next to `panel`; return its axes."""
-    return cast("Any", figure).colorbar(layer, ax=panel, **look).ax
-
-
-def add_legend(figure: Figure, **look: object) -> None:
-    """Add a legend of the whole figure."""
-    cast("Any", figure).legend(**look)
-
-
-def add_title(figure: Figure, words: str, **look: object) -> None:
-    """Add a title of the whole figure."""
-    cast("Any", figure).suptitle(words, **look)
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -240,7 +176,7 @@ def frame_title(panel: Panel, words: str) -> Artist:
 
 def head(figure: Figure, words: str) -> None:
     """Give a figure its title."""
-    add_title(figure, words, fontsize=TITLE_PT + 1.0, fontweight="bold")
+    cast("Any", figure).suptitle(words, fontsize=TITLE_PT + 1.0, fontweight="bold")
 
 
 def draw_intervals(
@@ -283,8 +219,7 @@ def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> Non
     fitting = max(1, min(columns, fitting))
     lines = math.ceil(len(labels) / fitting) - math.ceil(len(labels) / columns)
     figure.set_size_inches(width_in, height_in + LINE_IN * lines)
-    add_legend(
-        figure,
+    cast("Any", figure).legend(
         handles=handles,
         labels=labels,
         loc="outside lower center",
@@ -314,8 +249,15 @@ def legend_inside(panel: Panel, place: str = "best") -> None:
     panel.legend(fontsize=NOTE_PT, loc=place, framealpha=0.9, edgecolor="none")
 
 
+def log_scale(panel: Panel, *names: str) -> None:
+    """Make axes "x" or "y" logarithmic, with plain numbers at 1, 2 and 5."""
+    for name in names:
+        getattr(panel, f"set_{name}scale")("log")
+        plain_log_ticks(getattr(panel, f"{name}axis"))
+
+
 def plain_log_ticks(axis: Axis) -> None:
-    """Write the values of a logarithmic axis out, at 1, 2 and 5."""
+    """Label a logarithmic axis with plain numbers at 1, 2 and 5."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -139,7 +139,7 @@ class InputError(PlanoptError):
 
 
 class OutputError(PlanoptError):
-    """A result cannot be written where the user asked for it."""
+    """A result cannot be written."""
 
 
 class NoPlanError(PlanoptError):

@@ -115,7 +115,7 @@ def map_json(maps: PosteriorMap, out: Path, picture: Path | None) -> dict[str, A
 def _threshold_dbm(
     threshold: float | None, floor: float | None, measurements: Measurements
 ) -> float:
-    """Return the threshold asked for, or else the weakest power received in the log."""
+    """Return the required threshold, by default the weakest power in the log."""
     if threshold is not None:
         return threshold
     return float(measurements.power_dbm.min()) if floor is None else floor

@@ -25,7 +25,7 @@ NO_PLAN = 4
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
-    """Print the JSON object if it was asked for, else the text."""
+    """Print the JSON object or the text."""
     if as_json:
         print_out(strict_text(data))
     else:

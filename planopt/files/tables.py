@@ -127,7 +127,7 @@ def read_rows(path: Path, header: Sequence[str]) -> Iterable[tuple[int, list[str
 
 
 def _value(column: Column, cell: str) -> float | int | str:
-    """Return a cell's value; a ValueError says what is wrong with it."""
+    """Return a cell's value; raise a ValueError with the fault."""
     if column.kind == "text":
         return cell
     if not cell and not column.required:

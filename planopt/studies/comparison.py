@@ -132,7 +132,7 @@ class Comparison:
 
     @property
     def settings(self) -> tuple[Setting, ...]:
-        """The settings with their runs and rows, in the order of the rows."""
+        """Return the settings with their runs and rows, in the order of the rows."""
         return tuple(settings_of_runs(self.runs, self.rows))
 
     @property
@@ -229,7 +229,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def no_comparison_json(name: str, message: str) -> dict[str, Any]:
-    """The same keys where there provably is no plan; `message` says why."""
+    """Return the same keys for a comparison without plan; `message` is the reason."""
     return {
         "problem": name,
         "outcome": "no_plan",

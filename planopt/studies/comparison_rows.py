@@ -63,7 +63,7 @@ class Setting:
 
     @property
     def one(self) -> RunSummary:
-        """The first run: problem, sweep, cost-to-go, planner and horizon are those of all."""
+        """Return the first run; all have its problem, sweep, cost-to-go, planner and horizon."""
         return self.runs[0]
 
     @property

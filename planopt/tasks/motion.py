@@ -104,7 +104,7 @@ class MotionTask(Task):
         return [*problem_in_words(problem), *warnings]
 
     def warnings(self, problem: Problem) -> Sequence[str]:
-        """Return what is implausible in a problem."""
+        """Return implausible values of a problem."""
         from planopt.problems.plausibility import problem_warnings
 
         return list(problem_warnings(problem))
@@ -114,7 +114,7 @@ class MotionTask(Task):
         return problem.report.figures
 
     def validated(self, problem: Problem) -> dict[str, Any]:
-        """Read maps and logs, fit the channel, and return what is implausible or unreachable."""
+        """Read maps and logs, fit the channel, and return warnings."""
         from planopt.planning.initial_data import prepare
         from planopt.planning.scene import build_scenes
         from planopt.problems.plausibility import measured_warnings

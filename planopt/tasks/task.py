@@ -175,7 +175,7 @@ class Task:
         return problem.words()
 
     def warnings(self, problem: Any) -> Sequence[str]:
-        """Return what is implausible in a problem."""
+        """Return implausible values of a problem."""
         return ()
 
     def validated(self, problem: Any) -> dict[str, Any]:
@@ -426,7 +426,7 @@ def perform(
     on_step: Callable[..., object] | None = None,
     **settings: Any,
 ) -> Any:
-    """Solve or simulate a problem of any task; time and verify what is no motion planning."""
+    """Solve or simulate a problem of any task; results of other tasks are timed and verified."""
     task = task_of(problem)
     ends_s = [time.perf_counter()]
 

@@ -41,8 +41,7 @@ class _Stored:
 
     name: str
     source: Callable[[Belief], object]
-    # None stands for any size, "n" for the number of measurements; an array that is only compared
-    # has no shape here
+    # None is any size, "n" the number of measurements; arrays that are only compared have no shape
     shape: tuple[int | str | None, ...] | None = None
     kind: str = "f"  # Kinds of data type
     least: float = -LARGEST

@@ -66,7 +66,7 @@ PLAN_OR_RUN = (
 """The files of a plan or run with its pictures: a folder has one of either."""
 
 FORMAT = 3
-"""Of ``plan.json`` and ``run.json``."""
+"""Version of ``plan.json`` and ``run.json``."""
 
 HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
 """Escapes of which JSON may have one without its other half."""

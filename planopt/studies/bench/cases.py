@@ -77,7 +77,7 @@ class Case:
 
     question: Question
     planner: str
-    # Of a closed loop: the states that its robots are moved to; empty if they follow their plans
+    # States that robots of a closed loop are moved to; empty if they follow their plans
     states: States = field(default=(), compare=False)
 
     def __str__(self) -> str:
@@ -173,14 +173,14 @@ class Answer:
     seed: int
     planner: str
     sense: str  # max or min: whether more or less of the objective is better
-    # Of a plan its objective, of a run the mean over its plans; None without a value
+    # Objective of a plan, or the mean over the plans of a run
     objective: float | None = None
     verdict: str = Verdict.NONE.value  # As the planner says; of a run the worst
     outcome: str = ""  # planned, no_plan or error
     rungs: dict[str, int] = field(default_factory=dict[str, int])  # Steps by fallback
     # Processor time of the case, without drawing the channel, fitting it and building the scene
     cpu_s: float = 0.0
-    # Of a run: states of its robots after each step. The check plans from them again, so that
+    # States of the robots of a run after each step; the check plans from them again, so that
     # rounding differences between processors do not accumulate
     states: States = ()
 

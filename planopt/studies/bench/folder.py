@@ -44,13 +44,13 @@ class Manifest:
     python: str  # The interpreter and the machine
     cpu: str
     cores: int
-    # The planner's and verifier's tolerances, and the share by which objectives are told apart
+    # Tolerances of planner and verifier, and the least relative difference of objectives
     tolerances: dict[str, float]
     problems: dict[str, str]  # Digest of every problem with the files that it names, by name
 
     @property
     def made_by(self) -> str:
-        """The program in words, as references name it."""
+        """Return the program in words, for references."""
         return f"planopt {self.program['planopt']}, source {self.program['source'][:12]}"
 
 

@@ -6,10 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.parameters import Station
-from planopt.channel.posterior import condition
-from planopt.channel.power_log import read_log
+from planopt.channel import Station, condition, fit_channel, read_log
 from planopt.cli import main
 from planopt.world.raster_files import read_raster
 

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt import load
+from planopt import OutputError, load
 from planopt.cli import main
-from planopt.errors import OutputError
-from planopt.problems import problem_from_dict, problem_to_dict
-from planopt.problems.library import list_problems
+from planopt.problems import list_problems, problem_from_dict, problem_to_dict
 from planopt.studies.bench.cases import library_names
 
 NAMES = library_names()

@@ -18,9 +18,10 @@ from typing import Any
 
 import pytest
 
+from planopt import InputError
 from planopt.cli import main
-from planopt.errors import InputError
-from planopt.problems.library import library_folder, list_problems
+from planopt.problems import list_problems
+from planopt.problems.library import library_folder
 from planopt.problems.problem import problem_from_tables
 
 ROOT = Path(__file__).parents[1]

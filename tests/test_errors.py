@@ -4,7 +4,8 @@ import pickle
 
 import pytest
 
-from planopt.errors import InputError, NoPlanError, OutputError, listed, printable
+from planopt import InputError, NoPlanError, OutputError
+from planopt.errors import listed, printable
 
 
 @pytest.mark.parametrize("kind", [InputError, OutputError, NoPlanError])

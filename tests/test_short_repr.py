@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import planopt
-from planopt.planning.loop.results import Run, Solution
+from planopt import Run, Solution
 from planopt.short_repr import short_repr
 
 

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt.errors import InputError
-from planopt.files.tables import Column, documented, read_table, table_text
+from planopt import InputError
+from planopt.extend import Column
+from planopt.files.tables import documented, read_table, table_text
 
 COLUMNS = (
     Column("robot", "its name", kind="text"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt.errors import InputError
+from planopt import InputError
 from planopt.files import npz
 from planopt.files.npz import npz_names, read_npz
 

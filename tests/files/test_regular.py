@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from planopt.errors import InputError
+from planopt import InputError
 from planopt.files.reading import foreign_reader, read_bytes, read_text, require_array_size
 
 needs_devices = pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no devices")

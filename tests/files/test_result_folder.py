@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from planopt.errors import OutputError
+from planopt import OutputError
 from planopt.files.writing import STAGING, hidden_name, replaced_results, write_text
 
 FILES = ("a.json", "b_*.npz", "*.png")

@@ -98,7 +98,7 @@ class CheckResult:
 
     @property
     def certificate(self) -> Certificate | None:
-        """Return the only certificate, or the worst of a run with the driven steps that miss p_min."""
+        """Return the only certificate, or the worst of a run with the steps that miss p_min."""
         if len(self.certificates) <= 1:
             return self.certificates[0] if self.certificates else None
         return _worst(self.certificates)

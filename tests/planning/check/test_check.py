@@ -9,18 +9,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planopt import Solution, check, explain, load, load_result, simulate, solve
-from planopt.errors import InputError
+from planopt import (
+    InputError,
+    Run,
+    Solution,
+    Verdict,
+    check,
+    explain,
+    load,
+    load_result,
+    simulate,
+    solve,
+)
+from planopt.extend import Rung
 from planopt.planning.certificate import Certificate
 from planopt.planning.check import check as module
 from planopt.planning.check.check import CheckResult, library_remarks
 from planopt.planning.files.result_json import no_plan_json
 from planopt.planning.files.saved import FORMAT, write_result
-from planopt.planning.loop.results import Run
-from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.verify import STANDING
 from planopt.planning.search.global_search import GlobalSearch
-from planopt.problems.channel_setup import ArrayTruth
+from planopt.problems import ArrayTruth
 from planopt.problems.load import with_overrides
 
 

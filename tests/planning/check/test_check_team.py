@@ -10,9 +10,7 @@ from apart_scene import apart_problem
 from team_scene import two_trackers
 from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, own_term, terms_problem
 
-from planopt import check, simulate, solve
-from planopt.errors import InputError
-from planopt.planning.plan import Verdict
+from planopt import InputError, Verdict, check, simulate, solve
 
 STEERED = {
     "kind": "mapping",

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from team_scene import two_trackers
 
-from planopt import check, load, simulate, solve
-from planopt.errors import InputError
+from planopt import InputError, check, load, simulate, solve
 from planopt.files.compare import ACCEPTED, EXACT, TOLERANCES
 
 MANY = 300

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from planopt.problems.problem import Problem
+from planopt import Problem
 
 
 def with_value(problem: Problem, name: str, value: float) -> Problem:

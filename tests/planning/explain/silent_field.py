@@ -14,11 +14,9 @@ import numpy as np
 import scipy.stats
 from terms_scene import SENDING
 
-from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import Belief, condition
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt import Measurements, Problem
+from planopt.channel import Belief, ChannelFit, ChannelParameters, Station, condition
+from planopt.problems.problem import problem_from_tables
 
 K_PL_DB, N_PL, DEVIATION_DB = -30.0, 3.0, 5.0
 

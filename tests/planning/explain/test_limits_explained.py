@@ -11,12 +11,11 @@ import pytest
 from relaxed import shorter, with_value
 from silent_field import TABLES, belief_in
 
+from planopt import Problem, Verdict, explain
 from planopt.channel.kriging import predict
-from planopt.planning.explain.explain import explain
-from planopt.planning.plan import Verdict
 from planopt.planning.solve import solve_on
 from planopt.planning.tolerances import margins_asked_db
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.problem import problem_from_tables
 
 GOOD_DBM, BAD_DBM = -60.0, -100.0
 READINGS_M = np.stack(np.meshgrid(np.arange(11.0, 50.0, 2.0), np.arange(9.0, 32.0, 2.0)), -1)

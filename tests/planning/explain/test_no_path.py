@@ -10,16 +10,13 @@ import pytest
 import shapely
 from scenes import belief_of, small_problem
 
-from planopt import Obstacle, Workspace, explain, load
-from planopt.errors import NoPlanError
+from planopt import NoPlanError, Obstacle, Plan, Problem, Verdict, Workspace, explain, load
 from planopt.planning.explain.changes import Trials, deadline_s
 from planopt.planning.explain.no_path import explain_no_path
 from planopt.planning.explanation import Relaxation
 from planopt.planning.free_space import is_joined, widest_clearance_m
-from planopt.planning.plan import Plan, Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.problems.problem import Problem
 
 
 def planned(problem: Problem) -> Plan | None:

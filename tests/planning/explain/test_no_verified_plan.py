@@ -9,15 +9,12 @@ import pytest
 import scipy.stats
 from scenes import BAD, THRESHOLD_DBM, bad_everywhere, belief_of, kriged, small_problem
 
+from planopt import Problem, Solution, Verdict, explain
 from planopt.planning.explain.changes import rounded
-from planopt.planning.explain.explain import explain
-from planopt.planning.loop.results import Solution
-from planopt.planning.plan import Verdict
 from planopt.planning.proof.searches import build_goal_grid
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.values.context import Aim
-from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
 

@@ -8,10 +8,8 @@ import scipy.optimize
 from relaxed import shorter, with_value
 from silent_field import best_chances, silent_belief, silent_problem
 
-from planopt.planning.explain.explain import explain
-from planopt.planning.plan import Verdict
+from planopt import Problem, Verdict, explain
 from planopt.planning.solve import solve_on
-from planopt.problems.problem import Problem
 
 CASES = {
     "average": {"p_min": 0.6},

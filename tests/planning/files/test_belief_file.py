@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planopt.channel.estimation.fit import fit_channel
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import Station
-from planopt.channel.posterior import Belief, condition, update
-from planopt.errors import InputError
+from planopt import InputError, Measurements
+from planopt.channel import Belief, Station, condition, fit_channel
+from planopt.channel.posterior import update
 from planopt.planning.files.belief_file import belief_arrays, read_belief, write
 
 

@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt import load
-from planopt.errors import InputError, OutputError
+from planopt import InputError, OutputError, Run, Solution, load
 from planopt.files.tables import documented
 from planopt.planning.files import saved as saved_module
 from planopt.planning.files.belief_file import known_before_steps
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
 from planopt.planning.files.saved import read_saved
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.results import Run, Solution
 from planopt.planning.solve import solve
 
 HEADER = (

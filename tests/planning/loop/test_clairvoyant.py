@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from shapely.geometry import LineString, box
 
+from planopt import Problem
 from planopt.channel.ground_truth import power_truth
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.scene import build_scene
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.problem import problem_from_tables
 
 STEP_M = 6.0
 

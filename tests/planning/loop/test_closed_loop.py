@@ -15,15 +15,13 @@ from scenes import (
     small_problem,
 )
 
-from planopt import load
-from planopt.channel.ground_truth import true_power_dbm
-from planopt.errors import InputError
+from planopt import InputError, Run, Verdict, load
+from planopt.channel import true_power_dbm
+from planopt.extend import Rung
 from planopt.planning.files.result_json import run_json
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome, StepLog
-from planopt.planning.loop.results import Run
-from planopt.planning.plan import Rung, Verdict
-from planopt.problems.channel_setup import LoggedMeasurements
+from planopt.problems import LoggedMeasurements
 
 SEEDS = (0, 1, 2)
 

@@ -9,9 +9,9 @@ import pytest
 from scenes import small_problem
 
 from planopt import check, load, simulate
+from planopt.extend import Rung
 from planopt.planning.loop.ending import STALL_STEPS, goal_ending
 from planopt.planning.loop.log import Outcome
-from planopt.planning.plan import Rung
 
 PROBLEM = small_problem(max_steps=80)  # from (5, 15) to (35, 15), 2 m a step
 PLAN = SimpleNamespace(rung=Rung.PLAN, message="")

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planopt import Verdict
+from planopt.extend import Rung
 from planopt.planning.loop.log import StepLog
 from planopt.planning.loop.metrics import longest_outage_m, metrics_of
-from planopt.planning.plan import Rung, Verdict
 
 
 def log_of(positions, connected, connectivity=None, step_s=0.5):

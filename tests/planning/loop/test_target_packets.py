@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt import check, load, simulate
-from planopt.channel.posterior import condition
-from planopt.errors import InputError
+from planopt import InputError, check, load, simulate
+from planopt.channel import condition
 from planopt.objectives import TermsObjective
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.loop.results import summary_of

@@ -22,7 +22,7 @@ from planopt.planning.refinement import GuessRefinement
 from planopt.planning.scene import Ground
 from planopt.planning.search.guess_search import COUPLED_GUESSES, Guess, GuessSearch
 from planopt.planning.search.local_ranking import can_climb
-from planopt.planning.search.place_paths import way_to_unmeasured, ways_to_good_place
+from planopt.planning.search.place_paths import path_to_unmeasured, paths_to_good_place
 from planopt.planning.values.context import StepContext, bends_guesses
 from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.problems.problem import Problem
@@ -137,7 +137,7 @@ class FallbackCascade:
     ) -> list[Candidate]:
         """Return candidates that go straight to a place within reach that keeps the constraint."""
         found: list[Candidate] = []
-        for path in ways_to_good_place(judge, tried):
+        for path in paths_to_good_place(judge, tried):
             way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
             if self.refinement is not None:
                 start = Guess(path, judge.worth(way), rule_missing(situation, path))
@@ -210,7 +210,7 @@ class HorizonPlanner:
             gains = zip(terms, worth.by_term(start.path_m), strict=True)
             if any(gain > 0.0 for term, gain in gains if term.is_measured):
                 return None
-        return way_to_unmeasured(situation, self.ground)
+        return path_to_unmeasured(situation, self.ground)
 
     def _released(
         self, situation: StepContext, judge: Judge, start: Guess, warm: Plan | None, begun_s: float

@@ -36,8 +36,8 @@ from planopt.planning.plan import Plan
 from planopt.planning.scene import Ground, first_moves, free_ends
 from planopt.planning.search.lattice_search import steps_apart
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.planning.search.place_paths import way_to_unmeasured
-from planopt.planning.search.taut_way import WaysFrom, stops_along
+from planopt.planning.search.place_paths import path_to_unmeasured
+from planopt.planning.search.taut_path import PathsFrom, stops_along
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.exploration import learns
@@ -145,7 +145,7 @@ class OneStepPlanner:
                 break
             path.append(step)
         if not path and self._measures:
-            out = way_to_unmeasured(situation, self._ground)
+            out = path_to_unmeasured(situation, self._ground)
             path = [] if out is None else list(out)
         return released(judge, held(situation, path), begun)
 
@@ -404,7 +404,7 @@ class StrategyPlanner:
         if np.linalg.norm(base - here) <= radius + horizon * longest:
             return None
         nodes = self._ground.road_map.nodes_m
-        paths = WaysFrom(self._problem, self._ground, here)
+        paths = PathsFrom(self._problem, self._ground, here)
         away = np.where(np.isfinite(paths.length_m), np.linalg.norm(nodes - base, axis=1), np.inf)
         nearest = int(away.argmin())
         stops = stops_along(paths.turns_m(nearest, nodes[nearest]), longest)[1:]

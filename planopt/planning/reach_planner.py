@@ -59,7 +59,7 @@ from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
 from planopt.planning.search.guess_search import Guess
 from planopt.planning.search.pivot import Ahead, find_pivot
-from planopt.planning.search.taut_way import retime
+from planopt.planning.search.taut_path import retime
 from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import Aim, StepContext, step_context

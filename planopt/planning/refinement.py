@@ -36,7 +36,7 @@ from planopt.planning.scene import Ground, Scene
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.guess_search import Guess
 from planopt.planning.search.pivot import Ahead
-from planopt.planning.search.taut_way import retime
+from planopt.planning.search.taut_path import retime
 from planopt.planning.tolerances import (
     MARGIN_PAD_DB,
     STANDSTILL_M,

@@ -1,16 +1,14 @@
-"""Initial guesses that lead to single places: probed, unmeasured, or known to keep the bound.
+"""Initial guesses that lead to single positions: probed, unmeasured, or known to keep the bound.
 
-Terms that probe the end of a path compare many places, near ones on circles about the robot and
-those known to be connected. Paths to them are straight where that is clear; to the best of the
-others they follow the shortest path on the lattice. Power is that of the nearest node at first;
-only the ends of the best paths are predicted themselves.
+Terms that probe the end of a path compare many positions. Power is that of the nearest node at
+first; only the ends of the best paths are predicted themselves.
 
-If no plan of N steps brings a measurement, the robot takes a short path to where a step brings most
-information (:func:`way_to_unmeasured`).
+If no plan of N steps brings a measurement, the robot takes a short path to the most informative
+position (:func:`path_to_unmeasured`).
 
-A lattice is slower than the robot in most directions and has no nodes between its nodes, so that it
-may miss a place that the robot reaches just in time. If the verifier objects that the bound could
-have been kept, :func:`ways_to_good_place` searches such a place and the shortest path to it.
+The lattice is slower than the robot in most directions, so that it may miss a position that the
+robot reaches just in time. If the verifier says that a step could have kept the bound,
+:func:`paths_to_good_place` searches such a position and the shortest path to it.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ from planopt.planning.proof.context import search_prediction
 from planopt.planning.scene import Ground, free_ends
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.taut_way import WaysFrom, retime, stops_along
+from planopt.planning.search.taut_path import PathsFrom, retime, stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.exploration import left_to_learn
@@ -40,28 +38,27 @@ from planopt.world.lattice import REACH_TOLERANCE_M
 from planopt.world.shortest_paths import ShortestPaths, path_lengths_m, shortest_paths, turns_m
 
 CIRCLES = (0.35, 0.7, 1.0, 1.5, 2.0, 2.5, 3.25, 4.0, 5.0, 6.0, 7.5, 9.0)
-"""Radii of circles of places, in longest steps."""
+"""Radii of circles of positions, in longest steps."""
 
 FEWEST_ON_CIRCLE, APART_SHARE, LEAST_APART = 8, 1.0 / 6.0, 0.5
-"""Places on a circle: as many as are this share of its radius apart, and so many longest steps at
-least, but no fewer."""
+"""Number of positions on a circle: at least the first; they are at most a share of the radius, and
+at least so many longest steps, apart."""
 
 MOST_KNOWN = 60
-"""Of the places known to be connected within reach so many are compared, the nearest to where the
-target is expected."""
+"""Maximum number of known connected positions, those nearest to the expected target."""
 
 MOST_HIDDEN = 12
-"""Of the places that are not in sight so many are compared, those nearest to the target."""
+"""Maximum number of positions out of sight, those nearest to the target."""
 
 COMPARED = 12
-"""The ends of so many ways are predicted themselves, those that are best by the lattice."""
+"""Number of paths whose ends are predicted themselves."""
 
-TRIED = 4
-"""Paths that are handed on, the best first."""
+PROBED = 4
+"""Number of paths that are returned."""
 
 
 class ProbedPlaces:
-    """Finds places to try for one robot."""
+    """Finds paths to positions that one robot may probe."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem, self._ground = problem, ground
@@ -93,8 +90,8 @@ class ProbedPlaces:
         at_stop = (paths == stops[:, None]).all(axis=2)
         ends = self._chance(context, context.power(stops))
         guessed = np.where(at_stop, ends[:, None], guessed)
-        tried = TRIED if self._alone else COMPARED
-        return [paths[i] for i in self._best(context, paths, guessed, tried)]
+        probed = PROBED if self._alone else COMPARED
+        return [paths[i] for i in self._best(context, paths, guessed, probed)]
 
     def _best(
         self,
@@ -103,7 +100,7 @@ class ProbedPlaces:
         chance: NDArray[np.float64],
         count: int,
     ) -> NDArray[np.intp]:
-        """Return which of the paths (c, N, 2) are best if packets arrive by `chance` (c, N)."""
+        """Return the best paths (c, N, 2), given the probabilities of connection (c, N)."""
         value = np.zeros(len(paths))
         for number, term in enumerate(context.problem.terms):
             if term.probes_end:
@@ -116,7 +113,7 @@ class ProbedPlaces:
         return np.lexsort((-value, np.round(missing, 3)))[:count]
 
     def _beside(self, field: NodeField, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the power at the free node nearest to each place (n, 2)."""
+        """Return the power at the free node nearest to each position (n, 2)."""
         power = field.nearest(places_m)
         blocked = np.flatnonzero(np.isnan(power.mean_db))
         if len(blocked):
@@ -127,14 +124,14 @@ class ProbedPlaces:
 
     @cached_property
     def _nodes(self) -> PlaceTree:
-        """The free nodes of the lattice."""
+        """Return the index of the free nodes."""
         return PlaceTree(self._ground.road_map.nodes_m)
 
     def _chance(self, context: StepContext, power: Prediction) -> NDArray[np.float64]:
         return connection_probability(power.mean_db, power.deviation_db, context.thresholds_dbm[0])
 
     def _places(self, context: StepContext) -> NDArray[np.float64]:
-        """Return the place of the robot, the others on circles, and known ones within reach."""
+        """Return the robot, the positions on circles, and known connected ones within reach."""
         here, known = context.position_m, context.links.connected_m
         circles = here + self._offsets_m
         reach_m = self._problem.planner.horizon * self._longest_m
@@ -150,7 +147,7 @@ class ProbedPlaces:
     def _straight(
         self, here_m: NDArray[np.float64], places_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Straight ways at full speed to places (n, 2), and then standing; (n, N, 2)."""
+        """Return straight paths (n, N, 2) at full speed to positions, where they stand."""
         horizon = self._problem.planner.horizon
         away = places_m - here_m
         length = np.linalg.norm(away, axis=1)
@@ -162,14 +159,14 @@ class ProbedPlaces:
     def _round(
         self, context: StepContext, hidden_m: NDArray[np.float64]
     ) -> list[NDArray[np.float64]]:
-        """Ways round obstacles to the places (n, 2) that are nearest to the target."""
+        """Return paths around obstacles to the positions (n, 2) nearest to the target."""
         target, horizon = context.target_m, self._problem.planner.horizon
         if not len(hidden_m) or target is None:
             return []
         away = np.linalg.norm(hidden_m - target[-1], axis=1)
         hidden_m = hidden_m[np.argsort(away, kind="stable")[:MOST_HIDDEN]]
         reach_m = horizon * self._longest_m
-        ways = WaysFrom(self._problem, self._ground, context.position_m, reach_m)
+        ways = PathsFrom(self._problem, self._ground, context.position_m, reach_m)
         nodes = self._ground.road_map.nodes_m
         beside = self._nodes.nearest(hidden_m, 1)[0][:, 0]
         found: list[NDArray[np.float64]] = []
@@ -182,17 +179,17 @@ class ProbedPlaces:
 
 
 STEPS_MORE = 2
-"""Places that so many more steps lead to than to the nearest are compared with it."""
+"""Positions that are so many steps farther than the nearest are compared with it."""
 
 
-def way_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float64] | None:
-    """The first N steps of the way there, (N, 2), standing where it ends; None if none is left."""
+def path_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float64] | None:
+    """Return the first N steps (N, 2) to an unmeasured position; None if none is left."""
     problem, here = context.problem, context.position_m
     lattice, nodes = ground.road_map.lattice, ground.road_map.nodes_m
     left = left_to_learn(problem, ground.index, lattice, here, context.anticipated)
     if not len(left):
         return None
-    ways = WaysFrom(problem, ground, here)
+    ways = PathsFrom(problem, ground, here)
     beside = PlaceTree(nodes).nearest(left, 1)[0][:, 0]
     longest = problem.step_length_m - STEP_PAD_M
     steps = _steps(ways, left, here, beside, nodes, longest)
@@ -207,14 +204,14 @@ def way_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float6
 
 
 def _steps(
-    ways: WaysFrom,
+    ways: PathsFrom,
     places_m: NDArray[np.float64],
     here_m: NDArray[np.float64],
     beside: NDArray[np.intp],
     nodes_m: NDArray[np.float64],
     longest_m: float,
 ) -> NDArray[np.float64]:
-    """Return how many steps it is to each place (n, 2), straight or by the node beside it; (n,)."""
+    """Return the number of steps to each position, straight or by the node next to it; (n,)."""
     aside: NDArray[np.float64] = np.linalg.norm(nodes_m[beside] - places_m, axis=1)
     straight: NDArray[np.float64] = np.linalg.norm(places_m - here_m, axis=1)
     length = np.where(ways.straight(places_m), straight, ways.length_m[beside] + aside)
@@ -222,22 +219,22 @@ def _steps(
 
 
 FINE_NODES, COARSE_NODES = 12, 4
-"""Places a step that are looked at: up to `FINE_STEPS` steps, and beyond."""
+"""Positions per longest step on the grid: up to `FINE_STEPS` steps, and beyond."""
 FINE_STEPS = 4
 MEASURED = 400
-"""Ways are measured to so many of the best places."""
+"""Number of the best positions whose path lengths are computed."""
 KEPT = 24
-"""Places about which is looked more finely, the best within reach."""
+"""Number of the best reachable positions that are refined."""
 STEP_PLACES = 12
-"""Places a step along a way at which steps may end."""
+"""Positions per step along a path at which steps may end."""
 REFINEMENTS = 3
-"""How often, each time at a quarter of the spacing."""
+"""Number of refinements, each at a quarter of the spacing."""
 
 
-def ways_to_good_place(judge: Judge, tried: Sequence[Candidate]) -> list[NDArray[np.float64]]:
-    """Paths (N, 2) to a place within reach by the first step that could meet the bound."""
+def paths_to_good_place(judge: Judge, probed: Sequence[Candidate]) -> list[NDArray[np.float64]]:
+    """Return paths (N, 2) to a position that meets the bound in time."""
     problem, index = judge.problem, judge.index
-    sound = [candidate for candidate in tried if candidate.sound]
+    sound = [candidate for candidate in probed if candidate.sound]
     step = min((step for candidate in sound for step in candidate.avoidable), default=None)
     if step is None:
         return []
@@ -260,10 +257,7 @@ def ways_to_good_place(judge: Judge, tried: Sequence[Candidate]) -> list[NDArray
 def _good_place(
     judge: Judge, ways: ShortestPaths, step: int, clear_m: float
 ) -> NDArray[np.float64] | None:
-    """The nearest place (2,) that meets the bound, by way; None if there is none in reach.
-
-    Where none meets it with what is planned for, the best of those that meet it at all.
-    """
+    """Return the nearest position (2,) that meets the bound, if possible with its pad."""
     nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
     spacing = judge.problem.step_length_m / nodes
     offsets = spacing * np.arange(-nodes * step, nodes * step + 1)
@@ -288,22 +282,22 @@ def _good_place(
 def _reached(
     judge: Judge, ways: ShortestPaths, places_m: NDArray[np.float64], clear_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return which places (n, 2) a way leads to, their margins and lengths, best first."""
+    """Return the reachable positions (n, 2), their margins and path lengths, best first."""
     away = np.linalg.norm(places_m - ways.start_m, axis=1)
     places = places_m[(away <= ways.radius_m) & inside_bounds(judge.problem.workspace, places_m)]
     places = places[is_clear(clearance_m(judge.index, places), clear_m)]
     if not len(places):
         return places, np.zeros(0), np.zeros(0)
     margins = judge.margins_db(search_prediction(judge.context.law, places))
-    tried = _promise(margins, np.linalg.norm(places - ways.start_m, axis=1))[:MEASURED]
-    length = path_lengths_m(ways, places[tried])
-    tried, length = tried[np.isfinite(length)], length[np.isfinite(length)]
-    order = _promise(margins[tried], length)
-    return places[tried[order]], margins[tried[order]], length[order]
+    probed = _promise(margins, np.linalg.norm(places - ways.start_m, axis=1))[:MEASURED]
+    length = path_lengths_m(ways, places[probed])
+    probed, length = probed[np.isfinite(length)], length[np.isfinite(length)]
+    order = _promise(margins[probed], length)
+    return places[probed[order]], margins[probed[order]], length[order]
 
 
 def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the order of places: the nearest that meets the bound, else the best."""
+    """Return the order of positions: the nearest that meets the bound, else the best."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
@@ -311,10 +305,10 @@ def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> 
 def _in_fewest_steps(
     judge: Judge, turns_m: NDArray[np.float64], length_m: float
 ) -> NDArray[np.float64]:
-    """Places (n, 2) after each step of a way, in as few straight clear steps as it can be driven.
+    """Return the ends (n, 2) of the fewest straight clear steps along a path.
 
-    Steps end at places along the way, at its turns, and where its legs would cross: a way round a
-    corner turns often, and one step end beside it is enough.
+    Steps end on the path, at its turns, and where its legs would cross: a path around a corner has
+    several turns, and one step end next to it is enough.
     """
     way = np.vstack([judge.position_m, turns_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
@@ -344,7 +338,7 @@ def _in_fewest_steps(
 def _crossings(
     way_m: NDArray[np.float64], driven_m: NDArray[np.float64], length_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where a leg meets a later one, driven back: places (n, 2), how far along (n,)."""
+    """Return crossings of legs with later ones, extended backwards, and their arc lengths."""
     legs = np.diff(way_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):
@@ -364,5 +358,5 @@ def _crossings(
 
 
 def _padded(path_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """The first `count` places of a path (n, 2), its last repeated where it has fewer."""
+    """Return the first `count` positions of a path (n, 2), the last one repeated."""
     return path_m[np.minimum(np.arange(count), len(path_m) - 1)]

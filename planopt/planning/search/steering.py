@@ -1,17 +1,14 @@
-"""Steer robots beyond the horizon: towards what is unknown, to a connection, or to the goal.
+"""Steer robots beyond the horizon: to high variance, to a connection, or to the goal.
 
-To learn the channel, the place q* has the highest J_CH = max{0, sigma^2 - sigma_TH^2} psi(d) of
-those that stand for the workspace, with d the length of the shortest way to it. Variances come from
-a map that follows the belief, so that the cost does not grow with the measurements.
+To learn the channel, the position q* maximises J_CH = max{0, sigma^2 - sigma_TH^2} psi(d) over the
+cells of the workspace, d the length of the shortest path to it.
 
-To connect, a search that begins with a try at the place z is expected to take R(z) metres
-(:func:`planopt.objectives.until_connected.search_length_m`), which is short where z is near and
-where it is likely to be connected. The robot is steered to the place of the shortest search, of
-those that are tries (:attr:`planopt.planning.values.context.StepContext.probing`).
+To connect, a search that begins with a probe at z is expected to take R(z) metres
+(:func:`planopt.objectives.until_connected.search_length_m`); the robot is steered to the probe
+position of the shortest search.
 
-On the way to a goal a sum of terms does not leave contact at a price, so the way leaves it only
-where every way does, and as little as can be. It turns where it must, for an obstacle or for a
-hole.
+To a goal, the path leaves coverage only where every path does, and as little as possible. It turns
+at obstacles and at coverage holes.
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ from planopt.planning.proof.context import search_power
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import LatticeMap, NodeMargins
-from planopt.planning.search.taut_way import WaysFrom
+from planopt.planning.search.taut_path import PathsFrom, taut_turns
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.exploration import workspace_region
@@ -43,14 +40,14 @@ from planopt.world.clearance import segments_clear
 from planopt.world.lattice import lattice_paths, route_from
 
 TILE = 1
-"""Places of the region are far apart: each has its own neighbours."""
+"""Tiles of one cell: cells are far apart, each has its own neighbours."""
 
 NEIGHBOURS = 48
-"""Measurements that each place is conditioned on."""
+"""Number of measurements that each cell is conditioned on."""
 
 
 class Steering:
-    """Finds where to steer to; keeps its map of the channel."""
+    """Finds the cell of the highest variance to steer to; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, term: MappingTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -65,20 +62,20 @@ class Steering:
         nodes = ground.road_map.nodes_m
         self._nearest = PlaceTree(nodes).nearest(places, 1)[0][:, 0]
         beside = nodes[self._nearest]
-        # A place too near to an obstacle is never come to.
+        # A cell too near to an obstacle is unreachable.
         wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
         clear = segments_clear(ground.index, beside, places, wanted)
         away: NDArray[np.float64] = np.linalg.norm(beside - places, axis=1)
         self._beside_m = np.where(clear, away, np.inf)
 
     def find_way(self, context: StepContext) -> SteeringWay | None:
-        """The way to steer along; None if no place that can be come to is above the threshold."""
+        """Return the path to steer along; None if no reachable cell is above the threshold."""
         (own,), (posterior,) = context.stations, context.anticipated
         if posterior is own:
             self._map.refresh(own)
             variance = self._map.deviation_db[self._at] ** 2
         else:
-            # What the others will have measured changes every step: no map keeps up with it.
+            # The others' planned measurements change at every step, which a map cannot follow.
             variance = search_power(posterior, self._places_m).deviation_db ** 2
         above = variance - self._term.variance_threshold_db2
         is_open = context.measuring.is_open(self._places_m)
@@ -88,8 +85,8 @@ class Steering:
     def way_to_best(
         self, above_db2: NDArray[np.float64], position_m: NDArray[np.float64]
     ) -> SteeringWay | None:
-        """The way to the place of the largest J_CH, of places that much above the threshold."""
-        ways = WaysFrom(self._problem, self._ground, position_m)
+        """Return the path to the cell of the largest J_CH, given the excess variances."""
+        ways = PathsFrom(self._problem, self._ground, position_m)
         distance = ways.length_m[self._nearest] + self._beside_m
         reachable = np.isfinite(distance)
         straight = np.linalg.norm(self._places_m - position_m, axis=1)
@@ -102,7 +99,7 @@ class Steering:
             return None
         road_map, node = self._ground.road_map, int(self._nearest[best])
         lengths = lattice_paths(road_map, node).cost_m + self._beside_m[best]
-        # Nodes that cannot be come to are as far as the farthest: no search looks at them.
+        # Unreachable nodes, which no search looks at, get the largest distance.
         farthest = float(lengths[np.isfinite(lengths)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
         lattice[road_map.rows, road_map.columns] = np.minimum(lengths, farthest)
@@ -111,13 +108,11 @@ class Steering:
 
 
 FIRST_RADIUS_STEPS, WIDER = 16.0, 2.0
-"""Places are first looked at within so many longest steps of way, and then within `WIDER` times
-that, until no search beyond can be shorter than the best within. The next step begins with what
-sufficed."""
+"""First radius of the search in longest steps, and the factor by which it grows."""
 
 
 class ConnectionSteering:
-    """Finds where to steer to for a connection; keeps its map of the channel."""
+    """Finds the position to steer to for a connection; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, term: UntilConnectedTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -125,7 +120,7 @@ class ConnectionSteering:
         self._radius_m = FIRST_RADIUS_STEPS * problem.step_length_m
 
     def find_way(self, context: StepContext) -> SteeringWay | None:
-        """Return the way to the place of the shortest search; None if no place can be tried."""
+        """Return the path to the start of the shortest search; None without a position to probe."""
         road_map, here = self._ground.road_map, context.position_m
         widest = context.workspace_diagonal_m
         rule = context.probing
@@ -133,7 +128,7 @@ class ConnectionSteering:
         while True:
             radius = self._radius_m
             last = radius >= widest
-            ways = WaysFrom(self._problem, self._ground, here, math.inf if last else radius)
+            ways = PathsFrom(self._problem, self._ground, here, math.inf if last else radius)
             near = np.flatnonzero(np.isfinite(ways.length_m))
             near = near[rule.is_open(road_map.nodes_m[near])]
             if len(near):
@@ -151,7 +146,7 @@ class ConnectionSteering:
     def _chance(
         self, context: StepContext, nodes: NDArray[np.intp], radius_m: float
     ) -> NDArray[np.float64]:
-        """Chance of a connection at some nodes within `radius_m` of the robot; ``(k,)``."""
+        """Return the probabilities of connection at nodes within `radius_m` of the robot."""
         low, high = context.position_m - radius_m, context.position_m + radius_m
         window = float(low[0]), float(low[1]), float(high[0]), float(high[1])
         self._map.refresh(context.law, window)
@@ -162,11 +157,11 @@ class ConnectionSteering:
 
 
 TAUT_SHARE = 1.02
-"""A leg may cost this many times what the way along the nodes costs, which bends more."""
+"""Largest cost of a leg relative to the path along the nodes, which bends more."""
 
 
 class GoalSteering:
-    """Finds the cheapest way to the goal; keeps its map of the channel."""
+    """Finds the cheapest path to the goal; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, _term: Term) -> None:
         self._problem, self._ground = problem, ground
@@ -179,7 +174,7 @@ class GoalSteering:
         self._goal_node = int(nodes[lengths.argmin()]) if len(nodes) else None
 
     def find_way(self, context: StepContext) -> SteeringWay | None:
-        """Return the cheapest way on what is believed now; None if obstacles cut the goal off."""
+        """Return the cheapest path by the current belief; None if obstacles cut the goal off."""
         road_map, here = self._ground.road_map, context.position_m
         nodes, lengths = first_moves(self._ground, self._problem, here)
         if self._goal_node is None or not len(nodes):
@@ -193,35 +188,21 @@ class GoalSteering:
             return None
         along = route_from(road_map, ways, first, math.inf)
         corners = np.vstack([here, road_map.nodes_m[along], self._goal_m])
-        # Beside the way's own nodes, the robot and the goal cost what the nearest nodes cost.
+        # The robot and the goal have the cost of the nearest nodes.
         at_corner = metre_cost[np.concatenate([[first], along, [self._goal_node]])]
         farthest = float(ways.cost_m[np.isfinite(ways.cost_m)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
         lattice[road_map.rows, road_map.columns] = np.minimum(ways.cost_m, farthest)
-        turns = self._turns_m(corners, at_corner, metre_cost)
-        return steering_way(self._problem, self._ground.index, turns, lattice)
-
-    def _turns_m(
-        self,
-        corners_m: NDArray[np.float64],
-        at_corner: NDArray[np.float64],
-        metre_cost: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """The way through `corners_m` (n, 2) pulled taut where that costs no more; (m, 2)."""
-        legs = np.linalg.norm(np.diff(corners_m, axis=0), axis=1)
+        legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         spent = np.append(0.0, np.cumsum(legs * 0.5 * (at_corner[1:] + at_corner[:-1])))
-        turns, last = [corners_m[0]], 0
-        while last < len(corners_m) - 1:
-            ahead = corners_m[last + 1 :]
-            starts = np.broadcast_to(corners_m[last], ahead.shape)
-            clear = segments_clear(self._ground.index, starts, ahead, self._wanted_m)
-            allowed = TAUT_SHARE * (spent[last + 1 :] - spent[last])
-            cheap = self._leg_costs_m(corners_m[last], ahead, metre_cost) <= allowed
-            seen = np.flatnonzero(clear & cheap)
-            # The next corner is a move away, whatever it costs.
-            last += 1 + (int(seen[-1]) if len(seen) else 0)
-            turns.append(corners_m[last])
-        return np.array(turns)
+
+        def is_cheap(corner: int) -> NDArray[np.bool_]:
+            allowed = TAUT_SHARE * (spent[corner + 1 :] - spent[corner])
+            ahead = corners[corner + 1 :]
+            return self._leg_costs_m(corners[corner], ahead, metre_cost) <= allowed
+
+        turns = taut_turns(self._ground, self._wanted_m, corners, is_cheap)
+        return steering_way(self._problem, self._ground.index, turns, lattice)
 
     def _leg_costs_m(
         self,
@@ -229,7 +210,7 @@ class GoalSteering:
         ends_m: NDArray[np.float64],
         metre_cost: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return the cost of straight legs to `ends_m` (n, 2), at the nodes nearest to them."""
+        """Return the cost of straight legs to `ends_m` (n, 2), by the nodes nearest to them."""
         road_map = self._ground.road_map
         lattice = road_map.lattice
         lengths = np.linalg.norm(ends_m - start_m, axis=1)
@@ -240,5 +221,5 @@ class GoalSteering:
         ny, nx = lattice.shape
         column, row = np.clip(cell[..., 0], 0, nx - 1), np.clip(cell[..., 1], 0, ny - 1)
         number = road_map.number[row, column]
-        # Nodes beside an obstacle may be no nodes at all: what the way costs there is not known.
+        # Positions next to an obstacle may have no free node.
         return lengths * np.where(number >= 0, metre_cost[number], 1.0).mean(axis=1)

@@ -40,21 +40,20 @@ class SteeringWay:
 
     @property
     def end_m(self) -> NDArray[np.float64]:
-        """``(2,)`` the place that the robot is steered to."""
+        """Return the position (2,) that the robot is steered to."""
         return self.turns_m[-1]
 
     @cached_property
     def rest_m(self) -> NDArray[np.float64]:
-        """``(m,)`` length of the path from each turn on."""
+        """Return the length (m,) of the path from each turn on."""
         legs = np.linalg.norm(np.diff(self.turns_m, axis=0), axis=1)
         return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
     def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the number of the turn that each place (n, 2) goes straight to.
+        """Return the number of the turn that each position (n, 2) goes straight to.
 
-        The last of the first consecutive visible turns: turns behind an invisible one are not
-        tested, because long lines of sight are expensive. Places that see no turn return to the
-        start of the path.
+        It is the last of the first consecutive visible turns; positions that see no turn return to
+        the start of the path.
         """
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
@@ -73,10 +72,7 @@ class SteeringWay:
         return found
 
     def _ends_of_legs(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Number of the turn at the end of the leg that each place (n, 2) is nearest to.
-
-        Of legs as near the last one counts.
-        """
+        """Return the number of the turn at the end of the leg nearest to each position."""
         starts, legs = self.turns_m[:-1], np.diff(self.turns_m, axis=0)
         offset = places_m[:, None] - starts
         length2 = np.maximum((legs**2).sum(axis=1), np.finfo(float).tiny)

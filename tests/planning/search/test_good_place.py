@@ -17,7 +17,7 @@ from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.proof.context import VerifierContext
-from planopt.planning.search.place_paths import ways_to_good_place
+from planopt.planning.search.place_paths import paths_to_good_place
 from planopt.world.clearance import index_obstacles, swept_clearance_m
 
 LEFT_BAD = bad_where(lambda x, _: x < 20.0)
@@ -80,7 +80,7 @@ def test_the_way_leads_round_an_obstacle():
     problem, start = just_in_reach(post)
     judge, still = standing(problem, start, 5)
     assert still.avoidable[0] in (3, 4)
-    paths = ways_to_good_place(judge, [still])
+    paths = paths_to_good_place(judge, [still])
     assert paths
     way = np.vstack([start, paths[0]])
     assert way.shape == (6, 2)

@@ -14,8 +14,8 @@ from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import Verdict
 from planopt.planning.planners import OneStepPlanner
-from planopt.planning.search.place_paths import way_to_unmeasured
-from planopt.planning.search.taut_way import WaysFrom
+from planopt.planning.search.place_paths import path_to_unmeasured
+from planopt.planning.search.taut_path import PathsFrom
 from planopt.world.clearance import swept_clearance_m
 from planopt.world.workspace import Obstacle
 
@@ -37,7 +37,7 @@ def scene(*terms, spacing_m=7.0, **planner):
 def test_the_way_leads_to_an_open_place_and_is_short():
     """Every step clear and no longer than allowed; what it leads to brings a measurement."""
     problem, situation, _, ground = scene(horizon=12)
-    way = way_to_unmeasured(situation, ground)
+    way = path_to_unmeasured(situation, ground)
     assert way.shape == (12, 2)
     whole = np.vstack([BETWEEN, way])
     assert np.linalg.norm(np.diff(whole, axis=0), axis=1).max() <= problem.step_length_m
@@ -45,7 +45,7 @@ def test_the_way_leads_to_an_open_place_and_is_short():
     taken = situation.measuring.takes(way)
     assert taken.any() and not situation.measuring.takes(way[:1]).any()
     nodes = ground.road_map.nodes_m
-    lengths = WaysFrom(problem, ground, BETWEEN).length_m[situation.measuring.is_open(nodes)]
+    lengths = PathsFrom(problem, ground, BETWEEN).length_m[situation.measuring.is_open(nodes)]
     fewest = np.ceil(lengths.min() / problem.step_length_m)
     assert int(taken.argmax()) + 1 <= fewest + 2
 
@@ -77,7 +77,7 @@ def test_other_terms_decide_for_themselves():
 def test_with_all_measured_there_is_no_way():
     """Also where what is left cannot be come to."""
     problem, situation, _, ground = scene(spacing_m=100.0)
-    assert way_to_unmeasured(situation, ground) is None
+    assert path_to_unmeasured(situation, ground) is None
     walls = tuple(
         Obstacle(f"wall {k}", box)
         for k, box in enumerate(
@@ -101,7 +101,7 @@ def test_with_all_measured_there_is_no_way():
         parameters=situation.posterior.parameters,
     )
     hemmed = replace(situation, posteriors=(inside,))
-    assert way_to_unmeasured(hemmed, ground) is None
+    assert path_to_unmeasured(hemmed, ground) is None
     assert situation.measuring.is_open(ground.road_map.nodes_m).any()
 
 

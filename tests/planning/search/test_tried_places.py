@@ -12,7 +12,7 @@ from planopt.planning.plan import Verdict
 from planopt.planning.planners import planner_for
 from planopt.planning.search import place_paths
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.place_paths import TRIED, ProbedPlaces
+from planopt.planning.search.place_paths import PROBED, ProbedPlaces
 from planopt.planning.values.objective_value import ObjectiveValue
 
 RECOURSE = {**TRACKING, "form": "recourse"}
@@ -38,7 +38,7 @@ def test_ways_keep_the_step_length_and_end_at_rest(step):
     """All of them start where the robot is; the best come first by the value of the term."""
     problem, situation, _, ground = step
     ways = found_ways(problem, situation, ground)
-    assert len(ways) == TRIED
+    assert len(ways) == PROBED
     for way in ways:
         legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, way]), axis=0), axis=1)
         assert legs.max() <= problem.step_length_m

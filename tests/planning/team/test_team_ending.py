@@ -241,7 +241,7 @@ def test_a_run_ends_once_connected(tmp_path, threshold_dbm) -> None:
 
 def test_a_stalled_run_is_judged_from_disk(tmp_path, monkeypatch) -> None:
     """One step ahead among measured places, with no way out: named, saved and found again."""
-    monkeypatch.setattr(one_step_module, "way_to_unmeasured", lambda *_: None)
+    monkeypatch.setattr(one_step_module, "path_to_unmeasured", lambda *_: None)
     problem = terms_problem(LEARNING, horizon=1, name="one_step", max_steps=20)
     problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=9.0))
     run = simulate(problem, seed=0)

@@ -1,13 +1,13 @@
 """Paths along the lattice, pulled taut and timed.
 
-A lattice path moves at the speeds that its moves happen to have. Separating lines belong to
-segments, so a path that passes a corner a step late keeps its refinement late too. Sampled again at
-cruising speed (:func:`retime`) it passes the corner in time.
+Separating lines belong to segments, so a guess that passes a corner a step late keeps its
+refinement late too. Sampled again at cruising speed (:func:`retime`) it passes the corner in time.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -20,11 +20,11 @@ from planopt.world.clearance import segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M, CostToGo, lattice_paths, route_from
 
 STRAIGHT_SHARE = 1e-9
-"""Legs turn where their directions differ by more than this."""
+"""Legs turn if their directions differ by more than this."""
 
 
-class WaysFrom:
-    """Ways from one place to all nodes of a lattice that can be come to."""
+class PathsFrom:
+    """Shortest paths from one position to all reachable nodes of a lattice."""
 
     def __init__(
         self,
@@ -44,30 +44,45 @@ class WaysFrom:
             self.length_m = self._ways.cost_m + float(lengths[nearest])
 
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether the straight way to each place (n, 2) is clear."""
+        """Return whether the straight line to each position (n, 2) is clear."""
         starts = np.broadcast_to(self._position_m, places_m.shape)
         return segments_clear(self._ground.index, starts, places_m, self._wanted_m)
 
     def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return turns of the way to a place (2,) beside `node`, its start and its end; (m, 2)."""
+        """Return the turns (m, 2) of the path to a position (2,) next to `node`, with both ends."""
         if self._ways is None:
-            raise AssertionError("there is no way to any node")
+            raise AssertionError("no node is reachable")
         nodes = route_from(self._ground.road_map, self._ways, node, math.inf)[::-1]
         corners = np.vstack([self._position_m, self._ground.road_map.nodes_m[nodes], end_m])
-        turns, last = [corners[0]], 0
-        while last < len(corners) - 1:
-            ahead = corners[last + 1 :]
-            starts = np.broadcast_to(corners[last], ahead.shape)
-            clear = segments_clear(self._ground.index, starts, ahead, self._wanted_m)
-            seen = np.flatnonzero(clear)
-            # The next node is a move away, if the clearance is missed where the robot stands.
-            last += 1 + (int(seen[-1]) if len(seen) else 0)
-            turns.append(corners[last])
-        return np.array(turns)
+        return taut_turns(self._ground, self._wanted_m, corners)
+
+
+def taut_turns(
+    ground: Ground,
+    clearance_m: float,
+    corners_m: NDArray[np.float64],  # (n, 2)
+    is_cheap: Callable[[int], NDArray[np.bool_]] | None = None,
+) -> NDArray[np.float64]:
+    """Return the turns (m, 2) of a path pulled taut: each sees the next, the farthest possible.
+
+    `is_cheap` says from a corner's number which legs to later corners cost no more than the path.
+    """
+    turns, last = [corners_m[0]], 0
+    while last < len(corners_m) - 1:
+        ahead = corners_m[last + 1 :]
+        starts = np.broadcast_to(corners_m[last], ahead.shape)
+        allowed = segments_clear(ground.index, starts, ahead, clearance_m)
+        if is_cheap is not None:
+            allowed &= is_cheap(last)
+        seen = np.flatnonzero(allowed)
+        # The next corner is a move away, whatever its clearance and cost.
+        last += 1 + (int(seen[-1]) if len(seen) else 0)
+        turns.append(corners_m[last])
+    return np.array(turns)
 
 
 def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.float64]:
-    """Stops at every turn of the way through `corners_m` (n, 2), and evenly between; (s, 2)."""
+    """Return stops (s, 2) at every turn of the path through `corners_m` (n, 2), and between."""
     legs = np.diff(corners_m, axis=0)
     length = np.linalg.norm(legs, axis=1)
     corners = corners_m[np.concatenate([[True], length > 0.0])]
@@ -88,13 +103,12 @@ def retime(
     beyond_m: NDArray[np.float64],  # (b, 2)
     step_m: float,
 ) -> NDArray[np.float64]:
-    """Sample the way of a path anew, N places `step_m` apart."""
-    # Shapes: returns (N, 2).
+    """Sample the polyline of a path again, N positions `step_m` apart; ``(N, 2)``."""
     horizon = len(path_m)
     arrived = horizon > 1 and bool((path_m[-1] == path_m[-2]).all())
-    way = np.vstack([start_m, path_m] if arrived else [start_m, path_m, beyond_m])
-    lengths = np.linalg.norm(np.diff(way, axis=0), axis=1)
-    way = way[np.concatenate([[True], lengths > 0.0])]
+    line = np.vstack([start_m, path_m] if arrived else [start_m, path_m, beyond_m])
+    lengths = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    line = line[np.concatenate([[True], lengths > 0.0])]
     travelled = np.concatenate([[0.0], lengths[lengths > 0.0].cumsum()])
     total = float(travelled[-1])
     if total == 0.0:
@@ -105,5 +119,5 @@ def retime(
         step_m = total / steps
     stops = np.minimum(step_m * np.arange(1, horizon + 1), total)
     return np.stack(
-        [np.interp(stops, travelled, way[:, 0]), np.interp(stops, travelled, way[:, 1])], axis=1
+        [np.interp(stops, travelled, line[:, 0]), np.interp(stops, travelled, line[:, 1])], axis=1
     )

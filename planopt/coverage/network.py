@@ -16,13 +16,15 @@ others a little more.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.errors import InputError
+from planopt.keys import SMALLEST, Part
 
 Floats = NDArray[np.float64]
 
@@ -62,13 +64,19 @@ def gets_through(
 
 
 @dataclass(frozen=True)
-class LinkModel:
+class LinkModel(Part):
     """Loss of messages between agents by path loss and log-normal fading."""
 
-    k_pl_db: float  # Received power at 1 m, in dBm
-    n_pl: float  # Path loss exponent
-    fading_std_db: float  # Standard deviation of the power of a message about its mean
-    threshold_dbm: float  # A message with less power is lost
+    at = "links"
+
+    k_pl_db: Annotated[float, Field(ge=-300, le=300)]
+    """Received power at 1 m in dBm."""
+    n_pl: Annotated[float, Field(ge=0.1, le=10)]
+    """Path loss exponent."""
+    fading_std_db: Annotated[float, Field(ge=SMALLEST, le=100)]
+    """Standard deviation of the power of a message about its mean, in dB."""
+    threshold_dbm: Annotated[float, Field(ge=-500, le=300)]
+    """Weaker messages are lost."""
 
     def loss(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the probability that a message over distances is lost; of the same shape."""
@@ -81,15 +89,21 @@ Method = Literal["known", "leader", "minima", "running"]
 
 
 @dataclass(frozen=True)
-class Counting:
+class Counting(Part):
     """The settings by which a network counts itself."""
 
+    at = "counting"
+
     method: Method = "known"
-    rounds: int = 30  # Rounds in a step
-    epoch_rounds: int = 600  # Rounds of an epoch, and of the running count before the first step
-    draws: int = 400  # Numbers that each agent draws, for minima; 3 at least
-    # Of the running count: smaller ones leave all agents nearer to the number, and follow slower
-    innovation: float = 0.01
+    """known, leader (average consensus), minima (of random numbers) or running."""
+    rounds: Annotated[int, Field(ge=1, le=10**5)] = 30
+    """Rounds in a step."""
+    epoch_rounds: Annotated[int, Field(ge=1, le=10**6)] = 600
+    """Rounds of an epoch, and of the running count before the first step."""
+    draws: Annotated[int, Field(ge=3, le=10**5)] = 400
+    """For minima: numbers that each agent draws."""
+    innovation: Annotated[float, Field(gt=0, le=1)] = 0.01
+    """Of the running count: with less, counts end nearer to the number, and follow slower."""
 
 
 def elect_leader(network: Network, identities: NDArray[np.intp]) -> tuple[int, int]:

@@ -22,7 +22,6 @@ from planopt.coverage.geodesic import Ground, geodesic_ground
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import MoveLimits, RadioLimits, StationMap
 from planopt.coverage.localisation import EventSensor
-from planopt.coverage.network import Counting, LinkModel
 from planopt.coverage.simulation import Scene
 from planopt.coverage.voronoi import checked_polygon, convex_region
 from planopt.errors import InputError
@@ -96,8 +95,8 @@ class CoverageProblem(TaskProblem):
             control.gains,
             rules.hysteresis_m,
             rules.moved_m,
-            Counting(**given.counting.model_dump()),
-            None if given.links is None else LinkModel(**given.links.model_dump()),
+            given.counting,
+            given.links,
             rules.flag_rounds,
             control.time_step_s,
             control.duration_s,

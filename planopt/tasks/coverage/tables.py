@@ -9,7 +9,7 @@ from pydantic_core import PydanticCustomError
 
 from planopt.coverage.control.movers import Gains, Partition
 from planopt.coverage.events import Sensing
-from planopt.coverage.network import Counting, Method
+from planopt.coverage.network import Counting, LinkModel
 from planopt.keys import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
 from planopt.problems.schema import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
@@ -270,32 +270,6 @@ class AssignmentTable(Table):
     )
 
 
-class CountingTable(Table):
-    """``[counting]``: how agents know their number."""
-
-    method: Method = Field(
-        default="known",
-        description="known, leader (average consensus), minima (of random numbers) or running.",
-    )
-    rounds: int = Field(default=Counting.rounds, ge=1, le=10**5, description="In a step.")
-    epoch_rounds: int = Field(
-        default=Counting.epoch_rounds, ge=1, le=10**6, description="Of a count from its start."
-    )
-    draws: int = Field(default=Counting.draws, ge=3, le=10**5, description="For minima.")
-    innovation: float = Field(
-        default=Counting.innovation, gt=0, le=1, description="Of the running count."
-    )
-
-
-class LinksTable(Table):
-    """``[links]``: loss of messages between agents by distance."""
-
-    k_pl_db: float = Field(ge=-300, le=300, description="Received power at 1 m in dBm.")
-    n_pl: float = Field(ge=0.1, le=10, description="Path loss exponent.")
-    fading_std_db: float = Field(ge=SMALLEST, le=100, description="Standard deviation in dB.")
-    threshold_dbm: float = Field(ge=-500, le=300, description="Weaker messages are lost.")
-
-
 class SurveyTable(Table):
     """``[[radio.survey]]``: measured power from a station, from a log, in place, or simulated."""
 
@@ -402,8 +376,8 @@ class CoverageFile(TaskFile):
     events: list[EventTable] = Field(default=[], max_length=50, description="What appears.")
     sensor: SensorTable | None = None
     assignment: AssignmentTable = Field(default_factory=AssignmentTable)
-    counting: CountingTable = Field(default_factory=CountingTable)
-    links: LinksTable | None = None
+    counting: Counting = Field(default_factory=Counting)
+    links: LinkModel | None = None
     radio: RadioTable | None = None
     control: ControlTable
     planner: PlannerTable = Field(default_factory=PlannerTable)

@@ -172,7 +172,7 @@ class Assignment:
 
     event_of: NDArray[np.intp]  # (n,) number of each agent's event; `NONE` for an agent that covers
     total_m: float  # Sum of the distances between agents and their events
-    asked: int = 0  # Number of requests of an event to an agent
+    requests: int = 0  # Number of requests of events to agents
     released: int = 0  # Number of agents that declined, or left an event for a nearer one
 
 
@@ -194,26 +194,27 @@ def fair_shares(demands: NDArray[np.intp], agents: int) -> NDArray[np.intp]:
 def deferred_acceptance(distances_m: NDArray[np.float64], demands: NDArray[np.intp]) -> Assignment:
     """Assign agents to events by requests and releases, as the agents themselves can do it.
 
-    In each round every event asks as many agents as it lacks, nearest first, none of them twice.
-    Every agent keeps the nearest event that it has or that asks it, and releases the others. Ties
-    go to the smaller numbers.
+    In each round every event requests as many agents as it lacks, nearest first, none twice. Every
+    agent keeps the nearest event of those that have requested it, and releases the others.
+    Ties go to the smaller numbers.
     """
     # Shapes: distances_m (n, k); demands (k,).
     _check(distances_m, demands)
     agents, events = distances_m.shape
     order = np.argsort(distances_m, axis=0, kind="stable")
-    asked = np.zeros(events, dtype=np.intp)
+    requested = np.zeros(events, dtype=np.intp)
     event_of, released = np.full(agents, NONE, dtype=np.intp), 0
     while True:
         lacking = demands - np.bincount(event_of[event_of != NONE], minlength=events)
         requests: list[tuple[int, int]] = []
         for event in np.flatnonzero(lacking > 0).tolist():
-            names = order[asked[event] : asked[event] + lacking[event], event].tolist()
+            first = requested[event]
+            names = order[first : first + lacking[event], event].tolist()
             requests.extend((agent, event) for agent in names)
-            asked[event] += len(names)
+            requested[event] += len(names)
         if not requests:
             total_m = _total_m(event_of, distances_m)
-            return Assignment(event_of, total_m, int(asked.sum()), released)
+            return Assignment(event_of, total_m, int(requested.sum()), released)
         for agent, event in requests:
             held = int(event_of[agent])
             if held == NONE:

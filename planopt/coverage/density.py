@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +25,6 @@ NODES = 6
 
 MAX_PATCHES = 2_000_000
 """More patches take minutes and gigabytes: the resolution is a mistake."""
-
-
-class Density(Protocol):
-    """A non-negative weight per square metre."""
-
-    def at(self, places_m: Floats) -> Floats:
-        """Return the density at positions ``(m, 2)``; (m,)."""
-        ...
-
-    def moments(self, boundary: Boundary) -> Moments:
-        """Return the density's integrals over cells that are given by their boundaries."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -72,7 +59,6 @@ class UniformDensity:
 
 
 UNIFORM = UniformDensity()
-"""The density where none is given."""
 
 
 @dataclass(frozen=True)
@@ -374,6 +360,10 @@ class RasterDensity:
         ix = np.searchsorted(x, places[:, 0], side="right") - 1
         iy = np.searchsorted(y, places[:, 1], side="right") - 1
         return ix, iy
+
+
+Density = UniformDensity | CallableDensity | GaussianMixture | RasterDensity
+"""A non-negative weight per square metre."""
 
 
 def _gauss(nodes: int) -> tuple[Floats, Floats]:

@@ -99,7 +99,7 @@ def event_places(
 ) -> NDArray[np.float64]:
     """Return where agents ``(k, 2)`` that respond to an event should stand.
 
-    They stand on a ring around it or, if none is asked for, at it; bodies crowd around it.
+    They stand on a ring around it or, without a radius, at it; bodies crowd around it.
     """
     if stand_off_m is not None:
         return ring_places(agents_m, event_m, stand_off_m)

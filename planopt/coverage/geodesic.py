@@ -336,9 +336,9 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
 def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCells) -> Floats:
     """Return the target of each agent, on a free straight line toward the middle of its cell.
 
-    The step is the mean over the cell of distance times leaving direction, which is ``C - p`` where
-    nothing is in the way. It ends before an obstacle, or slides to the nearest free position, and
-    is halved until it lowers the agent's own share of H. Moving all agents to their targets
+    The step is the mean over the cell of distance times leaving direction, ``C - p`` without
+    obstacles. It ends before an obstacle, or slides to the nearest free position, and is halved
+    until it lowers the agent's own share of H. Moving all agents to their targets
     therefore never raises H.
     """
     count = len(agents_m)

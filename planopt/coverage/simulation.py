@@ -368,7 +368,7 @@ class NetworkController:
         match = deferred_acceptance(distances, shares)
         chosen = match.event_of != NONE
         after[chosen] = known[match.event_of[chosen]]
-        return after, messages + match.asked + match.released
+        return after, messages + match.requests + match.released
 
     def _targets(self, here_m: Floats, states: Numbers) -> tuple[Floats, Floats, float]:
         """Return targets (n, 2) of all agents, their velocities, and the members' coverage cost."""

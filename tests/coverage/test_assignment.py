@@ -226,7 +226,7 @@ def test_matching_is_stable(seed: int) -> None:
         blocking = (distances[:, event] < own) & (distances[:, event] < worst)
         assert not blocking.any()
     assert found.released <= agents * len(demands)
-    assert found.asked == demands.sum() + found.released
+    assert found.requests == demands.sum() + found.released
 
 
 def test_matching_is_what_lists_give() -> None:

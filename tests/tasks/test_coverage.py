@@ -149,11 +149,11 @@ def cell(file: str, column: str, number: int, new: str):
         ((('kind = "number", agents = 3', 'kind = "accuracy", accuracy_m = 1e-4'),), "",
          "events[0].demand.accuracy_m", "there are 12"),
         ((('"number", agents = 3', '"number", agents = 13'),), "", "events[0].demand.agents",
-         "asks for 13 agents, there are 12"),
+         "requires 13 agents, there are 12"),
         ((('"number", agents = 3', '"cap", share = 0.5, most = 3, remaining = 12'),), "",
          "events[0].demand.remaining", "keeps 12 agents from answering"),
         ((('"number", agents = 3', '"table", steps = [{ at_least = 2, respond = 3 }]'),), "",
-         "events[0].demand.steps[0].respond", "asks for 3 of 2 agents"),
+         "events[0].demand.steps[0].respond", "requires 3 of 2 agents"),
         ((("count = 12", "count = 1"), ("agents = 3 }", "agents = 1 }")),
          '[[events]]\nname = "two"\nplace_m = [3, 3]\nappears_s = 9\n'
          'demand = { kind = "number", agents = 1 }',

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -282,21 +282,6 @@ def _driven(
     return places + share[:, None] * offset, headings + np.clip(turn, -most, most)
 
 
-class Mover(Protocol):
-    """The law by which agents move toward their targets in one step."""
-
-    def __call__(
-        self,
-        ground: Ground,
-        motion: Motion,
-        targets_m: Floats,  # (n, 2), and their velocities as estimated
-        responds: NDArray[np.bool_],  # (n,)
-        drifts_m_s: Floats,
-    ) -> Motion:
-        """Return the motion after the step."""
-        ...
-
-
 @dataclass(frozen=True)
 class LawMover:
     """Moves by the laws, with the speed clipped."""
@@ -309,8 +294,8 @@ class LawMover:
         self,
         ground: Ground,
         motion: Motion,
-        targets_m: Floats,
-        responds: NDArray[np.bool_],
+        targets_m: Floats,  # (n, 2), and their velocities as estimated
+        responds: NDArray[np.bool_],  # (n,)
         drifts_m_s: Floats,
     ) -> Motion:
         """Return the motion after a step of the laws."""
@@ -352,3 +337,7 @@ class RecedingMover:
             ground, motion, targets_m, self.limits, gains, self.horizon, kept=kept,
             drifts_m_s=drifts,
         )  # fmt: skip
+
+
+Mover = LawMover | RecedingMover
+"""The law by which agents move toward their targets in one step."""

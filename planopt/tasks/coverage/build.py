@@ -1,4 +1,4 @@
-"""The scene that a problem file of the task coverage describes, with every check of it."""
+"""Problems of the task coverage, checked, and the scenes that they describe."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ SETTLED_SHARE = 0.01
 """Share of the mean distance between agents that counts as settled where no distance is given."""
 
 MEMORY_STEPS = 10
-"""Where events move, readings of so many steps are kept if no memory is given."""
+"""Memory of readings in steps where events move and none is given."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,7 +162,7 @@ class CoverageProblem(TaskProblem):
 
     @property
     def radio(self) -> RadioLimits | None:
-        """The links that agents keep; None for none."""
+        """Return the links that agents keep; None for none."""
         table = self.given.radio
         return None if table is None else radio_of(table, self.station_map)
 
@@ -270,7 +270,7 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
         leaves, mapped,
     )  # fmt: skip
     problem.scene(np.random.default_rng(0))
-    assert problem.mover
+    assert problem.mover  # Refuses limits that the planner does not keep
     return problem
 
 

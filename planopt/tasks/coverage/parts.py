@@ -88,18 +88,18 @@ def demand_of(
     if isinstance(table, NumberTable):
         if table.agents > agents:
             raise InputError(
-                f"asks for {table.agents} agents, there are {agents}",
+                f"requires {table.agents} agents, there are {agents}",
                 key=f"{key}.agents",
-                remedy="give more agents, or ask for fewer",
+                remedy="give more agents, or require fewer",
             )
         return lambda count: min(table.agents, count)
     if isinstance(table, TableDemandTable):
         for number, step in enumerate(table.steps):
             if step.respond > step.at_least:
                 raise InputError(
-                    f"asks for {step.respond} of {step.at_least} agents",
+                    f"requires {step.respond} of {step.at_least} agents",
                     key=f"{key}.steps[{number}].respond",
-                    remedy="ask for at most at_least",
+                    remedy="require at most at_least",
                 )
         return table_demand({each.at_least: each.respond for each in table.steps})
     if isinstance(table, CapTable):
@@ -116,7 +116,7 @@ def demand_of(
             raise InputError(
                 f"needs {demand(10**9)} agents, there are {agents}",
                 key=f"{key}.accuracy_m",
-                remedy="give more agents, or ask for less",
+                remedy="give more agents, or a larger error",
             )
         return demand
     return trade_off_demand(

@@ -62,7 +62,7 @@ DensityTable = Annotated[
 
 
 class WorldTable(Table):
-    """``[world]``: what is covered."""
+    """``[world]``: the covered region."""
 
     bounds_m: Quad | None = Field(
         default=None, description="[x_min, y_min, x_max, y_max] in metres, or outline_m."
@@ -72,13 +72,13 @@ class WorldTable(Table):
     )
     obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
     clearance_m: Metres = Field(
-        default=0.0, ge=0, description="What agents keep from obstacles and the border."
+        default=0.0, ge=0, description="Distance that agents keep from obstacles and the border."
     )
     spacing_m: Metres | None = Field(
-        default=None, ge=SMALLEST, description="Grid of the cells where there are obstacles."
+        default=None, ge=SMALLEST, description="Grid of the cells; for regions with obstacles."
     )
     sensing_range_m: Metres | None = Field(
-        default=None, ge=SMALLEST, description="How far agents sense; convex regions only."
+        default=None, ge=SMALLEST, description="Sensing range of agents; for convex regions only."
     )
 
     @model_validator(mode="after")
@@ -137,10 +137,10 @@ class NumberTable(Table):
 
 
 class StepTable(Table):
-    """Steps of a demand: from so many agents on, so many respond."""
+    """A step of a demand."""
 
-    at_least: int = Field(ge=0, le=20_000, description="From so many agents on.")
-    respond: int = Field(ge=0, le=20_000, description="So many respond.")
+    at_least: int = Field(ge=0, le=20_000, description="Least number of agents.")
+    respond: int = Field(ge=0, le=20_000, description="Number that responds.")
 
 
 class TableDemandTable(Table):
@@ -156,11 +156,11 @@ class CapTable(Table):
     kind: Literal["cap"]
     share: float = Field(ge=0, le=1, description="Share of all agents, rounded up.")
     most: int = Field(ge=0, le=20_000, description="At most so many.")
-    remaining: int = Field(default=1, ge=0, le=20_000, description="So many stay with coverage.")
+    remaining: int = Field(default=1, ge=0, le=20_000, description="Number that goes on covering.")
 
 
 class AccuracyTable(Table):
-    """As many agents as locate the event well enough."""
+    """The fewest agents that locate the event well enough."""
 
     kind: Literal["accuracy"]
     accuracy_m: Metres = Field(ge=SMALLEST, description="Root mean squared error in metres.")
@@ -168,7 +168,7 @@ class AccuracyTable(Table):
 
 
 class TradeOffTable(Table):
-    """As many agents as balance coverage against localisation."""
+    """The number of agents that balances coverage against localisation."""
 
     kind: Literal["trade_off"]
     localisation_m2: float = Field(ge=SMALLEST, le=1e12, description="Error with one agent.")
@@ -183,10 +183,10 @@ DemandTable = Annotated[
 
 
 class AgentsTable(Table):
-    """``[agents]``: who covers."""
+    """``[agents]``: starting positions and limits of motion."""
 
     start: Annotated[PlacesTable | GridTable | RandomTable, Field(discriminator="kind")] = Field(
-        description="Where they start: a table with kind, list, grid or random."
+        description="Starting positions: a table with kind, list, grid or random."
     )
     speed_max_m_s: float | None = Field(
         default=None, ge=SMALLEST, le=1e4, description="Largest speed in m/s; left out: none."
@@ -219,22 +219,22 @@ class ChangeTable(Table):
 
 
 class EventTable(Table):
-    """``[[events]]``: what appears."""
+    """``[[events]]``: an event that appears in the region."""
 
-    name: Name = Field(default="event", description="What outputs call it.")
-    place_m: Pair = Field(description="Where it appears: [x, y] in metres.")
-    velocity_m_s: Pair = Field(default=(0.0, 0.0), description="It moves with this velocity.")
+    name: Name = Field(default="event", description="Name in outputs.")
+    place_m: Pair = Field(description="Position where it appears: [x, y] in metres.")
+    velocity_m_s: Pair = Field(default=(0.0, 0.0), description="Velocity [vx, vy].")
     appears_s: float = Field(default=0.0, ge=0, le=1e9, description="When it appears.")
     ends_s: float | None = Field(default=None, ge=0, le=1e9, description="When it ends.")
-    demand: DemandTable = Field(description="How many agents it asks for: a table with kind.")
+    demand: DemandTable = Field(description="Number of agents that it requires: a table with kind.")
 
 
 class SensorTable(Table):
-    """``[sensor]``: what agents measure of an event, K / ((d / scale)^2 + 1) and noise."""
+    """``[sensor]``: signal K / ((d / scale)^2 + 1) of an event, and noise."""
 
     strength: float = Field(ge=SMALLEST, le=1e12, description="K, the signal at the event.")
     noise_std: float = Field(ge=1e-12, le=1e12, description="Standard deviation of the noise.")
-    scale_m: Metres = Field(default=1.0, ge=SMALLEST, description="Half the signal is left here.")
+    scale_m: Metres = Field(default=1.0, ge=SMALLEST, description="Distance at which half is left.")
     strength_known: bool = Field(default=True, description="Whether agents know K.")
     detection_std: float = Field(
         default=Sensing.detection_std, ge=1, le=100, description="A reading of more is an event."
@@ -256,11 +256,13 @@ class SensorTable(Table):
 
 
 class AssignmentTable(Table):
-    """``[assignment]``: who responds."""
+    """``[assignment]``: rules of the assignment of agents to events."""
 
     hysteresis_m: Metres = Field(default=1.0, ge=0, description="Gain that an exchange needs.")
     moved_m: Metres = Field(
-        default=1.0, ge=0, description="It is made anew when an estimate has moved by more."
+        default=1.0,
+        ge=0,
+        description="Motion of an estimate that needs a new assignment.",
     )
     stand_off: bool = Field(
         default=False, description="Agents stand on the ring of most information about an event."
@@ -312,7 +314,7 @@ class RadioTable(Table):
 
     stations_m: list[Pair] = Field(min_length=1, max_length=100, description="Base stations.")
     p_min: float = Field(
-        gt=0, lt=1, description="Each agent keeps its way to a station with this probability."
+        gt=0, lt=1, description="Probability with which each agent keeps its path to a station."
     )
     k_pl_db: float = Field(ge=-300, le=300, description="Received power at 1 m in dBm.")
     n_pl: float = Field(ge=0.1, le=10, description="Path loss exponent.")
@@ -330,7 +332,7 @@ class RadioTable(Table):
 
 
 class ControlTable(Table):
-    """``[control]``: how agents move, and for how long."""
+    """``[control]``: time steps, gains, and the end of a run."""
 
     time_step_s: float = Field(default=1.0, ge=SMALLEST, le=1e4, description="Of a step.")
     duration_s: float = Field(ge=SMALLEST, le=1e8, description="The run takes at most this.")
@@ -340,7 +342,9 @@ class ControlTable(Table):
         default="all", description="Cells of all agents, or coverage_only: of those that cover."
     )
     settled_m: Metres | None = Field(
-        default=None, ge=SMALLEST, description="So near to its target an agent has settled."
+        default=None,
+        ge=SMALLEST,
+        description="Distance to a target at which an agent has settled.",
     )
     stop_when_settled: bool = Field(
         default=True, description="Whether the run ends when all have settled for good."
@@ -353,7 +357,7 @@ class ControlTable(Table):
 
 
 class PlannerTable(Table):
-    """``[planner]``: who decides the moves."""
+    """``[planner]``: the law by which agents move."""
 
     name: PlannerName = Field(
         default="law",

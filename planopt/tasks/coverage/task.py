@@ -1,8 +1,4 @@
-"""The task coverage: networks that cover a region and answer events.
-
-The module simulates and solves its problems, and reports the result as JSON, tables, text and
-figures.
-"""
+"""The task coverage: its actions, and results as JSON, tables, text and figures."""
 
 from __future__ import annotations
 
@@ -85,7 +81,7 @@ STARTS = 10
 
 
 def agent_name(number: int) -> str:
-    """Return what outputs call an agent."""
+    """Return the name of an agent in outputs."""
     return f"agent{number}"
 
 
@@ -104,27 +100,29 @@ def simulate(
     scene = problem.scene(generator)
     motions = () if saved is None else _motions_of(saved[STEPS_FILE], len(scene.starts_m))
     run = simulate_network(scene, problem.mover, generator, on_step, motions)
-    planner, (outcome, reason) = problem.given.planner, outcome_of(problem, run)
-    times_s = run.times_s.tolist()
+    planner, events = problem.given.planner, event_results(problem, run)
+    outcome, reason = outcome_of(problem, run, events)
     data = {
         "horizon": planner.horizon,
         "planner": planner.name,
         "outcome": outcome,
         "reason": reason,
         "metrics": metrics(problem, run),
-        "rungs": {planner.name: len(times_s) - 1},
-        "events": event_results(problem, run),
-        "robots": [
-            {
-                "name": agent_name(number),
-                "t_s": times_s,
-                "x_m": run.positions_m[:, number, 0].tolist(),
-                "y_m": run.positions_m[:, number, 1].tolist(),
-            }
-            for number in range(run.positions_m.shape[1])
-        ],
+        "rungs": {planner.name: len(run.costs)},
+        "events": events,
+        "robots": _paths(run.times_s, run.positions_m),
     }
     return TaskResult(problem, data, tables_of(problem, run), run)
+
+
+def _paths(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> list[dict[str, Any]]:
+    """Return the paths of agents from times (T,) and positions (T, n, 2)."""
+    x, y = positions_m.transpose(2, 1, 0).tolist()
+    rows = zip(x, y, strict=True)
+    return [
+        {"name": agent_name(number), "t_s": times_s.tolist(), "x_m": x, "y_m": y}
+        for number, (x, y) in enumerate(rows)
+    ]
 
 
 def _motions_of(steps: Data, agents: int) -> list[Motion]:
@@ -137,7 +135,7 @@ def _motions_of(steps: Data, agents: int) -> list[Motion]:
 
 
 def controller(problem: CoverageProblem, *, seed: int) -> NetworkController:
-    """Return what decides the steps of a network, with the starts and randomness of a seed."""
+    """Return the controller of a network, with the starts and randomness of a seed."""
     generator = np.random.default_rng(seed)
     return NetworkController(problem.scene(generator), problem.mover, generator)
 
@@ -173,7 +171,7 @@ def faults(result: TaskResult) -> list[str]:
 
 
 def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
-    """Find where the network should end: the best of several deployments, with a lower bound."""
+    """Return the best of several deployments of the network, with a lower bound."""
     generator = np.random.default_rng(seed)
     scene = problem.scene(generator)
     found = best_deployment(
@@ -192,25 +190,24 @@ def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
         "objective": cost,
         "bound": bound if bound > 0.0 else None,
         "gap": (cost - bound) / max(cost, 1e-12) if bound > 0.0 else None,
-        "robots": [
-            {"name": agent_name(number), "t_s": [0.0], "x_m": [x], "y_m": [y]}
-            for number, (x, y) in enumerate(found.places_m.tolist())
-        ],
+        "robots": _paths(np.zeros(1), found.places_m[None]),
         "start_costs": found.costs.tolist(),
     }
     return TaskResult(problem, data, value=found)
 
 
-def outcome_of(problem: CoverageProblem, run: NetworkRun) -> tuple[str, str]:
-    """Return ``settled``, ``served``, ``unserved`` or ``not_settled``, and why."""
+def outcome_of(
+    problem: CoverageProblem, run: NetworkRun, events: Sequence[Mapping[str, Any]]
+) -> tuple[str, str]:
+    """Return ``settled``, ``served``, ``unserved`` or ``not_settled``, and the reason."""
     last_s = float(run.times_s[-2])
-    for entry in event_results(problem, run):
+    for entry in events:
         if entry["appears_s"] > last_s:
             continue
         if entry["detected_s"] is None:
             return "unserved", f"{entry['name']} was not detected"
         if entry["served_s"] is None:
-            return "unserved", f"{entry['name']} never had the agents it asks for in place"
+            return "unserved", f"{entry['name']} never had its agents in place"
     moving = any(any(each.velocity_m_s) and each.is_there(last_s) for each in problem.events)
     if run.settled:
         return "settled", f"after {_settled_s(problem, run):g} s"
@@ -250,7 +247,7 @@ def metrics(problem: CoverageProblem, run: NetworkRun) -> dict[str, Any]:
 
 
 def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, Any]]:
-    """Return when each event was detected, served and given up, and how well it was located."""
+    """Return times of detection, service and end of each event, and the error of its estimate."""
     results = list[dict[str, Any]]()
     times_s = run.times_s[:-1]
     near_m = problem.settled_m + ON_TARGET_M
@@ -261,9 +258,9 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
         responding = team.sum(axis=1)
         in_place = (~team | _in_place(problem, run, number, near_m)).all(axis=1)
         wanted = run.wanted[:, number]
-        served = known & there & in_place & (responding == wanted) & (wanted > 0)
-        if any(event.velocity_m_s):
-            served = known & there & (responding == wanted) & (wanted > 0)
+        served = known & there & (responding == wanted) & (wanted > 0)
+        if not any(event.velocity_m_s):
+            served &= in_place
         places = np.array([event.place_at(time_s) for time_s in times_s.tolist()])
         error_m = np.linalg.norm(run.estimates_m[:, number] - places, axis=1)
         both = np.flatnonzero(known & there)
@@ -290,7 +287,7 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
 def _in_place(
     problem: CoverageProblem, run: NetworkRun, number: int, near_m: float
 ) -> NDArray[np.bool_]:
-    """Return whether agents are where an event wants them; (T, n).
+    """Return whether agents are at their positions for an event; (T, n).
 
     They are within `near_m` of their targets. Bodies may also stand still, crowded around it.
     """
@@ -310,7 +307,7 @@ def _in_place(
 
 
 def _settled_s(problem: CoverageProblem, run: NetworkRun) -> float | None:
-    """Return from when on all agents were settled until the end; None if they are not."""
+    """Return the time from which all agents were settled; None if they are not at the end."""
     if not run.settled:
         return None
     off = np.flatnonzero(run.residuals_m > problem.settled_m + ON_TARGET_M)
@@ -318,6 +315,7 @@ def _settled_s(problem: CoverageProblem, run: NetworkRun) -> float | None:
 
 
 def _first_s(times_s: NDArray[np.float64], which: NDArray[np.bool_]) -> float | None:
+    """Return the first of some times; None without any."""
     return float(times_s[which.argmax()]) if which.any() else None
 
 
@@ -444,7 +442,7 @@ def _animate(result: TaskResult, path: Path) -> None:
 
 
 def picture(result: TaskResult) -> NetworkPicture:
-    """Return what is drawn of a run."""
+    """Return the data of the figures of a run."""
     from planopt.report import NetworkPicture
 
     problem = cast("CoverageProblem", result.problem)

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from planopt import Measurements
+from planopt.channel import ChannelParameters, Station
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station, regressors
+from planopt.channel.parameters import regressors
 from planopt.objectives.measuring import MeasuringRule
 
 CHANNEL = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))

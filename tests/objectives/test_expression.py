@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from planopt.errors import InputError
+from planopt import InputError
 from planopt.objectives.expression import (
     LONGEST_LINE,
     MOST_LINES,

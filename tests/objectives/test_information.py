@@ -16,13 +16,12 @@ from path_scene import (
     power_at,
 )
 
-from planopt.channel.joint import joint_prediction
+from planopt import InputError, Measurements
+from planopt.channel import Station, condition, joint_prediction
 from planopt.channel.kriging import LocalChannel, LocalGrid, kriging_terms, predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import Station, regressors
-from planopt.channel.posterior import WEAK_THETA_DEVIATION, condition, extend, factored_near
-from planopt.errors import InputError
+from planopt.channel.parameters import regressors
+from planopt.channel.posterior import WEAK_THETA_DEVIATION, extend, factored_near
 from planopt.objectives.information import (
     Information,
     PathUncertainty,

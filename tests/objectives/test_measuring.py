@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, drawn, partly_open
 
-from planopt.channel.posterior import condition
+from planopt.channel import condition
 from planopt.objectives.measuring import (
     CLOSED_SPACINGS,
     OPEN_SPACINGS,

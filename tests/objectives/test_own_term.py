@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, situation_of, terms_problem
 
-from planopt.errors import InputError
+from planopt import InputError
 from planopt.extend import OwnTerm, casadi_term
 from planopt.objectives import TermsObjective
 from planopt.objectives.terms import term as registry

@@ -8,11 +8,9 @@ import pytest
 from path_scene import CHANNEL, PATH, drawn, moved
 from scipy.stats import norm
 
+from planopt import InputError
+from planopt.channel import Station, condition, posterior_derivatives
 from planopt.channel.kriging import predict
-from planopt.channel.parameters import Station
-from planopt.channel.posterior import condition
-from planopt.channel.sensitivity import posterior_derivatives
-from planopt.errors import InputError
 from planopt.objectives import TrackingTerm
 from planopt.objectives.tracking import Tracking
 from planopt.targets.rounding import Derivatives

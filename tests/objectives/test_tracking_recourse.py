@@ -9,9 +9,8 @@ import pytest
 from dense_filter import MEASURES, dense_costs
 from terms_scene import TRACKING, situation_of, terms_problem
 
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
+from planopt import Measurements
+from planopt.channel import ChannelParameters, Station, condition
 from planopt.objectives.measuring import KnownLinks, known_links
 from planopt.objectives.tracking import (
     DISCOUNT,

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from path_scene import CHANNEL, PATH, START, drawn
 
-from planopt.channel.joint import joint_prediction, sample_power
+from planopt.channel import condition, first_passage, joint_prediction, sample_power
 from planopt.channel.kriging import predict
-from planopt.channel.path_connectivity import first_passage
-from planopt.channel.posterior import condition
 from planopt.channel.prediction import connection_probability
 from planopt.objectives.until_connected import (
     Search,

@@ -15,14 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from planopt.channel import LogFormat, Station, fit_channel, read_log
-from planopt.channel.held_out import (
-    channel_predictor,
-    learn_path_loss,
-    learn_plain_line,
-    learn_plain_process,
-    marginal_predictor,
-)
+from planopt.channel import LogFormat, Station, fit_channel, predictors_of, read_log
 
 LEARNT, CENSORED_SHARE = 4_000, 0.6
 PRODUCT_SIZE = 1_500
@@ -42,14 +35,9 @@ def main(log: str, station: str) -> None:
     print(f"{len(known)} rows, {known.censored.mean():.0%} censored; {len(out)} held out")
     begun = process_time()
     fit = timed("fit", lambda: fit_channel(known, site))
-    for name, learn in (
-        ("channel", lambda: channel_predictor(fit.parameters, known)),
-        ("marginal", lambda: marginal_predictor(fit.parameters, known)),
-        ("path_loss", lambda: learn_path_loss(known, site)),
-        ("plain_line", lambda: learn_plain_line(known, site)),
-        ("plain_process", lambda: learn_plain_process(known)),
-    ):
-        timed(name, lambda learn=learn: learn()(out))
+    predictors = timed("learn", lambda: predictors_of(lambda _: fit)(known))
+    for name, predict in predictors.items():
+        timed(name, lambda predict=predict: predict(out))
     print(f"{'together':15}{process_time() - begun:8.2f} s")
 
 

@@ -26,10 +26,11 @@ from planopt.channel import (
     fit_channel,
     held_out_report,
     posterior_map,
+    predict_readings,
     read_log,
 )
 from planopt.channel.channel_map import measured_bounds_m
-from planopt.channel.held_out import channel_predictor, learn_path_loss
+from planopt.channel.held_out import learn_path_loss
 from planopt.channel.power_log import parse_groups, read_groups
 from planopt.report import draw_calibration, draw_fit, draw_posterior_map
 
@@ -104,9 +105,9 @@ garage_map = draw_map("garage")
 
 def learn(log, station):
     """What predicts once `log` is known."""
-    fit = fit_channel(log, station)
+    posterior = condition(fit_channel(log, station).parameters, log)
     return {
-        "channel": channel_predictor(fit.parameters, log),
+        "channel": partial(predict_readings, posterior),
         "path_loss": learn_path_loss(log, station),
     }
 

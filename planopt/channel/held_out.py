@@ -40,7 +40,7 @@ from planopt.channel.joint import predict_readings
 from planopt.channel.measurement_covariance import pairwise_distance_m
 from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.parameter_uncertainty import marginalise
-from planopt.channel.parameters import ChannelParameters, Station, mean_model, regressors
+from planopt.channel.parameters import Station, mean_model, regressors
 from planopt.channel.posterior import condition
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
@@ -72,11 +72,13 @@ def predictors_of(
     """
 
     def learn(measurements: Measurements) -> dict[str, Predictor]:
-        found = fit(measurements)
-        parameters = found.parameters
+        parameters = fit(measurements).parameters
         return {
-            "channel": channel_predictor(parameters, measurements),
-            "marginal": marginal_predictor(parameters, measurements),
+            "channel": partial(predict_readings, condition(parameters, measurements)),
+            # With the uncertainty of xi, beta and omega.
+            "marginal": partial(
+                predict_readings, marginalise(parameters, measurements, MARGINAL_EXACT_LIMIT)
+            ),
             PATH_LOSS: learn_path_loss(measurements, parameters.station),
             "plain_line": learn_plain_line(measurements, parameters.station),
             "plain_process": learn_plain_process(measurements),
@@ -85,22 +87,11 @@ def predictors_of(
     return learn
 
 
-def channel_predictor(parameters: ChannelParameters, measurements: Measurements) -> Predictor:
-    """Predict from the measurements that were fitted (equation 1.8)."""
-    return partial(predict_readings, condition(parameters, measurements))
-
-
-def marginal_predictor(parameters: ChannelParameters, measurements: Measurements) -> Predictor:
-    """Predict with the uncertainty of xi, beta and omega included."""
-    posterior = marginalise(parameters, measurements, MARGINAL_EXACT_LIMIT)
-    return partial(predict_readings, posterior)
-
-
 def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:
     """Fit path loss alone by least squares, with the standard deviation of the residuals."""
     if measurements.censored.all():
         raise InputError("there is no line through upper limits alone")
-    return _line_predictor(measurements, station, lambda variance, _: variance)
+    return _line_predictor(measurements, station)
 
 
 LEAST_VARIANCE_DB2 = 1e-6
@@ -112,24 +103,22 @@ def learn_plain_line(measurements: Measurements, station: Station) -> Predictor:
     At a single distance: their mean, with an assumed slope.
     """
     exact = _uncensored(measurements)
-    plain = Measurements(exact.positions_m, exact.power_dbm)
-
-    def unbiased(variance: float, columns: int) -> float:
-        count = len(plain)
-        return max(variance * count / max(count - columns, 1), LEAST_VARIANCE_DB2)
-
-    return _line_predictor(plain, station, unbiased)
+    return _line_predictor(Measurements(exact.positions_m, exact.power_dbm), station, unbiased=True)
 
 
 def _line_predictor(
-    measurements: Measurements, station: Station, spread: Callable[[float, int], float]
+    measurements: Measurements, station: Station, *, unbiased: bool = False
 ) -> Predictor:
-    """Predict by the least-squares line; `spread` maps its variance and columns to a variance."""
+    """Predict by the least-squares line, its variance per degree of freedom if `unbiased`."""
     identifiable = examine(measurements, station).n_pl_reason is None
     model = mean_model(measurements.positions_m, ~measurements.censored, station, identifiable)
     line = least_squares(model, measurements)
     theta = np.array(model.theta(line.coefficients))
-    deviation_db = math.sqrt(spread(line.variance_db2, model.columns.shape[1]))
+    variance = line.variance_db2
+    if unbiased:
+        count, columns = model.columns.shape
+        variance = max(variance * count / max(count - columns, 1), LEAST_VARIANCE_DB2)
+    deviation_db = math.sqrt(variance)
 
     def predict(readings: Measurements) -> Prediction:
         mean = regressors(readings.positions_m, station) @ theta

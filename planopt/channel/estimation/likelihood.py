@@ -214,7 +214,7 @@ SITE_TOLERANCE = 1e-4
 """Tolerance of the sites of intervals while climbing: its error of log L is far below the accuracy
 required of the optimum, and it saves half of the sweeps."""
 
-MEAN_TOLERANCE = 0.03
+MEAN_TOLERANCE = 0.2
 """Sites are matched again where the mean of an interval moved by more standard errors than this."""
 
 
@@ -247,38 +247,19 @@ class Evaluation:
     precision: Precision | None  # None for several windows
 
 
-@dataclass(frozen=True, eq=False)
-class _Settled:
-    """Sites and coefficients at a point, from which the next evaluation starts."""
-
-    logs: NDArray[np.float64]
-    log_likelihood: float
-    sites: WindowSites | IntervalSites | None
-    coefficients: NDArray[np.float64]
-
-
 class RestrictedLikelihood:
-    """The likelihood of measurements; sites and mean start from the last point or the best."""
+    """The likelihood of measurements; sites and mean start from those of the last point."""
 
     def __init__(self, data: LikelihoodData) -> None:
         self.data = data
-        coefficients = np.zeros(len(data.prior_precision))
-        nowhere = _Settled(np.zeros(3), -math.inf, None, coefficients)
-        self._last = self._best = nowhere
+        self._sites: WindowSites | IntervalSites | None = None
+        self._coefficients = np.zeros(len(data.prior_precision))
 
     def at(self, covariance: Covariance, site_tolerance: float = SITE_TOLERANCE) -> Evaluation:
         """Evaluate the likelihood at (xi^2, omega^2, beta)."""
-        logs = np.log(covariance)
-        found: tuple[Evaluation, WindowSites | IntervalSites | None, NDArray[np.float64]] = (
-            self._whole(covariance, site_tolerance)
-            if self.data.is_whole
-            else self._blocks(covariance, logs)
-        )
-        evaluation, sites, coefficients = found
-        self._last = _Settled(logs, evaluation.log_likelihood, sites, coefficients)
-        if self._last.log_likelihood > self._best.log_likelihood:
-            self._best = self._last
-        return evaluation
+        if self.data.is_whole:
+            return self._whole(covariance, site_tolerance)
+        return self._blocks(covariance)
 
     def information(self, covariance: Covariance, at: Evaluation) -> NDArray[np.float64]:
         """Return the expected information (3, 3), whose inverse has the squared standard errors.
@@ -289,9 +270,7 @@ class RestrictedLikelihood:
             return at.information
         return _expected_information(self.data, covariance, at.precision.projection())
 
-    def _whole(
-        self, covariance: Covariance, site_tolerance: float
-    ) -> tuple[Evaluation, IntervalSites | None, NDArray[np.float64]]:
+    def _whole(self, covariance: Covariance, site_tolerance: float) -> Evaluation:
         """Evaluate one window of all, with joint sites."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
@@ -300,7 +279,7 @@ class RestrictedLikelihood:
         values, noise = data.values_db, data.fixed_db2 + nugget
         sites = log_likelihood = None
         if rows is not None:
-            start = self._last.sites
+            start = self._sites
             prior, log_gaussian = _interval_prior(data, total, noise)
             sites = interval_sites(
                 prior,
@@ -309,6 +288,7 @@ class RestrictedLikelihood:
                 start if isinstance(start, IntervalSites) else None,
                 site_tolerance,
             )
+            self._sites = sites
             log_likelihood = log_gaussian + sites.log_evidence - data.log_steps
             values, noise = _with_sites(rows, values, noise, sites.as_measurements())
         total.flat[:: len(total) + 1] += noise
@@ -346,20 +326,16 @@ class RestrictedLikelihood:
         )
         slope = 0.0 if sites is None else sites.evidence_slope
         precision = Precision(half, weights[:, 1:], spread)
-        evaluation = _evaluation(
+        return _evaluation(
             data, sums, (coefficients, spread), slope, log_likelihood, 0.0, precision
         )
-        return evaluation, sites, coefficients
 
-    def _blocks(
-        self, covariance: Covariance, logs: NDArray[np.float64]
-    ) -> tuple[Evaluation, WindowSites | None, NDArray[np.float64]]:
+    def _blocks(self, covariance: Covariance) -> Evaluation:
         """Evaluate windows, sites and mean in turn until neither moves."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
-        start = min((self._last, self._best), key=lambda one: np.abs(one.logs - logs).max())
-        sites = start.sites if isinstance(start.sites, WindowSites) else None
-        coefficients = start.coefficients
+        sites = self._sites if isinstance(self._sites, WindowSites) else None
+        coefficients = self._coefficients
         values, noise = data.values_db, data.fixed_db2 + nugget
         parameters = replace(
             data.known,
@@ -390,8 +366,8 @@ class RestrictedLikelihood:
                 break
         slope = 0.0 if sites is None else sites.slope
         log_factor = 0.0 if sites is None else sites.log_factor - data.log_steps
-        evaluation = _evaluation(data, sums, (coefficients, spread), slope, None, log_factor, None)
-        return evaluation, sites, coefficients
+        self._sites, self._coefficients = sites, coefficients
+        return _evaluation(data, sums, (coefficients, spread), slope, None, log_factor, None)
 
 
 @dataclass(eq=False)

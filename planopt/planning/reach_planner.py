@@ -199,7 +199,15 @@ class ReachPlanner:
             if start.gives_way or start.is_direct:
                 chosen = self._as_found(judge, cost, start, warm)
             else:
-                chosen = self._refined(step, judge, cost, start, ahead, warm, budget)
+                lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
+                refinement = None
+                if self._nlp is not None and _moves(judge, start.path_m):
+                    plain = problem.constraints.rule.is_plain
+                    rows_of = None if plain else partial(step_rows, step)
+                    shared = (judge, cost, start, ahead, lattice.objective, budget)
+                    refinement = GoalRefinement(self._nlp, self.scene, *shared, rows_of)
+                tried = list(self._candidates(judge, refinement, lattice, warm, budget))
+                chosen = best_of(judge, tried, warm, judge.worth(lattice))
             pivot = cost.pivot_of(chosen.path_m)
         plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
@@ -221,49 +229,18 @@ class ReachPlanner:
         words = "; ".join([blocked, *goal_in_words(self.problem, holes)])
         return BlockedError(words, (BlockedWay(self.problem.robots[0].name, places, holes),))
 
-    def _refined(
-        self,
-        step: StepContext,
-        judge: Judge,
-        cost: ReachCost,
-        start: GlobalStart,
-        ahead: Ahead,
-        warm: Plan | None,
-        budget: Budget,
-    ) -> Candidate:
-        """Return the best of the refined guesses and the lattice path."""
-        lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
-        tried = list(self._candidates(step, judge, cost, start, ahead, lattice, warm, budget))
-        return best_of(judge, tried, warm, judge.worth(lattice))
-
     def _candidates(
         self,
-        step: StepContext,
         judge: Judge,
-        cost: ReachCost,
-        start: GlobalStart,
-        ahead: Ahead,
+        refinement: GoalRefinement | None,
         lattice: Candidate,
         warm: Plan | None,
         budget: Budget,
     ) -> Iterator[Candidate]:
         """Yield candidates in order of promise: refined guesses, then the lattice path."""
-        if self._nlp is not None and _moves(judge, start.path_m):
-            plain = self.problem.constraints.rule.is_plain
-            rows_of = None if plain else partial(step_rows, step)
-            refiner = GoalRefinement(
-                self._nlp,
-                self.scene,
-                judge,
-                cost,
-                start,
-                ahead,
-                lattice.objective,
-                budget,
-                rows_of,
-            )
+        if refinement is not None:
             shifted = shifted_path(self.problem, judge.index, judge.position_m, warm)
-            for attempt in refiner.attempts(shifted):
+            for attempt in refinement.attempts(shifted):
                 yield attempt
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
                     return

@@ -79,19 +79,14 @@ def solve(
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     # An unreachable goal is found out before the files of the channel are read.
     scenes = build_scenes(problem)
-    return _solved(problem, prepare(problem, seed, given).belief, seed, scenes)
+    return solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
 
 
 def solve_on(
     problem: Problem, belief: Belief, seed: int, scenes: Sequence[Scene] | None = None
 ) -> Solution:
-    """Plan for each robot from its start, on a belief that is given."""
-    return _solved(problem, belief, seed, build_scenes(problem) if scenes is None else scenes)
-
-
-def _solved(
-    problem: Problem, belief: Belief, seed: int, scenes: Sequence[Scene] | None
-) -> Solution:
+    """Plan for each robot from its start on a belief; scenes are built unless supplied."""
+    scenes = build_scenes(problem) if scenes is None else scenes
     problem = with_drawn_starts(problem, seed)
     seeds = team_seeds(problem, seed)
     watch = watch_target(problem, seeds.target)

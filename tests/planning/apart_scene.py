@@ -8,7 +8,8 @@ from typing import Any
 
 from terms_scene import LEARNING, TABLES, TRACKING
 
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt import Problem
+from planopt.problems.problem import problem_from_tables
 
 CART = {"name": "cart", "radius_m": 1.0, "start_m": [5.0, 20.0], "velocity_m_s": [1.0, 0.0]}
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from terms_scene import judge_of, situation_of, terms_problem
 
+from planopt import Problem
+from planopt.extend import Dynamics
 from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.problems.problem import Problem
-from planopt.robots.dynamics import Dynamics
-from planopt.robots.models import DoubleIntegrator, Unicycle
+from planopt.problems import DoubleIntegrator, Unicycle
 
 DOUBLE = DoubleIntegrator(2.0, 0.8)
 WHEELS = Unicycle(2.0, 0.9)

@@ -10,8 +10,8 @@ from typing import Any
 from scenes import small_problem
 from terms_scene import TABLES, TRACKING
 
-from planopt.problems.constraints import ConnectivityRule, Constraints
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt import ConnectivityRule, Constraints, Problem
+from planopt.problems.problem import problem_from_tables
 
 RULES: dict[str, dict[str, Any]] = {
     "each_step": {"p_min": 0.95, "connected_times_s": [2.0, 5.0]},

@@ -15,11 +15,26 @@ from typing import Any
 import numpy as np
 import shapely
 
-from planopt.channel.estimation.channel_fit import ChannelFit
-from planopt.channel.ground_truth import Truth
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import Belief, ChannelPosterior, condition
+from planopt import (
+    BaseStation,
+    ChannelSetup,
+    Constraints,
+    Measurements,
+    Obstacle,
+    PlannerSettings,
+    Problem,
+    Robot,
+    Workspace,
+)
+from planopt.channel import (
+    Belief,
+    ChannelFit,
+    ChannelParameters,
+    ChannelPosterior,
+    Station,
+    Truth,
+    condition,
+)
 from planopt.objectives import ReachObjective
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.initial_data import Prepared
@@ -34,16 +49,11 @@ from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
-from planopt.problems.channel_setup import BaseStation, ChannelSetup, LoggedMeasurements
-from planopt.problems.constraints import Constraints
-from planopt.problems.problem import Problem
-from planopt.problems.robot import Robot
-from planopt.problems.settings import PlannerSettings
+from planopt.problems import LoggedMeasurements
 from planopt.robots.dynamics import Drive
 from planopt.world.clearance import ObstacleIndex, index_obstacles
 from planopt.world.lattice import RoadMap, build_lattice, build_road_map
 from planopt.world.raster import Raster
-from planopt.world.workspace import Obstacle, Workspace
 
 PowerAt = Callable[[np.ndarray], np.ndarray]
 

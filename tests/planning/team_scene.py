@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from terms_scene import TRACKING, terms_problem
 
-from planopt.problems.problem import Problem
+from planopt import Problem
 
 
 def two_trackers(**planner: object) -> Problem:

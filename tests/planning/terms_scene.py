@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from sending_term import SendingTerm
 
-from planopt.channel.posterior import Belief
+from planopt import Problem
+from planopt.channel import Belief
 from planopt.extend import casadi_term
 from planopt.planning.candidates import Judge
 from planopt.planning.initial_data import prepare
@@ -21,7 +22,7 @@ from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.steered_path import SteeringWay
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.problem import problem_from_tables
 from planopt.world.clearance import index_obstacles
 
 TRACKING = {

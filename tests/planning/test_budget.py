@@ -1,4 +1,4 @@
-"""A plan within a budget: the lattice path where there is no time to polish, and it says so."""
+"""A plan within a budget of time, and the last fallbacks."""
 
 from __future__ import annotations
 
@@ -13,13 +13,18 @@ from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_proble
 import planopt.planning.candidates as judge_module
 import planopt.planning.proof.verify as steps_module
 import planopt.planning.refinement as polish_module
-from planopt.errors import InputError
+from planopt import InputError, MovingObstacle, Problem, Verdict
+from planopt.extend import Rung, Termination
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.programme.path_polish import RefinedPath
+from planopt.planning.proof import context as predictions
+from planopt.planning.proof.context import SEARCH_ERROR_DB
 from planopt.planning.reach_planner import ReachPlanner
+from planopt.planning.rule_bounds import lacks
 from planopt.planning.scene import build_scene
+from planopt.planning.solve import solve
+from planopt.planning.values.rule_rows import rule_rows
 from planopt.problems import problem_from_dict, problem_to_dict
-from planopt.problems.problem import Problem
 
 NO_TIME = 1e-9
 
@@ -152,3 +157,33 @@ def test_key_of_the_problem_file():
         assert problem_from_dict(tables).planner.budget_s == budget
     with pytest.raises(InputError, match=r"planner\.budget_s"):
         problem_from_dict({**tables, "planner": {**tables["planner"], "budget_s": 0.0}})
+
+
+def test_standing_before_the_first_plan_is_a_stop() -> None:
+    """Nothing is reserved but standing, so that there is no last plan to go on with."""
+    problem = terms_problem(TRACKING, horizon=3)
+    x, y = problem.robots[0].start_m
+    # Wider and faster than the robot can flee from.
+    steamroller = MovingObstacle("roller", 60.0, (0.0,), ((x + 90.0, y),), (-40.0, 0.0))
+    blocked = replace(problem, workspace=replace(problem.workspace, moving=(steamroller,)))
+    plan = solve(blocked).plans[0]
+    assert plan.verdict is Verdict.VIOLATED
+    assert plan.rung is Rung.STOP
+    assert np.ptp(plan.positions_m, axis=0).max() == 0.0
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_margin_within_the_error_of_searches_is_not_relied_on(exact, monkeypatch) -> None:
+    """Half of the error to spare is enough where searches are exact, or once it was tried."""
+    problem = terms_problem(TRACKING, horizon=4, p_min=0.6)
+    situation, _ = situation_of(problem)
+    path = np.tile(situation.position_m, (4, 1)) + np.arange(1.0, 5.0)[:, None] * (0.5, 0.2)
+    rows = rule_rows(situation, path)
+    # The threshold is set so that the path has just that to spare.
+    least = float(rows.margins_db(situation.power(path)).min())
+    rows = replace(rows, threshold_dbm=rows.threshold_dbm + least - 0.5 * SEARCH_ERROR_DB)
+    if not exact:
+        monkeypatch.setattr(predictions, "SEARCH_EXACT_LIMIT", 0)
+    point = RefinedPath(path, np.zeros(4), Termination.CONVERGED, 5, 0.0, {})
+    assert lacks(situation, rows, point, firmly=True) is not exact
+    assert not lacks(situation, rows, point)

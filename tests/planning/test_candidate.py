@@ -19,8 +19,10 @@ from scenes import (
 )
 from scipy.stats import norm
 
+from planopt import Verdict
+from planopt.extend import Rung, Termination
 from planopt.planning.candidates import Candidate, Judge
-from planopt.planning.plan import Pivot, Rung, Termination, Verdict
+from planopt.planning.plan import Pivot
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.scene import build_scene
 from planopt.planning.values.reach_cost import ReachCost

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planopt import Problem, Run
+from planopt.extend import Rung
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.results import Run
-from planopt.planning.plan import Rung
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems import DoubleIntegrator, Unicycle
+from planopt.problems.problem import problem_from_tables
 from planopt.robots.dynamics import rolled_out
-from planopt.robots.models import DoubleIntegrator, Unicycle
 
 ROBOTS = {
     "single": {"speed_max_m_s": 3.0},

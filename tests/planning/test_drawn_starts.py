@@ -9,10 +9,14 @@ import pytest
 import shapely
 
 from planopt import InputError, check, load, simulate, solve
-from planopt.channel.posterior import condition, estimate_theta
+from planopt.channel import condition, estimate_theta
 from planopt.planning.initial_data import prepare, with_drawn_starts
-from planopt.problems import problem_from_dict, problem_to_dict
-from planopt.problems.channel_setup import GivenParameters, SampledMeasurements
+from planopt.problems import (
+    GivenParameters,
+    SampledMeasurements,
+    problem_from_dict,
+    problem_to_dict,
+)
 from planopt.problems.load import check_files
 
 SEEDS = range(60)

@@ -1,17 +1,21 @@
-"""Plans of robots that cannot turn or stop at will: verified, stoppable, as good as they can be."""
+"""Plans of robots with dynamics for sums of terms: verified, stoppable, settled."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from motion_scene import DOUBLE, WHEELS, at_state, driven_problem, planned, with_dynamics
 from terms_scene import ENERGY, LEARNING, TRACKING, terms_problem
 
-from planopt.planning.plan import Rung, Verdict, shifted_drive
+from planopt import InputError, Verdict, load, solve
+from planopt.extend import CasadiMap, Rung
+from planopt.planning.plan import shifted_drive
+from planopt.planning.search.guess_search import Guess
+from planopt.problems import DoubleIntegrator, Unicycle, problem_from_dict, problem_to_dict
 from planopt.robots.dynamics import rolled_out
-from planopt.robots.models import DoubleIntegrator, Unicycle
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 
@@ -120,3 +124,112 @@ def test_convex_steps_find_what_interior_points_find(dynamics, terms, horizon) -
         plans.append(planned(problem)[0])
     assert all(plan.verdict is Verdict.VERIFIED for plan in plans)
     assert plans[1].objective == pytest.approx(plans[0].objective, rel=0.01)
+
+
+HORIZON = 20
+
+
+@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
+@pytest.mark.parametrize("target_m", [(30.0, 45.0), (10.0, 36.0)])
+def test_plan_is_worth_as_much_as_from_random_starts(dynamics, target_m) -> None:
+    """Far ahead, and where the best drive is far from the one that the search begins with."""
+    problem = driven_problem(dynamics, TRACKING, horizon=HORIZON)
+    problem = replace(problem, targets=(replace(problem.targets[0], start_m=target_m),))
+    plan, situation, judge, planner = planned(problem)
+    assert plan.verdict is Verdict.VERIFIED
+    generator = np.random.default_rng(0)
+    for _ in range(3):
+        drift = 0.5 * generator.normal(size=2)
+        turns = 0.1 * np.cumsum(generator.normal(size=(HORIZON, 2)), axis=0)
+        way = judge.position_m + np.cumsum(drift + turns, axis=0)
+        start = begun(dynamics, judge, dynamics.following(judge.state, way, 1.0))
+        for _ in range(3):
+            found = planner.cascade.refinement.candidates(situation, judge, start, Rung.PLAN)
+            verified = [c for c in found if c.verdict is Verdict.VERIFIED]
+            if not verified:
+                break
+            best = max(verified, key=lambda candidate: candidate.objective)
+            assert plan.objective >= 0.98 * best.objective
+            start = begun(dynamics, judge, best.drive.inputs)
+
+
+def begun(dynamics, judge, inputs) -> Guess:
+    """A start that drives these inputs."""
+    drive = rolled_out(dynamics, judge.state, inputs, 1.0)
+    path = drive.positions_m[1:]
+    return Guess(path, judge.objective(path), 0.0, drive, clear=False)
+
+
+@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
+def test_plan_is_settled(dynamics) -> None:
+    """Polished again from itself, about its own sides of obstacles, it gains little."""
+    plan, situation, judge, planner = planned(driven_problem(dynamics, TRACKING, horizon=HORIZON))
+    again = begun(dynamics, judge, plan.drive.inputs)
+    for candidate in planner.cascade.refinement.candidates(situation, judge, again, Rung.PLAN):
+        if candidate.verdict is Verdict.VERIFIED:
+            assert candidate.objective <= 1.01 * plan.objective
+
+
+def test_a_curve_too_near_beside_its_chord_is_mended() -> None:
+    """The boat's first polish comes 3 cm too near in stopping, where no chord does."""
+    tables = problem_to_dict(load("harbour_track"))
+    tables["objective"]["terms"][0]["form"] = "additive"
+    boat = solve(problem_from_dict(tables), horizon=HORIZON, seed=6).plans[0]
+    assert boat.verdict is Verdict.VERIFIED
+    assert boat.rung is Rung.PLAN
+    assert boat.polish_gain > 1.0
+
+
+FREE = (-np.inf, np.inf)
+
+
+def wheels() -> CasadiMap:
+    """The unicycle of the scene by its derivative."""
+    x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
+    slope = ca.vertcat(u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1])
+    return CasadiMap(
+        ca.Function("slope", [x, u], [slope]),
+        WHEELS.state_names,
+        WHEELS.input_names,
+        2.0,
+        (FREE, FREE, FREE),
+        ((0.0, 2.0), (-0.9, 0.9)),
+        (0.0, 0.0),
+        continuous=True,
+        substeps=8,
+    )
+
+
+def heavy() -> CasadiMap:
+    """A double integrator in a square of velocities and accelerations, as a discrete map."""
+    x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
+    after = ca.vertcat(x[:2] + x[2:] + 0.5 * u, x[2:] + u)
+    most, hard = 2.0 / np.sqrt(2.0), 0.8 / np.sqrt(2.0)
+    return CasadiMap(
+        ca.Function("after", [x, u], [after]),
+        DOUBLE.state_names,
+        DOUBLE.input_names,
+        2.0,
+        (FREE, FREE, (-most, most), (-most, most)),
+        ((-hard, hard), (-hard, hard)),
+        (0.0, 0.0),
+    )
+
+
+@pytest.mark.parametrize(("own", "exact"), [(wheels(), WHEELS), (heavy(), DOUBLE)])
+def test_plan_is_verified_and_no_better_than_the_exact_models(own, exact) -> None:
+    """The map knows less of its way, and must end at rest, so that it cannot do better."""
+    problem = terms_problem(TRACKING, horizon=5)
+    plan, _, _, _ = planned(with_dynamics(problem, own))
+    assert plan.verdict is Verdict.VERIFIED
+    end = plan.drive.states[-1]
+    assert np.array(own.step(tuple(end), (0.0, 0.0), 1.0)) == pytest.approx(end, abs=1e-5)
+    reference, _, _, _ = planned(with_dynamics(problem, exact))
+    assert plan.objective <= reference.objective * (1.0 + 1e-3)
+    assert plan.objective >= 0.5 * reference.objective
+
+
+def test_a_function_is_not_for_files() -> None:
+    """Saving says so."""
+    with pytest.raises(InputError, match="cannot be saved"):
+        problem_to_dict(with_dynamics(terms_problem(TRACKING), wheels()))

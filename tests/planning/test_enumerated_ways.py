@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from terms_scene import CONNECT, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
+from planopt import Verdict
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Verdict
 from planopt.world.clearance import inside_bounds, swept_clearance_m
 
 HEADINGS, STEPS = 8, 3

@@ -7,10 +7,9 @@ import pytest
 import shapely
 from scenes import small_problem
 
-from planopt import Planner, Verdict, load
-from planopt.errors import InputError
+from planopt import InputError, Planner, Verdict, load
+from planopt.extend import Rung
 from planopt.planning.free_space import leaving_path
-from planopt.planning.plan import Rung
 from planopt.world.clearance import index_obstacles
 from planopt.world.moving_discs import NOTHING_MOVES
 

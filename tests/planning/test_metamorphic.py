@@ -10,18 +10,15 @@ import shapely
 from shapely import affinity
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition
+from planopt import Measurements, Obstacle, Plan, Problem, Verdict, Workspace
+from planopt.channel import condition
 from planopt.objectives import MotionEnergyTerm, TrackingTerm
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Plan, Verdict
 from planopt.planning.programme import path_nlp
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
-from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
-from planopt.world.workspace import Obstacle, Workspace
 
 pytestmark = pytest.mark.usefixtures("converged")
 

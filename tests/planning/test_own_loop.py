@@ -12,14 +12,12 @@ import pytest
 from scipy.spatial import cKDTree
 
 import planopt
-from planopt import Measurements, Planner, Verdict, load, simulate
+from planopt import InputError, Measurements, Planner, Problem, Verdict, load, simulate
 from planopt.channel import measure
-from planopt.errors import InputError
 from planopt.planning.initial_data import prepare, team_seeds
 from planopt.planning.loop.metrics import true_serving_dbm
 from planopt.planning.target_watch import watch_target
-from planopt.problems.problem import Problem
-from planopt.robots.models import Unicycle
+from planopt.problems import Unicycle
 from planopt.targets.sensor import sense
 
 SEED = 4

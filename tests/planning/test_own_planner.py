@@ -9,19 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planopt import check, load, solve
-from planopt.errors import InputError
-from planopt.planning.candidates import held, released
+from planopt import InputError, check, load, solve
+from planopt.extend import PlannerKind, register_planner, released, unregister_planner
+from planopt.planning.candidates import held
 from planopt.planning.planners import LawnmowerPlanner
 from planopt.problems import planner_kinds, problem_to_dict
-from planopt.problems.planner_kinds import (
-    OWN,
-    PlannerKind,
-    planner_kind,
-    planner_names,
-    register_planner,
-    unregister_planner,
-)
+from planopt.problems.planner_kinds import OWN, planner_kind, planner_names
 from planopt.problems.problem import problem_from_tables
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planopt.planning.plan import Rung
+from planopt.extend import Rung
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from scenes import bad_band, belief_of, small_problem
 
-from planopt.errors import NoPlanError
+from planopt import ConnectivityRule, NoPlanError, Verdict
 from planopt.planning.explain.changes import Trials, deadline_s
 from planopt.planning.explain.no_path import explain_blocked
 from planopt.planning.history import History
-from planopt.planning.plan import Verdict
 from planopt.planning.proof.context import stations_law
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.problems.constraints import ConnectivityRule
 
 GAP = bad_band(17.0, 23.0)
 """Across the whole workspace, three steps wide."""

@@ -20,8 +20,9 @@ from scenes import (
 )
 
 import planopt.planning.refinement as refine
+from planopt import Verdict
+from planopt.extend import Rung
 from planopt.planning.candidates import Budget, Judge
-from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.search.pivot import Ahead
 from planopt.planning.values.reach_cost import ReachCost

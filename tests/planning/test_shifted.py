@@ -9,7 +9,8 @@ import pytest
 import shapely
 from scenes import belief_of, small_problem
 
-from planopt.planning.plan import Verdict, shifted_path
+from planopt import Verdict
+from planopt.planning.plan import shifted_path
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.world.clearance import index_obstacles

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt import check, solve
-from planopt.errors import InputError
+from planopt import InputError, Verdict, check, solve
+from planopt.objectives import TrackingTerm
 from planopt.objectives.terms.term import TermSetting
-from planopt.objectives.terms.tracking import LONGEST_ADDITIVE, TrackingTerm
-from planopt.planning.plan import Verdict
+from planopt.objectives.terms.tracking import LONGEST_ADDITIVE
 from planopt.planning.planners import planner_for
 from planopt.problems import problem_to_dict
 from planopt.problems.load import with_overrides

@@ -9,18 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt import check
-from planopt.errors import NoPlanError
+from planopt import ConnectivityRule, NoPlanError, Plan, Problem, Run, Verdict, check, load
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.loop.results import Run
-from planopt.planning.plan import Plan, Verdict
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
-from planopt.problems.constraints import ConnectivityRule
-from planopt.problems.load import load
-from planopt.problems.problem import Problem
 from tests.planning.scenes import WALL, bad_disc, belief_of, small_problem
 from tests.planning.two_stations import (
     alone,

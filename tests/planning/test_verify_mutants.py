@@ -35,9 +35,9 @@ from scenes import (
 )
 from unpriced import unpriced
 
+from planopt import Problem
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.proof.context import VerifierContext
-from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 
 CLEARANCE, BOUNDS, SPEED = "clearance_m", "bounds_m", "speed_max_m_s"

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from planopt.channel.posterior import Belief
+from planopt import BaseStation, Problem
+from planopt.channel import Belief
 from planopt.planning.initial_data import Prepared
-from planopt.problems.channel_setup import BaseStation
-from planopt.problems.problem import Problem
 from tests.planning.scenes import (
     PowerAt,
     bad_everywhere,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from planopt import Problem
 from planopt.objectives import LearningTerm, TermsObjective
-from planopt.problems.problem import Problem
 
 
 def unpriced(problem: Problem) -> Problem:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
+from planopt.problems import DoubleIntegrator, Unicycle
 from planopt.robots.dynamics import braked_motion, rolled_out
-from planopt.robots.models import DoubleIntegrator, Unicycle
 from planopt.world.motion import PointCurve
 
 APART = "planopt.planning.proof.motion"

@@ -13,8 +13,8 @@ import pytest
 from motion_scene import DOUBLE, WHEELS, driven_problem
 from terms_scene import LEARNING
 
+from planopt.extend import CasadiMap
 from planopt.planning.proof import motion
-from planopt.robots.casadi_map import CasadiMap
 from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.clearance import index_obstacles
 

@@ -12,10 +12,8 @@ import pytest
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from planopt.channel.joint import joint_prediction
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
+from planopt import Measurements
+from planopt.channel import ChannelParameters, Station, condition, joint_prediction
 from planopt.channel.prediction import bound_quantile
 
 P_MIN, FIELDS, SEED = 0.9, 20_000, 41

@@ -12,10 +12,9 @@ from scenes import THRESHOLD_DBM, bad_band, bad_everywhere, belief_of, good_ever
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from planopt.channel.joint import sample_power
-from planopt.channel.path_connectivity import joint_connectivity
+from planopt import Verdict
+from planopt.channel import joint_connectivity, sample_power
 from planopt.planning.history import History, data_of_steps_mbit, history_of
-from planopt.planning.plan import Verdict
 from planopt.planning.proof.connectivity_rules import (
     ACCURACY,
     SEED,

@@ -9,12 +9,10 @@ import pytest
 from scenes import verified
 from scipy.special import ndtr
 
-from planopt.channel.posterior import Belief
+from planopt import ConnectivityRule, Problem, Verdict
+from planopt.channel import Belief
 from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
-from planopt.planning.plan import Verdict
-from planopt.problems.constraints import ConnectivityRule
-from planopt.problems.problem import Problem
 from planopt.world.clearance import index_obstacles
 from tests.planning.scenes import bad_everywhere, straight_path
 from tests.planning.two_stations import (

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, TABLES, TRACKING
 
+from planopt import Problem, Verdict
+from planopt.extend import Rung
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.plan import Rung, Verdict
-from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.problem import problem_from_tables
 
 
 def random_scene(seed: int) -> Problem:

@@ -10,14 +10,13 @@ from rules_scene import RULES, ruled_problem
 from scipy.stats import binomtest
 from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.channel.joint import sample_power
+from planopt import ConnectivityRule, Verdict
+from planopt.channel import sample_power
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.plan import Verdict
 from planopt.planning.refinement import RETURNED
 from planopt.planning.solve import solve
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.problems.constraints import ConnectivityRule
 
 SEED = 3
 

@@ -18,14 +18,12 @@ from terms_scene import (
 )
 
 import planopt.planning.planners as one_step_module
-from planopt import check
-from planopt.channel.measurements import Measurements
+from planopt import Measurements, Obstacle, Verdict, check
+from planopt.extend import Rung
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.ending import STALL_STEPS, Progress, terms_ending
 from planopt.planning.loop.log import Outcome
-from planopt.planning.plan import Rung, Verdict
 from planopt.planning.values.exploration import left_to_learn
-from planopt.world.workspace import Obstacle
 
 HERE = np.array([10.0, 15.0])
 MAPPING = {"kind": "mapping", "form": "information"}

@@ -385,13 +385,13 @@ def power_truth(
 
 
 def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:
-    """Received power at `positions_m` (n, 2), in dBm, at least the floor; ``(n,)``."""
+    """Return the received power at `positions_m` (n, 2), at least the floor; ``(n,)`` dBm."""
     iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
     return truth.raster.values[iy, ix]
 
 
 def mean_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:
-    """Received power without small-scale fading at `positions_m` (n, 2), in dBm; ``(n,)``."""
+    """Return the power without small-scale fading at `positions_m` (n, 2); ``(n,)`` dBm."""
     iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
     return truth.mean_dbm[iy, ix]
 

@@ -50,8 +50,8 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import (
-    BESIDE,
     BLOCK,
+    BLOCK_NEIGHBOURS,
     PlaceIndex,
     Window,
     earlier_windows,
@@ -98,7 +98,7 @@ def vecchia_information(
     """Sum over `measurements`, or add those beyond the index of `before`, in their order."""
     places = measurements.positions_m
     if before is None:
-        windows = earlier_windows(places, place_blocks(places, BLOCK), BESIDE)
+        windows = earlier_windows(places, place_blocks(places, BLOCK), BLOCK_NEIGHBOURS)
         receivers = np.unique(measurements.receiver)
     else:
         windows = later_windows(places, before[1], EARLIER_NEIGHBOURS)
@@ -117,7 +117,7 @@ def vecchia_information(
         covariance.flat[:: len(rows) + 1] += noise_variance_db2[rows]
         _, inverse = factor_and_inverse(covariance)
         columns = np.column_stack([centred, gamma, indicators])
-        whitened = inverse[len(window.beside) :] @ columns
+        whitened = inverse[len(window.near) :] @ columns
         products += whitened.T @ whitened
     if before is not None:
         kept = 3 + np.searchsorted(receivers, before[0].receivers)
@@ -189,7 +189,7 @@ def receiver_offsets(posterior: ChannelPosterior) -> tuple[ReceiverOffset, ...]:
     )
 
 
-SITE_BESIDE = 64
+SITE_NEIGHBOURS = 64
 """Number of measurements near a block whose sites are matched. At 1,500 measurements, 20 % to 70 %
 censored, the sites' values differ from the joint ones by at most 0.01 of their noise's standard
 deviation rms, and 0.1 at worst."""
@@ -326,11 +326,11 @@ def _cavities(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return mean and variance, noise included, of `rows` of the last `own` given all others."""
     lower, whitened = factor_and_whitened(covariance, centred_db)
-    beside = len(lower) - own
-    inverse = lower_inverse(np.tril(lower[beside:, beside:]))
+    near = len(lower) - own
+    inverse = lower_inverse(np.tril(lower[near:, near:]))
     variance = 1.0 / np.einsum("ij,ij->j", inverse, inverse)[rows]
-    weighted = (whitened[beside:] @ inverse)[rows]
-    return centred_db[beside:][rows] - weighted * variance, variance
+    weighted = (whitened[near:] @ inverse)[rows]
+    return centred_db[near:][rows] - weighted * variance, variance
 
 
 def neighbour_sites(
@@ -361,7 +361,7 @@ def neighbour_sites(
             rows,
             intervals(measurements.take(rows)),
             displaced[rows],
-            surrounding_windows(positions, blocks, SITE_BESIDE),
+            surrounding_windows(positions, blocks, SITE_NEIGHBOURS),
         ),
         regressors(positions, parameters.station) @ theta,
         initial,

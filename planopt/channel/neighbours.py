@@ -27,7 +27,7 @@ MOST_UNTREED = 256
 UNTREED_SHARE = 1.0 / 16.0
 """Maximum number of positions compared one by one, as a share of those in the tree."""
 
-BLOCK, BESIDE = 48, 128
+BLOCK, BLOCK_NEIGHBOURS = 48, 128
 """Measurements of a block, and near it in Vecchia's factorisation. On the three campus logs (3,401
 to 4,585 exact powers) the most likely xi, omega and beta are then within 0.07 standard errors of
 those by one factor of all, and theta within 0.11; 32 and 64 give 0.46 and 0.24, and 64 and 192
@@ -117,13 +117,13 @@ class PlaceIndex:
 class Window:
     """A block of measurements, and the measurements that it is conditioned on."""
 
-    beside: NDArray[np.intp]  # (h,) numbers of the measurements conditioned on
+    near: NDArray[np.intp]  # (h,) numbers of the measurements conditioned on
     own: NDArray[np.intp]  # (b,) numbers of the block's measurements
 
     @property
     def rows(self) -> NDArray[np.intp]:
         """``(h + b,)`` all numbers, the block's last."""
-        return np.concatenate([self.beside, self.own])
+        return np.concatenate([self.near, self.own])
 
 
 def place_blocks(coordinates: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp], ...]:

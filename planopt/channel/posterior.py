@@ -19,7 +19,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.cholesky import lower_factor, whiten
+from planopt.channel.cholesky import put_lower_factor, whiten
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.least_squares import MIN_REGRESSOR_SPREAD_DB, receiver_columns
 from planopt.channel.gaussian_sites import (
@@ -105,7 +105,7 @@ class FactorBuffer:
             if start:
                 within -= across.T @ across
             lower[rows, :start] = across.T
-            lower[rows, rows] = lower_factor(within)
+            put_lower_factor(lower[rows, rows], within)
             columns[rows] = whiten(lower[rows, rows], columns[rows] - across.T @ columns[:start])
         self.used = count
 
@@ -276,8 +276,8 @@ def condition(
         s + varphi' M varphi with that theta's error covariance M.
     exact_limit
         Beyond this many measurements predictions use the nearest ones, theta is from Vecchia's
-        approximation (:data:`planopt.channel.neighbours.BESIDE` has the accuracies), and sites are
-        matched by neighbours.
+        approximation (accuracies: :data:`planopt.channel.neighbours.BLOCK_NEIGHBOURS`), and sites
+        are matched by neighbours.
     similar
         A posterior of the same measurements under similar parameters: initial sites for the
         matching by neighbours.

@@ -54,7 +54,7 @@ from planopt.channel.gaussian_sites import (
     rounded_variance_db2,
 )
 from planopt.channel.long_logs import (
-    SITE_BESIDE,
+    SITE_NEIGHBOURS,
     IntervalRows,
     WindowSites,
     window_sites,
@@ -69,8 +69,8 @@ from planopt.channel.measurement_covariance import (
 )
 from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import (
-    BESIDE,
     BLOCK,
+    BLOCK_NEIGHBOURS,
     Window,
     earlier_windows,
     place_blocks,
@@ -174,9 +174,9 @@ def likelihood_data(
             apart_m = math.sqrt(math.prod(block_decorrelation_m)) / known.forgetting_s
             coordinates = np.column_stack([coordinates, apart_m * origins.time_s])
         blocks = place_blocks(coordinates, BLOCK)
-        windows = earlier_windows(coordinates, blocks, BESIDE)
+        windows = earlier_windows(coordinates, blocks, BLOCK_NEIGHBOURS)
         with_some = tuple(own for own in blocks if chosen[own].any())
-        around = surrounding_windows(coordinates, with_some, SITE_BESIDE)
+        around = surrounding_windows(coordinates, with_some, SITE_NEIGHBOURS)
     power, measured = measurements.power_dbm - model.offset_db, ~measurements.censored
     line = np.linalg.lstsq(model.columns[measured], power[measured], rcond=None)[0]
     start = model.offset_db + model.columns @ line
@@ -500,15 +500,15 @@ def _window_sums(
     # A rounded one's site has a variance that grows as omega^2, or nearly.
     coarse = bool((data.measured & ~data.gaussian).any())
     for number, window in enumerate(data.windows):
-        rows, own, beside = window.rows, len(window.own), len(window.beside)
+        rows, own, near = window.rows, len(window.own), len(window.near)
         correlation, noise = data.correlation(number, beta), noise_db2[rows]
         total = shadow * correlation
         total.flat[:: len(total) + 1] += noise
         diagonal, inverted = factor_and_inverse(total)
-        last = inverted[beside:]
+        last = inverted[near:]
         whitened = inverted @ columns[rows]
-        before, here = whitened[:beside], whitened[beside:]
-        sums.log_determinant += 2.0 * float(np.log(diagonal[beside:]).sum())
+        before, here = whitened[:near], whitened[near:]
+        sums.log_determinant += 2.0 * float(np.log(diagonal[near:]).sum())
         sums.products += here.T @ here
         correlation *= data.distances_m[number]
         parts = [last * noise, last * data.gaussian[rows], last @ correlation]
@@ -517,10 +517,10 @@ def _window_sums(
         moved = (np.concatenate(parts) @ inverted.T).reshape(len(parts), own, -1)
         # The whitened covariance itself is the identity.
         moved[0] *= -1.0
-        moved[0, np.arange(own), beside + np.arange(own)] += 1.0
+        moved[0, np.arange(own), near + np.arange(own)] += 1.0
         moved[0] /= shadow
         moved[2] *= shadow / beta**2
-        within, across = moved[:3, :, beside:], moved[:3, :, :beside]
+        within, across = moved[:3, :, near:], moved[:3, :, :near]
         sums.log_slopes += np.trace(within, axis1=1, axis2=2)
         half = here.T @ (across @ before + 0.5 * (within @ here))
         sums.product_slopes -= half + half.swapaxes(1, 2)

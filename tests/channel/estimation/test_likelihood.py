@@ -17,7 +17,7 @@ from planopt.channel.estimation.likelihood import (
     profiled_log_likelihood,
 )
 from planopt.channel.measurement_covariance import measured_path_loss_variance_db2
-from planopt.channel.neighbours import BESIDE, BLOCK
+from planopt.channel.neighbours import BLOCK, BLOCK_NEIGHBOURS
 from planopt.channel.parameters import mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
@@ -227,7 +227,7 @@ def both(measurements, known=CHANNEL, n_pl=True):
     [
         (simulated(CHANNEL, 1, 3, 200.0), CHANNEL, False),
         (simulated(CHANNEL, 1, BLOCK, 200.0), CHANNEL, True),
-        (simulated(CHANNEL, 1, BESIDE + 20, 200.0), CHANNEL, True),
+        (simulated(CHANNEL, 1, BLOCK_NEIGHBOURS + 20, 200.0), CHANNEL, True),
         (replace(varied(140), resolution_db=np.full(140, 1.0)), DRIFTING, True),
     ],
 )

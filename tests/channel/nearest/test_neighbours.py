@@ -75,9 +75,9 @@ def test_surrounding_windows_have_the_nearest():
         others = np.setdiff1d(np.arange(200), window.own)
         apart = np.linalg.norm(points[others, None] - points[window.own], axis=2).min(axis=1)
         nearest = others[np.argsort(apart)[:30]]
-        assert set(window.beside) <= set(others) and len(window.beside) == 30
+        assert set(window.near) <= set(others) and len(window.near) == 30
         # Candidates are preselected by the block's box: nearly all are the nearest.
-        assert len(set(window.beside) & set(nearest)) >= 27
+        assert len(set(window.near) & set(nearest)) >= 27
         np.testing.assert_array_equal(window.rows[-len(window.own) :], window.own)
 
 
@@ -87,8 +87,8 @@ def test_earlier_windows_look_back_only():
     before = set()
     windows = earlier_windows(points, place_blocks(points, 25), 40)
     for window in windows:
-        assert set(window.beside) <= before
-        assert len(window.beside) == min(40, len(before))
+        assert set(window.near) <= before
+        assert len(window.near) == min(40, len(before))
         before |= set(window.own)
     assert before == set(range(300))
 

@@ -10,7 +10,7 @@ from planopt.channel.measurement_covariance import (
     measured_origins,
     own_covariance_db2,
 )
-from planopt.channel.neighbours import BESIDE, BLOCK
+from planopt.channel.neighbours import BLOCK, BLOCK_NEIGHBOURS
 from planopt.channel.parameters import regressors
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
@@ -37,9 +37,9 @@ def dense(data, values, noise):
     return columns.T @ inverse @ columns, inverse
 
 
-@pytest.mark.parametrize("count", [0, 1, BLOCK + 1, BESIDE + 20])
+@pytest.mark.parametrize("count", [0, 1, BLOCK + 1, BLOCK_NEIGHBOURS + 20])
 def test_with_all_earlier_ones_it_is_exact(count):
-    """Nothing is left out while there are no more than `BESIDE` before any block."""
+    """Nothing is left out while there are no more than `BLOCK_NEIGHBOURS` before any block."""
     given = measured(count)
     found = vecchia_information(PARAMETERS, *given).products
     np.testing.assert_allclose(found, dense(*given)[0], rtol=1e-9, atol=1e-9)

@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal, norm
 
 from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.gaussian_sites import gaussian_sites, intervals
-from planopt.channel.long_logs import SITE_BESIDE, IntervalRows, neighbour_sites, window_sites
+from planopt.channel.long_logs import SITE_NEIGHBOURS, IntervalRows, neighbour_sites, window_sites
 from planopt.channel.measurement_covariance import (
     measured_origins,
     own_covariance_db2,
@@ -19,7 +19,7 @@ from planopt.channel.parameters import regressors
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 
 
-def settled(measurements, mean_db, start=None, tolerance=1e-6, block=48, beside=64):
+def settled(measurements, mean_db, start=None, tolerance=1e-6, block=48, near=64):
     """Sites of the censored measurements."""
     rows = np.flatnonzero(measurements.censored)
     places = measurements.positions_m
@@ -32,7 +32,7 @@ def settled(measurements, mean_db, start=None, tolerance=1e-6, block=48, beside=
             rows,
             intervals(measurements.take(rows)),
             np.zeros(len(rows)),
-            surrounding_windows(places, tuple(blocks), beside),
+            surrounding_windows(places, tuple(blocks), near),
         ),
         np.full(len(measurements), mean_db),
         start,
@@ -96,7 +96,7 @@ def sample(count, share, seed=0, **more):
 @pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
 def test_with_all_neighbours_they_are_the_joint_sites(share):
     """The same fixed point, to the tolerance of either."""
-    data = sample(SITE_BESIDE + 1, share)
+    data = sample(SITE_NEIGHBOURS + 1, share)
     found, joint = neighbour_sites(PARAMETERS, data), gaussian_sites(PARAMETERS, data)
     np.testing.assert_allclose(found.values_db, joint.values_db, atol=0.05)
     precision = 1.0 / joint.noise_variance_db2
@@ -124,9 +124,9 @@ def test_coarse_steps_and_position_errors_are_counted():
 def test_many_limits_at_one_place():
     """More limits at one place than neighbours: none counts itself, all sites are the same."""
     data = Measurements(
-        np.full((2 * SITE_BESIDE, 2), 20.0),
-        np.full(2 * SITE_BESIDE, -110.0),
-        np.ones(2 * SITE_BESIDE, dtype=bool),
+        np.full((2 * SITE_NEIGHBOURS, 2), 20.0),
+        np.full(2 * SITE_NEIGHBOURS, -110.0),
+        np.ones(2 * SITE_NEIGHBOURS, dtype=bool),
     )
     found = neighbour_sites(PARAMETERS, data)
     np.testing.assert_allclose(found.values_db, found.values_db[0], rtol=1e-4)

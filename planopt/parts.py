@@ -13,12 +13,13 @@ from collections.abc import Collection, Generator, Iterable, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from planopt.errors import InputError, PlanoptError, listed
 
 if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -72,6 +73,8 @@ class Registry:
     @cached_property
     def installed(self) -> Mapping[str, EntryPoint]:
         """Return the entry points of packages by name; they are not imported yet."""
+        from importlib.metadata import entry_points  # few commands need it
+
         return {point.name: point for point in entry_points(group=self.group)} if self.group else {}
 
     def names(self) -> tuple[str, ...]:

@@ -82,17 +82,6 @@ def test_coverage_at_sixteen():
     assert np.mean(covered["plug-in"]) < np.mean(covered["marginal"])
 
 
-def test_many_measurements_leave_little_doubt():
-    """From 400 measurements the mixture hardly differs from the estimate's posterior."""
-    data = simulated(FIG_3, 8, 400, 50.0)
-    parameters = fit_channel(data, FIG_3.station).parameters
-    plain, found = (
-        at.predict(PLACES) for at in (condition(parameters, data), marginalise(parameters, data))
-    )
-    np.testing.assert_allclose(found.mean_db, plain.mean_db, atol=0.3)
-    np.testing.assert_allclose(found.deviation_db, plain.deviation_db, rtol=0.04)
-
-
 def test_powers_in_other_units():
     """Powers scaled and shifted scale and shift the prediction: alpha is integrated out."""
     data = simulated(FIG_3, 9, 20, 50.0)

@@ -9,19 +9,16 @@ from simulated_channel import simulated
 
 from planopt.channel import (
     ChannelParameters,
-    Measurements,
     Station,
     condition,
     fit_channel,
-    marginalise,
 )
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data
 from planopt.channel.estimation.reml import reml_fit
 from planopt.channel.gaussian_sites import needs_site
-from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.parameters import mean_model, regressors
+from planopt.channel.parameters import mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 20.0, 1.0, Station((50.0, 50.0), 10.0))
 STEP_DB = 3.0
@@ -88,54 +85,6 @@ def test_prediction_intervals_cover(fits):
         found = condition(fit.parameters, told).predict(held_out.positions_m)
         inside.append(np.abs(held_out.power_dbm - found.mean_db) < 1.96 * found.deviation_db)
     assert 0.92 < np.mean(inside) < 0.98
-
-
-def test_marginalising_does_not_count_rounding_twice(fits):
-    """Components' omega, weighted, stand around the estimate, not around what rounding adds."""
-    excess = []
-    for _, told, fit, _ in fits[:8]:
-        found = marginalise(fit.parameters, told)
-        variances = [part.parameters.multipath_std_db**2 for part in found.components]
-        excess.append(found.weights @ variances - fit.parameters.multipath_std_db**2)
-    assert abs(np.mean(excess)) < 0.25 * STEP_DB**2 / 12.0
-
-
-@one_blas_thread()
-def test_repeats_in_one_place_need_intervals():
-    """Many coarse readings of the same few powers: Sheppard's Gaussian is far too sure.
-
-    With r = 6 omega the readings of a place differ seldom, which their independent rounding errors
-    would make them do. Intervals predict the power there with honest deviations.
-    """
-    scores = {True: [], False: []}
-    step = 6.0
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        positions = np.repeat(rng.uniform(0.0, 100.0, (12, 2)), 12, axis=0)
-        places = Measurements(positions, np.zeros(144), np.zeros(144, dtype=bool))
-        truth = latent(positions, rng)
-        power = truth + rng.standard_normal(144)
-        told = in_steps(dataclasses.replace(places, power_dbm=power), step)
-        gaussian = in_steps(told, step, told=False)
-        widened = dataclasses.replace(CHANNEL, multipath_std_db=math.sqrt(1.0 + step**2 / 12.0))
-        for sites, posterior in (
-            (True, condition(CHANNEL, told, theta="known")),
-            (False, condition(widened, gaussian, theta="known")),
-        ):
-            found = posterior.predict(positions[::12])
-            omega2 = posterior.parameters.multipath_std_db**2
-            deviation = np.sqrt(found.deviation_db**2 - omega2)
-            scores[sites].append((truth[::12] - found.mean_db) / deviation)
-    assert np.sqrt(np.mean(np.square(scores[True]))) == pytest.approx(1.0, abs=0.2)
-    assert np.sqrt(np.mean(np.square(scores[False]))) > 1.3
-
-
-def latent(positions, rng):
-    """Noise-free powers at positions that may repeat."""
-    distinct, where = np.unique(positions, axis=0, return_inverse=True)
-    root = np.linalg.cholesky(shadow_covariance_db2(distinct, distinct, CHANNEL))
-    mean = regressors(distinct, CHANNEL.station) @ [CHANNEL.k_pl_db, CHANNEL.n_pl]
-    return (mean + root @ rng.standard_normal(len(distinct)))[where]
 
 
 @one_blas_thread()

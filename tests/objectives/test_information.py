@@ -39,7 +39,7 @@ from planopt.objectives.moments import (
     posterior_moments,
 )
 from planopt.objectives.path_derivatives import LocalPath, by_positions
-from planopt.objectives.stage_power import CUSP_ROUNDING, rounded_kernel, rounded_log_distance
+from planopt.objectives.stage_power import CUSP_ROUNDING, rounded_kernel
 
 DATA = drawn(15)
 POSTERIOR = condition(CHANNEL, DATA)
@@ -136,22 +136,6 @@ def test_mapping_is_conditioning_place_after_place(posterior):
     after = extend(posterior, measured_at(PATH))
     less = predict(posterior, GRID).deviation_db ** 2 - predict(after, GRID).deviation_db ** 2
     assert exact("average", posterior) == pytest.approx(float(REGION.weight @ less), rel=1e-9)
-
-
-def test_one_step_is_that_of_the_paper():
-    """J_PL and J_CH (equations 4.1 and 4.3) of single places, by dense inverses."""
-    u = shadow_covariance_db2(DATA.positions_m, DATA.positions_m, CHANNEL) + 4.0 * np.eye(15)
-    phi = shadow_covariance_db2(DATA.positions_m, PATH, CHANNEL)
-    solved = np.linalg.solve(u, phi)
-    gamma = regressors(DATA.positions_m, CHANNEL.station)
-    varphi = regressors(PATH, CHANNEL.station) - solved.T @ gamma
-    variance = 25.0 + 4.0 - (phi * solved).sum(axis=0)
-    near = np.exp(-0.02 * np.linalg.norm(PATH - START, axis=1))
-    for k, place in enumerate(PATH[:, None]):
-        expected = (varphi[k] ** 2).sum() / variance[k]
-        assert exact("T", path=place) == pytest.approx(expected, rel=1e-10)
-        expected = max(0.0, variance[k] - 8.0) * near[k]
-        assert exact("path", KNOWN, place) == pytest.approx(expected, rel=1e-10)
 
 
 @pytest.mark.parametrize("name", [*LEARNING, *MAPPING])
@@ -359,32 +343,6 @@ def test_closed_places_are_left_out_and_open_ones_counted_whole(name):
 
 
 OFFSETS = np.array([[0.0, 0.0], [0.05, -0.02], [0.12, 0.0], [3.0, 4.0], [-20.0, 9.0]])
-
-
-def check(function, places, h, tolerance):
-    """Gradient and Hessian are those of central differences."""
-    found = function(places)
-    for axis, columns in ((0, [0, 1]), (1, [1, 2])):
-        step = h * np.eye(2)[axis]
-        more, less = function(places + step), function(places - step)
-        np.testing.assert_allclose(
-            found.gradient[:, axis], (more.value - less.value) / (2 * h), atol=tolerance
-        )
-        np.testing.assert_allclose(
-            found.hessian[:, columns], (more.gradient - less.gradient) / (2 * h), atol=tolerance
-        )
-
-
-@pytest.mark.parametrize("blur", [0.0, np.array([0.0, 0.1, 0.0, 2.0, 0.5])])
-def test_kernel_derivatives(blur):
-    """At the cusp, near it and far from it, with and without position errors."""
-    check(lambda offset: rounded_kernel(offset, CHANNEL, blur), OFFSETS, 1e-5, 1e-5)
-
-
-def test_path_loss_derivatives():
-    """Also straight under the station."""
-    places = OFFSETS + np.array(CHANNEL.station.position_m)
-    check(lambda at: rounded_log_distance(at, CHANNEL.station), places, 1e-4, 1e-7)
 
 
 def test_rounding_costs_what_is_said():

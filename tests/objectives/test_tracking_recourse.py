@@ -123,15 +123,6 @@ def test_the_best_retreat_within_reach_is_taken_at_every_step():
     np.testing.assert_array_equal(retreats.best(stops, arrivals), expected)
 
 
-def test_packets_of_others_saturate():
-    """A try brings less beside others, who tell the same station."""
-    chances = np.full((3, STEPS), 0.5)
-    beside = np.full(STEPS + BEYOND, 3.0)
-    alone = left(ALONE, SETTINGS) - recourse_costs(WAYS, chances, NOWHERE, ALONE, SETTINGS)
-    told = left(0.5 * beside, SETTINGS) - recourse_costs(WAYS, chances, NOWHERE, beside, SETTINGS)
-    assert np.all((told > 0.0) & (told < alone))
-
-
 def test_links_are_known_where_the_robot_has_been():
     """Connected at the place itself; lost within the spacing; else as predicted."""
     links = KnownLinks(np.array([[1.0, 1.0]]), np.array([[1.3, 1.0], [5.0, 5.0]]), 0.6)
@@ -230,28 +221,6 @@ def test_where_every_place_is_connected_packets_of_both_kinds_tell_the_same():
     found = delayed_costs(WAYS, chance, retreats, others, FIRST)
     raw = recourse_costs(WAYS, chance, retreats, others, SETTINGS)
     np.testing.assert_allclose(found, raw, rtol=1e-12)
-
-
-def test_who_never_is_connected_tells_nothing():
-    """Without a chance and without a way back what is sensed is lost, as that of measurements."""
-    chance = np.zeros((3, STEPS))
-    found = delayed_costs(WAYS, chance, NOWHERE, ALONE, FIRST)
-    raw = recourse_costs(WAYS, chance, NOWHERE, ALONE, SETTINGS)
-    np.testing.assert_allclose(found, raw, rtol=1e-12)
-
-
-def test_telling_later_never_costs_more_than_losing_and_more_the_later():
-    """A good place that is farther away is come to later."""
-    chances = np.random.default_rng(5).uniform(0.0, 1.0, (3, STEPS))
-    away = WAYS[:, -1] + np.array([0.0, 1.0])
-    for number, way in enumerate(WAYS):
-        chance = chances[number : number + 1]
-        near, far = (home_at(away[number] + [0.0, further], 50.0) for further in (0.0, 6.0))
-        costs = [
-            delayed_costs(way[None], chance, home, ALONE, FIRST)[0] for home in (near, far, NOWHERE)
-        ]
-        lost = recourse_costs(way[None], chance, NOWHERE, ALONE, SETTINGS)[0]
-        assert costs[0] < costs[1] < costs[2] <= lost
 
 
 def test_what_is_held_comes_with_the_first_packet():

@@ -127,14 +127,6 @@ def test_what_is_hardly_determined_is_said():
     assert any(text.startswith(words) and "with standard error" in text for text in fit.warnings)
 
 
-def test_what_is_at_a_bound_is_degenerate():
-    """A parameter at the end of its range has no standard error."""
-    fit = fit_channel(simulated(CHANNEL, 1, 30, 100.0), CHANNEL.station)
-    assert fit.status == "degenerate"
-    assert fit.standard_errors["multipath_std_db"] == math.inf
-    assert any("omega" in text for text in fit.warnings)
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_one_distance_assumes_the_exponent(method):
     """On a circle about the station n_PL is the prior's, said so, and carried into the errors."""
@@ -203,14 +195,6 @@ def test_no_two_lags_to_fit():
         for seed in range(5)
     ]
     assert any("fewer than two lags" in text for fit in fits for text in fit.warnings)
-
-
-def test_power_that_grows_with_distance_is_pointed_out():
-    """A negative exponent is kept, with a note."""
-    measurements = simulated(dataclasses.replace(CHANNEL, n_pl=-3.0), 1, 50, 300.0)
-    fit = fit_channel(measurements, CHANNEL.station)
-    assert fit.parameters.n_pl < 0.0
-    assert any("n_PL is negative" in text for text in fit.warnings)
 
 
 @pytest.mark.parametrize("extent_m", [1e-160, 1e-9])

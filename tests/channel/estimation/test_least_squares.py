@@ -8,8 +8,9 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from simulated_channel import simulated
 
+from planopt import InputError
 from planopt.channel import ChannelParameters, Measurements, Station
-from planopt.channel.estimation.least_squares import coefficient_covariance, least_squares
+from planopt.channel.estimation.least_squares import coefficient_covariance, examine, least_squares
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import mean_model
 
@@ -46,20 +47,6 @@ def test_is_the_tobit_maximum_likelihood_with_censoring():
     best = minimize(loss, [-40.0, 3.0, 1.0], method="Nelder-Mead", options={"xatol": 1e-8})
     np.testing.assert_allclose(found.coefficients, best.x[:2], rtol=2e-3)
     assert found.variance_db2 == pytest.approx(np.exp(2 * best.x[2]), rel=1e-3)
-
-
-def test_rounding_is_taken_out_of_the_variance():
-    """alpha-hat of powers rounded to 6 dB is that of the powers, not r^2 / 12 = 3 dB^2 more."""
-    measurements = simulated(CHANNEL, 3, 1500, 200.0)
-    power = np.round(measurements.power_dbm / 6.0) * 6.0
-    plain = dataclasses.replace(measurements, power_dbm=power)
-    rounded = dataclasses.replace(plain, resolution_db=np.full(1500, 6.0))
-    exact, raw, found = (
-        least_squares(model_of(each), each) for each in (measurements, plain, rounded)
-    )
-    assert raw.variance_db2 - found.variance_db2 == pytest.approx(3.0)
-    assert found.variance_db2 == pytest.approx(exact.variance_db2, abs=0.5)
-    np.testing.assert_array_equal(found.coefficients, raw.coefficients)
 
 
 def test_coefficient_covariance_is_the_sandwich():
@@ -104,3 +91,57 @@ def test_covariance_where_offsets_hide_the_slope():
         assert np.linalg.eigvalsh(covariance)[0] >= 0.0
         found.append(covariance)
     np.testing.assert_allclose(found, np.broadcast_to(found[0], (40, 2, 2)), rtol=1e-6)
+
+
+ORIGIN = Station((0.0, 0.0))
+
+
+def at(positions, censored=None):
+    """Measurements of -70 dBm at positions."""
+    positions = np.asarray(positions, dtype=float).reshape(-1, 2)
+    count = len(positions)
+    flags = np.zeros(count, bool) if censored is None else np.asarray(censored)
+    return Measurements(positions, np.full(count, -70.0), flags)
+
+
+def test_nothing_measured():
+    """No measurements at all is bad input."""
+    with pytest.raises(InputError, match="no measurements"):
+        examine(at([]), ORIGIN)
+
+
+def test_a_measurement_at_the_station_is_named():
+    """The error carries the index of the measurement; a height makes it usable."""
+    measurements = at([[1, 0], [2, 0], [0, 0], [5, 5]])
+    with pytest.raises(InputError, match="log of zero distance") as caught:
+        examine(measurements, ORIGIN)
+    assert caught.value.row == 2
+    examine(measurements, Station((0.0, 0.0), 3.0))
+
+
+def test_a_circle_about_the_station_does_not_tell_the_exponent():
+    """At one distance n_PL is not identifiable, but the covariance is."""
+    angle = np.linspace(0, 6, 20)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1) * 30.0
+    found = examine(at(circle), ORIGIN)
+    assert "one distance" in (found.n_pl_reason or "")
+    assert found.covariance_reason is None
+    assert examine(at(circle + np.array([5.0, 0.0])), ORIGIN).n_pl_reason is None
+
+
+def test_censored_measurements_do_not_count():
+    """Only exact values identify; few or crowded ones do not identify the covariance."""
+    line = np.arange(1, 21)[:, None] * np.array([[1.0, 0.0]])
+    assert examine(at(line), ORIGIN).covariance_reason is None
+    few = examine(at(line, np.arange(20) > 4), ORIGIN)
+    assert "5 uncensored" in (few.covariance_reason or "")
+    crowded = examine(at([[1, 0]] * 5 + [[2, 0]] * 5), ORIGIN)
+    assert "three places" in (crowded.covariance_reason or "")
+
+
+def test_bounds_of_beta_follow_spacing_and_extent():
+    """On a lattice the bounds are a third of its pitch and the diagonal, at any offset."""
+    lattice = np.stack(np.meshgrid(np.arange(5), np.arange(4)), axis=-1).reshape(-1, 2) * 6.0
+    for offset in (1.0, 3e6):
+        found = examine(at(np.repeat(lattice, 2, axis=0) + offset), ORIGIN)
+        assert found.decorrelation_bounds_m == pytest.approx((2.0, np.hypot(24.0, 18.0)))

@@ -283,16 +283,3 @@ def test_gradient_and_information_of_blocks(share):
         for each in (likelihood, whole)
     )
     np.testing.assert_allclose(errors, expected, rtol=0.1)
-
-
-@one_blas_thread()
-def test_a_part_is_a_likelihood_of_its_own():
-    """The exact ones of the first blocks, conditioned on none of the others."""
-    measurements = simulated(CHANNEL, 7, 600, 400.0, 0.3).by_place()
-    data = data_of(measurements, blocks=BOUNDS)
-    taken = np.zeros(600, dtype=bool)
-    for window in data.windows[:3]:
-        taken[window.own] = True
-    taken &= data.gaussian
-    found = RestrictedLikelihood(data.part(taken)).at(POINT).log_likelihood
-    assert found == pytest.approx(value(data_of(measurements.take(taken))), rel=1e-9)

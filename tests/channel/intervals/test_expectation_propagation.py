@@ -92,22 +92,6 @@ def test_slope_is_the_derivative_of_the_evidence_by_omega(width):
     assert slope == pytest.approx((up - down) / 2e-4, rel=1e-4)
 
 
-def test_without_noise_intervals_are_boxes():
-    """For omega << r the posterior is the prior truncated to the box: here a lattice sum."""
-    known = Intervals(np.array([-78.5, -80.0]), np.array([3.0, 3.0]))
-    mean, covariance = np.array([-80.0, -82.0]), np.array([[16.0, 14.0], [14.0, 16.0]])
-    found = interval_sites(LatentPrior.known_mean(mean, covariance), known, 1e-6)
-    inside = (np.arange(600) + 0.5) / 600 * 3.0 - 3.0
-    grid = np.stack(np.meshgrid(-78.5 + inside, -80.0 + inside, indexing="ij"), axis=-1)
-    weight = multivariate_normal(mean, covariance).pdf(grid)
-    exact = np.einsum("ij,ijk->k", weight, grid) / weight.sum()
-    posterior = np.linalg.inv(np.linalg.inv(covariance) + np.diag(found.precision))
-    np.testing.assert_allclose(mean + posterior @ found.shift, exact, atol=0.02)
-    deviations = np.sqrt(np.einsum("ij,ijk->k", weight, (grid - exact) ** 2) / weight.sum())
-    np.testing.assert_allclose(np.sqrt(np.diag(posterior)), deviations, rtol=0.03)
-    assert found.log_evidence == pytest.approx(np.log(weight.sum() * 2.5e-5), abs=0.01)
-
-
 def test_score_and_information_of_the_mean_are_a_measurement_of_it():
     """A prior of delta by natural parameters equals a normal one through the mean and covariance.
 
@@ -131,14 +115,3 @@ def test_score_and_information_of_the_mean_are_a_measurement_of_it():
     assert log_integral == pytest.approx(constant)
     np.testing.assert_allclose(integrated.mean_db, plain.mean_db, rtol=1e-14)
     np.testing.assert_allclose(integrated.covariance_db2, plain.covariance_db2, rtol=1e-14)
-
-
-def test_starting_from_other_sites_changes_nothing():
-    """Sites of another mean and noise lead to the same fixed point, in fewer sweeps or more."""
-    known = Intervals(np.array([-83.0, -81.0, -84.0]), np.array([1.0, 3.0, np.inf]))
-    other = LatentPrior.known_mean(THREE.mean_db + 3.0, 1.3 * COVARIANCE)
-    cold = interval_sites(THREE, known, 1.0)
-    warm = interval_sites(THREE, known, 1.0, interval_sites(other, known, 2.0))
-    np.testing.assert_allclose(warm.precision, cold.precision, rtol=1e-5)
-    np.testing.assert_allclose(warm.shift, cold.shift, atol=1e-5)
-    assert warm.log_evidence == pytest.approx(cold.log_evidence, abs=1e-9)

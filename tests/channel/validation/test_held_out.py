@@ -135,10 +135,20 @@ def test_only_limits_have_no_error():
         learn_path_loss(measurements, CHANNEL.station)
 
 
-def test_groups_do_not_belong():
-    """One label a measurement."""
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda data: deal(np.array([0, 1, 2, 2]), 1, np.random.default_rng(0)),
+        lambda data: deal(np.array([0, 1, 2, 2]), 4, np.random.default_rng(0)),
+        lambda data: held_out_predictions(data, np.zeros(40, int), lambda _: {}),
+        lambda data: held_out_predictions(data, np.arange(3), lambda _: {}),
+        lambda data: held_out_report(data, np.zeros(3, int), np.zeros(40, int), dict),
+    ],
+)
+def test_folds_and_groups_that_do_not_belong_are_refused(make):
+    """One fold, more than groups, one label too few."""
     with pytest.raises(InputError):
-        held_out_report(simulated(CHANNEL, 1, 20, 100.0), np.zeros(3, int), np.zeros(20, int), dict)
+        make(simulated(CHANNEL, 3, 40, 200.0))
 
 
 def test_channel_and_marginal_beat_path_loss():
@@ -160,18 +170,6 @@ def test_channel_and_marginal_beat_path_loss():
         score = found.scores[name]
         assert score.of_path_loss.high < 1.0
         assert 0.88 < score.coverage[0.95].value <= 1.0
-
-
-def test_many_measurements_are_marginalised_by_the_nearest(monkeypatch):
-    """Beyond the limit there are no factors, and the predictions are all but the same."""
-    learn = predictors_of(partial(fit_channel, station=CHANNEL.station))
-    known, more = simulated(CHANNEL, 3, 150, 200.0), simulated(CHANNEL, 4, 40, 200.0)
-    exact = learn(known)["marginal"](more)
-    monkeypatch.setattr("planopt.channel.held_out.MARGINAL_EXACT_LIMIT", 100)
-    near = learn(known)["marginal"](more)
-    assert not np.array_equal(near.mean_db, exact.mean_db)
-    np.testing.assert_allclose(near.mean_db, exact.mean_db, atol=0.2)
-    np.testing.assert_allclose(near.deviation_db, exact.deviation_db, rtol=0.01)
 
 
 @pytest.mark.skipif(not CAMPUS.is_dir(), reason="the campus logs are not here")
@@ -220,20 +218,6 @@ def test_groups_stay_together():
         fold_of = deal(groups, folds, np.random.default_rng(5))
         assert set(fold_of) == set(range(folds))
         assert all(len(set(fold_of[groups == label])) == 1 for label in groups)
-
-
-@pytest.mark.parametrize("folds", [1, 4])
-def test_bad_folds(folds):
-    """One fold, or more than groups."""
-    with pytest.raises(InputError):
-        deal(np.array([0, 1, 2, 2]), folds, np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("fold_of", [np.zeros(40, int), np.arange(3)])
-def test_bad_fold_labels(fold_of):
-    """Nothing to learn from, or labels that do not belong."""
-    with pytest.raises(InputError):
-        held_out_predictions(simulated(CHANNEL, 3, 40, 200.0), fold_of, lambda _: {})
 
 
 FLAT = dataclasses.replace(PLAIN, n_pl=0.0)

@@ -34,7 +34,7 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
 
 
 def driven_starts(
-    judge: Judge, situation: StepContext, starts: list[Guess], warm: Plan | None
+    judge: Judge, context: StepContext, starts: list[Guess], warm: Plan | None
 ) -> list[Guess]:
     """Return guesses that the robot can drive, best first; those that are not clear come last."""
     problem = judge.problem
@@ -43,10 +43,10 @@ def driven_starts(
     for start in starts:
         inputs = dynamics.following(judge.state, start.path_m, step_s)
         drive = rolled_out(dynamics, judge.state, inputs, step_s)
-        found.append(driven_start(judge, situation, drive))
+        found.append(driven_start(judge, context, drive))
     last = last_drive(problem, warm)
     if last is not None:
-        found.append(driven_start(judge, situation, last))
+        found.append(driven_start(judge, context, last))
     found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.value))
     return found
 
@@ -59,7 +59,7 @@ def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
     return shifted if len(shifted.inputs) == problem.planner.horizon else None
 
 
-def driven_start(judge: Judge, situation: StepContext, drive: Drive) -> Guess:
+def driven_start(judge: Judge, context: StepContext, drive: Drive) -> Guess:
     """Return a drive as an initial guess."""
     candidate = drive_candidate(judge, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
     path = candidate.path_m
@@ -67,7 +67,7 @@ def driven_start(judge: Judge, situation: StepContext, drive: Drive) -> Guess:
     swept = swept_motion(judge.problem, drive.positions_m, drive)
     apart = verify_apart(judge.context.moving, swept)
     clear = not (moved.reasons or apart.reasons)
-    missing = rule_missing(situation, path)
+    missing = rule_missing(context, path)
     return Guess(path, judge.worth(candidate), missing, drive, clear)
 
 

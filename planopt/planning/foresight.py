@@ -38,11 +38,11 @@ class FollowingPlanner:
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         self._path_m = path_m
 
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Return the plan of the next steps; `warm` is not used."""
-        begun, first = perf_counter(), situation.history.steps
-        ahead = self._path_m[first : first + situation.problem.planner.horizon]
-        return released(judge, held(situation, list(ahead)), begun)
+        begun, first = perf_counter(), context.history.steps
+        ahead = self._path_m[first : first + context.problem.planner.horizon]
+        return released(judge, held(context, list(ahead)), begun)
 
 
 def require_foreseeable(problem: Problem) -> None:

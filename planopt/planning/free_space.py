@@ -159,14 +159,14 @@ def leaving_path(
     wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
     away = clearance_m(index, ends)
     outside = _outside_m(problem.workspace, ends)
-    ways = np.repeat(ends[:, None], horizon + 1, axis=1)
-    ways[:, 0] = position_m
-    gap = paths_gap_m(moving, ways)
+    paths = np.repeat(ends[:, None], horizon + 1, axis=1)
+    paths[:, 0] = position_m
+    gap = paths_gap_m(moving, paths)
     deep, others = _inside_m(index, ends)
     static = np.maximum(wanted - away, 0.0) + outside + deep
     if static[0] + _too_near_now_m(moving, position_m) == 0.0:
         return None
-    lacks = static + _too_near_m(moving, ways)
+    lacks = static + _too_near_m(moving, paths)
     swept = segment_clearance_m(others, np.broadcast_to(position_m, ends.shape), ends)
     allowed = swept >= min(float(clearance_m(others, ends[:1])[0]), wanted) - NEARER_M
     allowed &= (swept > 0.0) & (outside <= outside[0] + NEARER_M)
@@ -175,7 +175,7 @@ def leaving_path(
     rows = np.flatnonzero(allowed)
     # Rows are in order of length.
     best = int(rows[np.argmin(np.round(lacks[rows], 6))])
-    return None if best == 0 else ways[best, 1:]
+    return None if best == 0 else paths[best, 1:]
 
 
 def _inside_m(
@@ -207,13 +207,13 @@ def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> flo
     return float(np.maximum(moving.apart_m[:, 0] - away, 0.0).max())
 
 
-def _too_near_m(moving: MovingDiscs, ways_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by how much ways (c, N + 1, 2) are too near to discs after the first step; (c,)."""
+def _too_near_m(moving: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by how much paths (c, N + 1, 2) are too near to discs after the first step; (c,)."""
     if not len(moving):
-        return np.zeros(len(ways_m))
-    places = int(ways_m.shape[1])
+        return np.zeros(len(paths_m))
+    places = int(paths_m.shape[1])
     centres, apart = moving.centres_m[:, 1:places], moving.apart_m[:, : places - 1]
-    away = np.linalg.norm(ways_m[:, None, 1:] - centres, axis=-1)
+    away = np.linalg.norm(paths_m[:, None, 1:] - centres, axis=-1)
     return np.maximum(apart - away, 0.0).max(axis=(1, 2))
 
 

@@ -66,7 +66,7 @@ class FallbackCascade:
 
     def first_verified(
         self,
-        situation: StepContext,
+        context: StepContext,
         judge: Judge,
         starts: list[Guess],
         warm: Plan | None,
@@ -84,7 +84,7 @@ class FallbackCascade:
                 unrefined = replace(unrefined, rung=Rung.PLAN)
             else:
                 rung = Rung.PLAN if number < self._followed or self._driven else Rung.COLD_RETRY
-                for candidate in self.refinement.candidates(situation, judge, start, rung, budget):
+                for candidate in self.refinement.candidates(context, judge, start, rung, budget):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
                     tried.append(candidate)
@@ -104,14 +104,14 @@ class FallbackCascade:
             if verified and self._is_settled(starts, number + 1, verified):
                 break
         if not verified and not self._driven and not budget.spent:
-            found = self._by_way_to_good_place(situation, judge, tried, budget)
+            found = self._by_way_to_good_place(context, judge, tried, budget)
             verified += verified_of(found)
             tried += found
         for _ in range(self._rounds):
             if not verified or budget.spent:
                 break
             best = max(judge.worth(candidate) for candidate in verified)
-            found = self._once_more(situation, judge, starts, verified, budget)
+            found = self._once_more(context, judge, starts, verified, budget)
             verified += verified_of(found)
             tried += found
             gained = max(judge.worth(candidate) for candidate in verified) - best
@@ -133,17 +133,15 @@ class FallbackCascade:
         )
 
     def _by_way_to_good_place(
-        self, situation: StepContext, judge: Judge, tried: list[Candidate], budget: Budget
+        self, context: StepContext, judge: Judge, tried: list[Candidate], budget: Budget
     ) -> list[Candidate]:
         """Return candidates that go straight to a place within reach that keeps the constraint."""
         found: list[Candidate] = []
         for path in paths_to_good_place(judge, tried):
             way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
             if self.refinement is not None:
-                start = Guess(path, judge.worth(way), rule_missing(situation, path))
-                refined = self.refinement.candidates(
-                    situation, judge, start, Rung.COLD_RETRY, budget
-                )
+                start = Guess(path, judge.worth(way), rule_missing(context, path))
+                refined = self.refinement.candidates(context, judge, start, Rung.COLD_RETRY, budget)
                 found += [replace(candidate, rung=Rung.COLD_RETRY) for candidate in refined]
             found.append(judge.judged(way))
             if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
@@ -152,7 +150,7 @@ class FallbackCascade:
 
     def _once_more(
         self,
-        situation: StepContext,
+        context: StepContext,
         judge: Judge,
         starts: list[Guess],
         verified: list[Candidate],
@@ -164,7 +162,7 @@ class FallbackCascade:
         best = max(verified, key=judge.worth)
         again = Guess(best.path_m, starts[0].value, 0.0, best.drive, charge=starts[0].charge)
         rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
-        return self.refinement.candidates(situation, judge, again, rung, budget)
+        return self.refinement.candidates(context, judge, again, rung, budget)
 
 
 class HorizonPlanner:
@@ -176,26 +174,26 @@ class HorizonPlanner:
         self._search = GuessSearch(problem, ground)
         self.cascade = FallbackCascade(problem, ground)
 
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's state; `warm` is the previous plan."""
         begun = perf_counter()
         budget = budget_from(self.problem, begun)
-        shifted = shifted_path(self.problem, judge.index, situation.position_m, warm)
-        starts = self._search.find_guesses(situation, shifted, budget)
-        way = self._way_out(situation, starts)
+        shifted = shifted_path(self.problem, judge.index, context.position_m, warm)
+        starts = self._search.find_guesses(context, shifted, budget)
+        way = self._way_out(context, starts)
         if way is not None:
-            out = Guess(way, judge.objective(way), rule_missing(situation, way))
-            if situation.measuring.takes(way).any():
+            out = Guess(way, judge.objective(way), rule_missing(context, way))
+            if context.measuring.takes(way).any():
                 # It measures something after all: what that is worth is for all to compare.
                 starts = sorted([*starts, out], key=lambda start: -start.value)
-            elif (plan := self._released(situation, judge, out, warm, begun)) is not None:
+            elif (plan := self._released(context, judge, out, warm, begun)) is not None:
                 return plan
         if not self.problem.robots[0].moves_freely:
-            starts = driven_starts(judge, situation, starts, warm)
-        chosen = self.cascade.first_verified(situation, judge, starts, warm, budget)
+            starts = driven_starts(judge, context, starts, warm)
+        chosen = self.cascade.first_verified(context, judge, starts, warm, budget)
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
-    def _way_out(self, situation: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
+    def _way_out(self, context: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
         """Return the path (N, 2) to the nearest unmeasured place if no guess measures anything.
 
         None for terms that are not about measurements, or if no unmeasured place is left.
@@ -205,19 +203,19 @@ class HorizonPlanner:
             term.is_measured or term.structure == "chain" for term in terms
         ):
             return None
-        worth = ObjectiveValue(situation)
+        worth = ObjectiveValue(context)
         for start in starts:
             gains = zip(terms, worth.by_term(start.path_m), strict=True)
             if any(gain > 0.0 for term, gain in gains if term.is_measured):
                 return None
-        return path_to_unmeasured(situation, self.ground)
+        return path_to_unmeasured(context, self.ground)
 
     def _released(
-        self, situation: StepContext, judge: Judge, start: Guess, warm: Plan | None, begun_s: float
+        self, context: StepContext, judge: Judge, start: Guess, warm: Plan | None, begun_s: float
     ) -> Plan | None:
         """Return the plan of an unrefined guess; None if it is not verified."""
         if not self.problem.robots[0].moves_freely:
-            start = driven_starts(judge, situation, [start], warm)[0]
+            start = driven_starts(judge, context, [start], warm)[0]
         rung = Rung.PLAN if self.cascade.refinement is None else Rung.LATTICE
         found = judge.judged(
             judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY, start.drive)

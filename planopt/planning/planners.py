@@ -52,7 +52,7 @@ KEY = "planner.name"
 class Planner(Protocol):
     """Plans for one robot of a problem whose objective is a sum of terms."""
 
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's state; `warm` is the previous plan."""
         ...
 
@@ -74,7 +74,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
         raise InputError(
             f"is {kind.name}: {class_name(made)} has no method plan",
             key=KEY,
-            remedy="define plan(self, situation, judge, warm=None), which returns released(...)",
+            remedy="define plan(self, context, judge, warm=None), which returns released(...)",
         )
     return made
 
@@ -135,19 +135,19 @@ class OneStepPlanner:
         rings = (radius[:, None, None] * circle).reshape(-1, 2)
         self._offsets_m = np.vstack([np.zeros((1, 2)), rings])
 
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's position; `warm` is not used."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
         for _ in range(self._problem.planner.horizon):
-            step = self._best_step(situation, path)
+            step = self._best_step(context, path)
             if step is None:
                 break
             path.append(step)
         if not path and self._measures:
-            out = path_to_unmeasured(situation, self._ground)
+            out = path_to_unmeasured(context, self._ground)
             path = [] if out is None else list(out)
-        return released(judge, held(situation, path), begun)
+        return released(judge, held(context, path), begun)
 
     def _best_step(
         self, context: StepContext, path: list[NDArray[np.float64]]
@@ -198,24 +198,24 @@ class RandomPlanner:
         self._problem, self._ground = problem, ground
         self._generator, self._walk = generator, walk
 
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's position."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
         heading = None if warm is None else _heading(warm.positions_m[1] - warm.positions_m[0])
-        here = situation.position_m
+        here = context.position_m
         for _ in range(self._problem.planner.horizon):
             offsets = self._offsets(heading)
             ends = here + (self._problem.step_length_m - STEP_PAD_M) * offsets
             free = free_ends(self._problem, self._ground, here, ends)
             begins = np.broadcast_to(here, ends.shape)
-            free &= steps_apart(situation.moving, len(path), begins, ends)
+            free &= steps_apart(context.moving, len(path), begins, ends)
             if not free.any():
                 break
             first = int(free.argmax())
             heading, here = _heading(offsets[first]), ends[first]
             path.append(here)
-        return released(judge, held(situation, path), begun)
+        return released(judge, held(context, path), begun)
 
     def _offsets(self, heading: float | None) -> NDArray[np.float64]:
         """Draw steps (`DRAWS`, 2) in units of the longest, after one in a direction or none."""
@@ -256,19 +256,19 @@ class LawnmowerPlanner:
         self._stops_m: NDArray[np.float64] = np.empty((0, 2))
         self._next = 0
 
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Return a plan along the tour, which begins anew from a place off it; `warm` is unused."""
         begun = perf_counter()
-        here = situation.position_m
+        here = context.position_m
         ahead = self._stops_m[self._next :]
         away = np.linalg.norm(ahead - here, axis=1)
         if self._tour is None or not (away <= STANDSTILL_M).any():
-            self._begin(here, situation)
+            self._begin(here, context)
         else:
             self._next += int(np.argmax(away <= STANDSTILL_M))
         horizon = self._problem.planner.horizon
         path = self._stops_m[self._next + 1 : self._next + 1 + horizon]
-        return released(judge, held(situation, list(path)), begun)
+        return released(judge, held(context, list(path)), begun)
 
     def _begin(self, here_m: NDArray[np.float64], context: StepContext) -> None:
         """Lay the stops of a tour from `here_m` (2,)."""
@@ -377,18 +377,18 @@ class StrategyPlanner:
         inner = replace(problem, planner=replace(problem.planner, name="auto"))
         self._planner = HorizonPlanner(inner, ground)
 
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Return a plan on the assumed channel."""
         begun = perf_counter()
-        believed = situation.posterior
+        believed = context.posterior
         k_pl_db, n_pl = (float(value) for value in believed.theta)
         parameters = replace(believed.parameters, k_pl_db=k_pl_db, n_pl=n_pl)
         nothing = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=np.bool_))
         channel = condition(self._assumed(parameters), nothing, theta="known")
-        path = self._home(situation) if self._assumed is informed_disk else None
+        path = self._home(context) if self._assumed is informed_disk else None
         if path is None:
             # The run so far has taught nothing of an assumed channel either.
-            seen = replace(situation, posteriors=(channel,), uncertain=None, history=BEGINNING)
+            seen = replace(context, posteriors=(channel,), uncertain=None, history=BEGINNING)
             assuming = replace(judge, context=seen, objective=ObjectiveValue(seen))
             path = self._planner.plan(seen, assuming, warm).positions_m[1:]
         return released(judge, path, begun)

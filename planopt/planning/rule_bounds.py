@@ -30,20 +30,20 @@ MISSING_DB_COST = 100.0
 """Cost of a missing dB in the solver if the bound cannot be kept."""
 
 
-def with_bounds(task: PathTask, situation: StepContext, rows: RuleRows) -> PathTask:
+def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
     """Return the task with bounds that the guess keeps, and the least missing dB elsewhere.
 
     The initial guess stays feasible. Bounded slack is available to all steps at its price.
     """
     if rows.weight is not None:
-        return _with_total(task, situation, rows)
-    if not situation.problem.constraints.asks_connection:
+        return _with_total(task, context, rows)
+    if not context.problem.constraints.asks_connection:
         return task
-    wanted, local, exact = _wanted(task, situation, rows)
+    wanted, local, exact = _wanted(task, context, rows)
     kept = exact >= -MARGIN_TOLERANCE_DB
     bound = np.where(kept, np.minimum(wanted, local), wanted)
-    limit, weight = _slack(situation, task.scale, np.where(np.isfinite(exact), -exact, 0.0))
-    if not situation.problem.constraints.rule.by_step:
+    limit, weight = _slack(context, task.scale, np.where(np.isfinite(exact), -exact, 0.0))
+    if not context.problem.constraints.rule.by_step:
         weight = weight if np.isinf(limit).any() else weight / max(int(rows.asked.sum()), 1)
     return replace(
         task,
@@ -54,7 +54,7 @@ def with_bounds(task: PathTask, situation: StepContext, rows: RuleRows) -> PathT
 
 
 def lacks(
-    situation: StepContext, rows: RuleRows, point: RefinedPath, *, firmly: bool = False
+    context: StepContext, rows: RuleRows, point: RefinedPath, *, firmly: bool = False
 ) -> bool:
     """Return whether a returned path misses a bound that it keeps by the local model.
 
@@ -63,40 +63,38 @@ def lacks(
     """
     if not len(point.slack_db) or not np.isfinite(point.path_m).all():
         return False
-    power = situation.power(point.path_m)
+    power = context.power(point.path_m)
     if rows.weight is not None:
         missing = _slack_of_sum(rows, power) > MARGIN_TOLERANCE_DB
         return bool(point.slack_db[0] <= GIVEN_UP_DB and missing)
     margins = rows.margins_db(power)
-    unsure = firmly and not is_search_exact(situation.posterior)
+    unsure = firmly and not is_search_exact(context.posterior)
     least = SEARCH_ERROR_DB if unsure else -MARGIN_TOLERANCE_DB
     return bool((margins[point.slack_db <= GIVEN_UP_DB] < least).any())
 
 
-def recentred(
-    task: PathTask, situation: StepContext, rows: RuleRows, point: RefinedPath
-) -> PathTask:
+def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: RefinedPath) -> PathTask:
     """Return the task about a returned path, corrected by the error there."""
-    task = moved(task, situation, rows, point.path_m)
+    task = moved(task, context, rows, point.path_m)
     if rows.weight is not None:
-        return replace(task, total_bound=_wanted_total(task, situation, rows)[0])
-    wanted = _wanted(task, situation, rows)[0]
+        return replace(task, total_bound=_wanted_total(task, context, rows)[0])
+    wanted = _wanted(task, context, rows)[0]
     return replace(task, bound_db=np.where(rows.asked, wanted, -np.inf))
 
 
 def moved(
-    task: PathTask, situation: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
+    task: PathTask, context: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
 ) -> PathTask:
     """Return the task about another path (N, 2), with the channel near it."""
-    return replace(task, path_m=path_m, evaluate=local_value(situation, path_m, rows))
+    return replace(task, path_m=path_m, evaluate=local_value(context, path_m, rows))
 
 
-def _with_total(task: PathTask, situation: StepContext, rows: RuleRows) -> PathTask:
-    power = situation.power(task.path_m)
+def _with_total(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
+    power = context.power(task.path_m)
     task = replace(task, total_per_db=_per_db(rows, power))
-    wanted, local = _wanted_total(task, situation, rows)
+    wanted, local = _wanted_total(task, context, rows)
     short_db = (rows.total - rows.sum_of(power)) / task.total_per_db
-    limit, weight = _slack(situation, task.scale, np.array([short_db]))
+    limit, weight = _slack(context, task.scale, np.array([short_db]))
     return replace(
         task,
         total_bound=wanted if short_db > 0.0 else min(wanted, local),
@@ -106,13 +104,13 @@ def _with_total(task: PathTask, situation: StepContext, rows: RuleRows) -> PathT
 
 
 def _slack(
-    situation: StepContext, scale: float, missing_db: NDArray[np.float64]
+    context: StepContext, scale: float, missing_db: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
     """Return the limit of each row's slack, and its cost per dB in the solver.
 
     Rows that the guess misses by more than is allowed have no limit, and slack a high cost.
     """
-    rule = situation.problem.constraints.rule
+    rule = context.problem.constraints.rule
     allowed = rule.slack_max_db or 0.0
     limit = np.where(missing_db <= allowed + MARGIN_TOLERANCE_DB, allowed, np.inf)
     if np.isinf(limit).any() or allowed == 0.0:
@@ -121,7 +119,7 @@ def _slack(
 
 
 def _wanted(
-    task: PathTask, situation: StepContext, rows: RuleRows
+    task: PathTask, context: StepContext, rows: RuleRows
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the required local margins, and the local and exact ones of the guess.
 
@@ -130,16 +128,16 @@ def _wanted(
     margins = task.evaluate(task.path_m).margins
     if margins is None:
         raise AssertionError("a bounded problem has margins")
-    exact = rows.margins_db(situation.power(task.path_m))
+    exact = rows.margins_db(context.power(task.path_m))
     return LOCAL_PAD_DB + margins.value - exact, margins.value, exact
 
 
-def _wanted_total(task: PathTask, situation: StepContext, rows: RuleRows) -> tuple[float, float]:
+def _wanted_total(task: PathTask, context: StepContext, rows: RuleRows) -> tuple[float, float]:
     """Return the required local sum, and that of the guess."""
     total = task.evaluate(task.path_m).total
     if total is None:
         raise AssertionError("a bounded sum is there")
-    off = total.value - rows.sum_of(situation.power(task.path_m))
+    off = total.value - rows.sum_of(context.power(task.path_m))
     return rows.total + off + LOCAL_PAD_DB * task.total_per_db, total.value
 
 

@@ -49,31 +49,9 @@ def solve(
     seed: int = 0,
     measurements: UserMeasurements | None = None,
 ) -> Solution:
-    """Plan `horizon` steps ahead from the start, for each robot.
+    """Plan for each robot from its start; arguments as of :func:`planopt.solve`.
 
-    A target is expected where its first estimate takes it. The plans are those that a run of the
-    same seed begins with.
-
-    Parameters
-    ----------
-    problem
-        From :func:`planopt.load` or made in Python.
-    horizon, planner, cost_to_go
-        Override the problem's planner settings; a cost-to-go only where there is a goal.
-    seed
-        Of the ground truth's fading, the measured places, the first estimate of a target, and of
-        planners that draw.
-    measurements
-        First measurements in place of those that the problem names: :class:`planopt.Measurements`
-        or a table (dictionary or DataFrame) with ``x_m``, ``y_m`` and ``power_dbm``; of several
-        stations a sequence with one for each.
-
-    Raises
-    ------
-    InputError
-        An override or a file that the problem names cannot be used.
-    NoPlanError
-        Obstacles cut the goal off.
+    The plans are those that a run of the same seed begins with.
     """
     problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
@@ -96,9 +74,9 @@ def solve_on(
 
 
 class Planner:
-    """Plans the next steps of robots that a loop of one's own drives.
+    """Plans the next steps of robots in a user's own loop.
 
-    Belief, track and last plan are kept between calls. Each call of :meth:`step` stands for one
+    Belief, track and previous plan are kept between calls. Each call of :meth:`step` stands for one
     step of ``problem.planner.step_s`` seconds. Several planners may run in several threads;
     a planner that is called while it plans in another thread raises an InputError.
 
@@ -106,24 +84,23 @@ class Planner:
     ----------
     problem
         From :func:`planopt.load` or made in Python. For a problem of another task than motion
-        planning, the object made is the controller of that task, with a method ``step`` of its own:
+        planning the object is the controller of that task, with a method ``step`` of its own:
         :class:`planopt.problems.NetworkController` or :class:`planopt.problems.PursuitController`.
     measurements
-        First measurements, as for :func:`planopt.solve`. Without them they are taken as the problem
-        says, and all that a simulation draws is drawn as :func:`planopt.simulate` draws it: a loop
-        in the same ground truth then repeats its run. With them a target's table is its first
-        estimate.
+        First measurements, as for :func:`planopt.solve`. By default they, and all other random
+        values, are those of :func:`planopt.simulate`: a loop in the same ground truth repeats its
+        run. With measurements the initial estimate of a target is that of its table.
     horizon, planner, cost_to_go
         Override the problem's planner settings.
     budget_s
-        Seconds that the plan of a robot should take at most, in each round of a team.
+        Time limit in seconds for the plan of a robot, in each round of a team.
     seed
-        Of everything that is drawn.
+        Random seed.
 
     Raises
     ------
     InputError
-        Something that was given cannot be used.
+        An argument cannot be used.
     NoPlanError
         Obstacles cut the goal off.
 
@@ -180,13 +157,13 @@ class Planner:
         self._busy = threading.Lock()
 
     def __repr__(self) -> str:
-        """Return the problem, and how much has happened."""
+        """Return the problem, and the numbers of steps and measurements."""
         steps = len(self._robots.connected)
         counts = [len(belief.posterior.measurements) for belief in self.beliefs]
         return wrapped(f"Planner({self.problem!r}, steps driven: {steps}, measurements: {counts})")
 
     def __reduce__(self) -> NoReturn:
-        """Refuse to be pickled: solvers and locks belong to one process."""
+        """Raise an InputError: solvers and locks belong to one process."""
         raise InputError(
             "a Planner cannot be pickled",
             remedy="send its problem, and make a Planner in each process",
@@ -194,7 +171,7 @@ class Planner:
 
     @property
     def beliefs(self) -> tuple[Belief, ...]:
-        """The channel as each robot believes it to be now."""
+        """The current belief of each robot."""
         return tuple(self._robots.beliefs)
 
     def step(
@@ -296,7 +273,7 @@ class Planner:
         target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None,
         obstacles: Obstacle | Sequence[Obstacle],
     ) -> tuple[Plan, ...]:
-        """Check all arguments, record what happened, and plan."""
+        """Check all arguments, record the outcome of the last step, and plan."""
         count = len(self.problem.robots)
         for key, given in (
             ("states", states),
@@ -312,7 +289,7 @@ class Planner:
                 )
         remedy = "planopt.obstacles_from makes obstacles of polygons, tables and grids"
         later = parts_of("obstacles", obstacles, Obstacle, remedy)
-        said = None if connected is None else _links(connected)
+        stated = None if connected is None else _links(connected)
         now = [self._state(number, state) for number, state in enumerate(states)]
         measured = [
             () if each is None else measurements_by_station(self.problem, each)
@@ -325,8 +302,8 @@ class Planner:
         if self._is_placed:
             links = (
                 [self._was_connected(*both) for both in enumerate(measured)]
-                if said is None
-                else said
+                if stated is None
+                else stated
             )
             self._robots.observe(now, measured, links, seen)
         else:
@@ -337,7 +314,7 @@ class Planner:
         return tuple(self._robots.plan())
 
     def _state(self, number: int, given: ArrayLike) -> NDArray[np.float64]:
-        """Return the state of a robot, which must be a place where it can be."""
+        """Return the state of a robot, whose position must be possible."""
         robot = self.problem.robots[number]
         key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
         names = robot.dynamics.state_names
@@ -363,7 +340,7 @@ class Planner:
     def _implausible(
         self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
     ) -> Iterator[str]:
-        """Yield warnings about powers, and about robots far from their plans."""
+        """Yield warnings about implausible powers, and robots far from their plans."""
         for taken in (each for stations in measured for each in stations):
             yield from measured_warnings(taken)
         for number, (state, plans) in enumerate(zip(states, self._robots.plans, strict=True)):
@@ -378,7 +355,7 @@ class Planner:
                 )
 
     def _seen(self, place: ArrayLike | None) -> NDArray[np.float64]:
-        """Return where a robot sees the target, NaN where it does not."""
+        """Return the observed position of the target; NaN without observation."""
         if place is None:
             return np.full(2, np.nan)
         if not self.problem.targets:
@@ -386,15 +363,15 @@ class Planner:
         return _numbers("target_m", place, (2,), "x_m, y_m")
 
     def _was_connected(self, number: int, measured: Sequence[Measurements]) -> bool:
-        """Return whether a robot is connected now, by its last measurements or by its last plan."""
+        """Return whether a robot is connected, by its last measurements or its previous plan."""
         stations = self.problem.stations
-        heard = [
+        received = [
             bool(taken.power_dbm[-1] >= station.threshold_dbm and not taken.censored[-1])
             for station, taken in zip(stations, measured, strict=False)
             if len(taken)
         ]
-        if heard:
-            return any(heard)
+        if received:
+            return any(received)
         plans = self._robots.plans[number]
         return bool(plans and plans[-1].connectivity[1] >= 0.5)
 

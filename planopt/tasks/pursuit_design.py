@@ -90,53 +90,32 @@ METHODS: dict[MethodName, Method] = {
 class ChaseTable(Table):
     """``[pursuit]``: requirements of the pursuit."""
 
-    evader_speed_m_s: float = Field(
-        ge=SMALLEST, le=1e4, description="Largest speed of the evader in m/s."
-    )
-    pursuer_speed_m_s: float = Field(
-        ge=SMALLEST, le=1e4, description="Largest speed of the pursuer in m/s; above the evader's."
-    )
-    stage_delay_s: float = Field(
-        default=0.0,
-        ge=0,
-        le=1e4,
-        description="Seconds that a stage may take beyond driving straight: turning, one step.",
-    )
-    first_distance_m: Metres | None = Field(
-        default=None,
-        ge=SMALLEST,
-        description="From the pursuer to where the evader is sampled first.",
-    )
-    capture_radius_m: Metres | None = Field(
-        default=None, ge=SMALLEST, description="An evader so near is caught, for capture_in_time."
-    )
-    deadline_s: float | None = Field(
-        default=None,
-        ge=SMALLEST,
-        le=1e9,
-        description="Seconds by when it is to be caught, for capture_in_time and least_energy.",
-    )
+    evader_speed_m_s: float = Field(ge=SMALLEST, le=1e4)
+    """Largest speed of the evader in m/s."""
+    pursuer_speed_m_s: float = Field(ge=SMALLEST, le=1e4)
+    """Largest speed of the pursuer in m/s; above the evader's."""
+    stage_delay_s: float = Field(default=0.0, ge=0, le=1e4)
+    """Seconds that a stage may take beyond driving straight: turning, one step."""
+    first_distance_m: Metres | None = Field(default=None, ge=SMALLEST)
+    """From the pursuer to where the evader is sampled first."""
+    capture_radius_m: Metres | None = Field(default=None, ge=SMALLEST)
+    """An evader so near is caught, for capture_in_time."""
+    deadline_s: float | None = Field(default=None, ge=SMALLEST, le=1e9)
+    """Seconds by when it is to be caught, for capture_in_time and least_energy."""
 
 
 class DesignTable(Table):
     """``[design]``: objective and guarantee."""
 
-    method: MethodName = Field(
-        default="least_power",
-        description="least_power, least_power_rated, least_energy (all by the Lemma), or "
-        "capture_in_time.",
-    )
-    guarantee: TheoremName | None = Field(
-        default=None,
-        description="Theorem for capture_in_time: snapshots (the default), sampled_distance, "
-        "any_instant or lemma. The other methods rest on the lemma.",
-    )
-    margin: float = Field(
-        default=0.01, ge=1e-12, lt=1, description="By how much a + x stays below 1 in the Lemma."
-    )
-    bits_per_axis: int | None = Field(
-        default=None, ge=1, le=MAX_BITS, description="Bits c of a position; left out: chosen."
-    )
+    method: MethodName = "least_power"
+    """least_power, least_power_rated, least_energy (all by the Lemma), or capture_in_time."""
+    guarantee: TheoremName | None = None
+    """Theorem for capture_in_time: snapshots (the default), sampled_distance, any_instant or lemma.
+    The other methods rest on the lemma."""
+    margin: float = Field(default=0.01, ge=1e-12, lt=1)
+    """By how much a + x stays below 1 in the Lemma."""
+    bits_per_axis: int | None = Field(default=None, ge=1, le=MAX_BITS)
+    """Bits c of a position; left out: chosen."""
 
 
 class DesignFile(TaskFile):

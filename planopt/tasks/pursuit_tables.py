@@ -53,85 +53,76 @@ PlannerName = Literal["drive", "retarget", "receding"]
 class WorldTable(Table):
     """``[world]``: bounds and obstacles; without it space is open."""
 
-    bounds_m: Quad = Field(description="[x_min, y_min, x_max, y_max] in metres.")
-    obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
+    bounds_m: Quad
+    """[x_min, y_min, x_max, y_max] in metres."""
+    obstacles: list[ObstacleTable] = Field(default=[])
+    """The forbidden areas."""
 
 
 class ServiceTable(Table):
     """``[network]``: the motes and their snapshot service."""
 
-    levels: int = Field(ge=1, le=MAX_LEVELS, description="L: there are 2^L by 2^L motes.")
-    mote_spacing_m: Metres = Field(ge=SMALLEST, description="Metres between neighbours.")
-    frame_s: float = Field(
-        ge=SMALLEST, le=1e6, description="A TDMA frame: its slots times their width."
-    )
-    bits_per_axis: int = Field(ge=1, le=MAX_BITS, description="Bits c of a reported position.")
-    hops_per_round: int = Field(
-        default=HOPS_PER_ROUND, ge=HOPS_PER_ROUND, le=1000, description="Frames of a level-0 round."
-    )
-    rate_divisor: int = Field(
-        default=1, ge=1, le=1000, description="r: rounds start every r rounds' lengths."
-    )
-    endless: bool = Field(
-        default=False, description="Whether motes go on beyond the grid; needed without [world]."
-    )
-    loss_probability: float = Field(
-        default=0.0, ge=0, lt=1, description="Of a round's report of the evader, each on its own."
-    )
+    levels: int = Field(ge=1, le=MAX_LEVELS)
+    """L: there are 2^L by 2^L motes."""
+    mote_spacing_m: Metres = Field(ge=SMALLEST)
+    """Metres between neighbours."""
+    frame_s: float = Field(ge=SMALLEST, le=1e6)
+    """A TDMA frame: its slots times their width."""
+    bits_per_axis: int = Field(ge=1, le=MAX_BITS)
+    """Bits c of a reported position."""
+    hops_per_round: int = Field(default=HOPS_PER_ROUND, ge=HOPS_PER_ROUND, le=1000)
+    """Frames of a level-0 round."""
+    rate_divisor: int = Field(default=1, ge=1, le=1000)
+    """r: rounds start every r rounds' lengths."""
+    endless: bool = False
+    """Whether motes go on beyond the grid; needed without [world]."""
+    loss_probability: float = Field(default=0.0, ge=0, lt=1)
+    """Of a round's report of the evader, each on its own."""
 
 
 class RulesTable(Table):
     """``[pursuit]``: end of the pursuit, and its guarantee."""
 
-    capture_radius_m: Metres = Field(
-        ge=SMALLEST, description="Metres at which an evader is captured."
-    )
-    step_s: float = Field(
-        ge=SMALLEST, le=1e4, description="Seconds between the decisions of pursuers and evaders."
-    )
-    max_steps: int = Field(
-        default=5000, ge=1, le=100_000, description="Number of steps after which the pursuit ends."
-    )
-    clearance_m: Metres = Field(
-        default=1.0,
-        ge=SMALLEST,
-        description="Distance of pursuers and evaders from obstacles in metres.",
-    )
-    guarantee: Literal["any_instant", "snapshots"] | None = Field(
-        default=None,
-        description="A theorem that must promise capture, or there is no plan; left out: none.",
-    )
+    capture_radius_m: Metres = Field(ge=SMALLEST)
+    """Metres at which an evader is captured."""
+    step_s: float = Field(ge=SMALLEST, le=1e4)
+    """Seconds between the decisions of pursuers and evaders."""
+    max_steps: int = Field(default=5000, ge=1, le=100_000)
+    """Number of steps after which the pursuit ends."""
+    clearance_m: Metres = Field(default=1.0, ge=SMALLEST)
+    """Distance of pursuers and evaders from obstacles in metres."""
+    guarantee: Literal["any_instant", "snapshots"] | None = None
+    """A theorem that must promise capture, or there is no plan; left out: none."""
 
 
 class EvaderTable(Table):
     """``[[evaders]]``."""
 
-    name: Name = Field(default="evader", description="Name in outputs.")
-    start_m: Pair = Field(description="Start [x, y] in metres.")
-    start_radius_m: Metres = Field(
-        default=0.0, ge=0, description="The start is drawn within this distance of start_m."
-    )
-    speed_max_m_s: float = Field(ge=0, le=1e4, description="Largest speed in m/s.")
-    behaviour: Static | Wandering | Fleeing | Zigzag | Foresighted = Field(
-        discriminator="kind", description="How it moves: a table with kind."
-    )
+    name: Name = "evader"
+    """Name in outputs."""
+    start_m: Pair
+    """Start [x, y] in metres."""
+    start_radius_m: Metres = Field(default=0.0, ge=0)
+    """The start is drawn within this distance of start_m."""
+    speed_max_m_s: float = Field(ge=0, le=1e4)
+    """Largest speed in m/s."""
+    behaviour: Static | Wandering | Fleeing | Zigzag | Foresighted = Field(discriminator="kind")
+    """How it moves: a table with kind."""
 
 
 class PursuerTable(Table):
     """``[[pursuers]]``."""
 
-    name: Name = Field(default="pursuer", description="Name in outputs.")
-    start_m: Pair = Field(description="Start [x, y] in metres.")
-    start_radius_m: Metres = Field(
-        default=0.0, ge=0, description="The start is drawn within this distance of start_m."
-    )
-    speed_max_m_s: float = Field(ge=SMALLEST, le=1e4, description="Largest speed in m/s.")
-    turn_rate_max_rad_s: float | None = Field(
-        default=None,
-        ge=SMALLEST,
-        le=1e3,
-        description="Of a unicycle, in rad/s; left out: turns at will. Open space only.",
-    )
+    name: Name = "pursuer"
+    """Name in outputs."""
+    start_m: Pair
+    """Start [x, y] in metres."""
+    start_radius_m: Metres = Field(default=0.0, ge=0)
+    """The start is drawn within this distance of start_m."""
+    speed_max_m_s: float = Field(ge=SMALLEST, le=1e4)
+    """Largest speed in m/s."""
+    turn_rate_max_rad_s: float | None = Field(default=None, ge=SMALLEST, le=1e3)
+    """Of a unicycle, in rad/s; left out: turns at will. Open space only."""
 
     @property
     def motion(self) -> Motion:
@@ -144,23 +135,15 @@ class PursuerTable(Table):
 class PlannerTable(Table):
     """``[planner]``: the decisions of pursuers."""
 
-    name: PlannerName = Field(
-        default="drive",
-        description="drive (to the reported place, then to the next), retarget (to every fresher "
-        "report at once) or receding (predict, and plan to meet the evader).",
-    )
-    horizon: int = Field(
-        default=10, ge=MIN_HORIZON, le=MAX_HORIZON, description="Plan steps ahead, for receding."
-    )
-    plan_step_s: float = Field(
-        default=2.0,
-        ge=SMALLEST,
-        le=1e4,
-        description="Length of a plan step in seconds, for receding.",
-    )
-    manoeuvre_s: float = Field(
-        default=60.0, ge=SMALLEST, le=1e6, description="An evader forgets its velocity within it."
-    )
+    name: PlannerName = "drive"
+    """drive (to the reported place, then to the next), retarget (to every fresher report at once)
+    or receding (predict, and plan to meet the evader)."""
+    horizon: int = Field(default=10, ge=MIN_HORIZON, le=MAX_HORIZON)
+    """Plan steps ahead, for receding."""
+    plan_step_s: float = Field(default=2.0, ge=SMALLEST, le=1e4)
+    """Length of a plan step in seconds, for receding."""
+    manoeuvre_s: float = Field(default=60.0, ge=SMALLEST, le=1e6)
+    """An evader forgets its velocity within it."""
 
     @property
     def policy(self) -> Policy:
@@ -176,8 +159,10 @@ class PursuitFile(TaskFile):
     world: WorldTable | None = None
     network: ServiceTable
     pursuit: RulesTable
-    pursuers: list[PursuerTable] = Field(min_length=1, max_length=50, description="The pursuers.")
-    evaders: list[EvaderTable] = Field(min_length=1, max_length=50, description="The evaders.")
+    pursuers: list[PursuerTable] = Field(min_length=1, max_length=50)
+    """The pursuers."""
+    evaders: list[EvaderTable] = Field(min_length=1, max_length=50)
+    """The evaders."""
     planner: PlannerTable = Field(default_factory=PlannerTable)
 
 

@@ -38,20 +38,21 @@ Action = Literal["solve", "simulate"]
 class HeadTable(Table):
     """``[problem]``: what the problem is called, and its task."""
 
-    schema_version: Literal[1] = Field(
-        alias="schema", description="Version of this schema; it is 1."
-    )
-    name: Name = Field(description="Name: letters, digits, '_' and '-'.")
-    task: Name = Field(description="Name of the task.")
-    description: str = Field(default="", description="One sentence for people.")
+    schema_version: Literal[1] = Field(alias="schema")
+    """Version of this schema; it is 1."""
+    name: Name
+    """Name: letters, digits, '_' and '-'."""
+    task: Name
+    """Name of the task."""
+    description: str = ""
+    """One sentence for people."""
 
 
 class ReportTable(Table):
     """``[report]``: what is drawn."""
 
-    figures: bool = Field(
-        default=ReportSettings().figures, description="Draw figures (true or false)."
-    )
+    figures: bool = ReportSettings().figures
+    """Draw figures (true or false)."""
 
 
 class TaskFile(Table):

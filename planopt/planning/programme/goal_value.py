@@ -14,11 +14,11 @@ turning(x_k, pivot), the cost is written symbolically::
     effort sum |q_k - q_{k-1}|^2
         + sum c_k (rate |s(x_k) - pivot| + braking |s(x_k) - q_k| + turning(x_k, pivot))
 
-c_N is 1: that is the way beyond the horizon. If the pivot is reached within the horizon, every step
-is charged in addition, or arriving late would cost nothing. Charged from its resting position, the
-robot accelerates and brakes as late as it can: past the pivot there is nothing to gain. Braking
-is the price of outage up to the resting position: if it were free, a robot would put off what is
-expensive until after the horizon, again and again.
+c_N is 1, for the route beyond the horizon. If the pivot is reached within the horizon, every step
+pays in addition; otherwise arriving late would be free. The distance counts from the resting
+position, so that the robot brakes as late as possible. Braking pays the outage price up to the
+resting position; otherwise a robot would postpone expensive parts beyond the horizon again and
+again.
 """
 
 from __future__ import annotations
@@ -38,12 +38,11 @@ from planopt.robots.dynamics import Components
 from planopt.targets.rounding import Derivatives, add_products
 
 PIVOT_ROUNDING_M, STEP_ROUNDING_M = 1e-2, 1e-2
-"""Rounding of the distance to the pivot, and of the length of a step, so that their gradients exist
-at the pivot and at a standstill."""
+"""Rounding widths of the distance to the pivot and of step lengths, for gradients at zero."""
 
 
 DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
-"""Of the normal distribution at zero."""
+"""Normal density at zero."""
 
 
 @dataclass(frozen=True)
@@ -129,12 +128,12 @@ ROUNDING_STEPS = 0.01
 """Rounding of the distance to the pivot of a robot with dynamics, in longest steps."""
 
 PARAMETERS = 7
-"""Numbers of a charge."""
+"""Number of parameters of a charge."""
 
 
 @dataclass(frozen=True)
 class GoalCharge:
-    """The numbers of the cost."""
+    """The parameters of the cost."""
 
     pivot_m: NDArray[np.float64]  # (2,)
     # Cost of squared step length, of a metre beyond the horizon, and of a metre driven before it
@@ -147,13 +146,13 @@ class GoalCharge:
 
     @property
     def numbers(self) -> NDArray[np.float64]:
-        """``(7,)`` as :func:`goal_cost_s` takes them."""
+        """Return the parameters (7,) for :func:`goal_cost_s`."""
         costs = (self.effort_s_m2, self.rate_s_m, self.braking_s_m)
         return np.array([*self.pivot_m, *costs, self.each_step, self.rounding_m])
 
 
 def goal_cost_s(shape: MotionShape, q: Any, w: Any, start: Components, charge: Any) -> Any:
-    """The cost of positions `q` and variables `w`."""
+    """Return the cost of positions `q` and variables `w`."""
     pivot = (charge[0], charge[1])
     effort, rate, braking, each_step, rounding = (charge[i] for i in range(2, PARAMETERS))
     before, cost = start, 0.0

@@ -3,7 +3,7 @@
 Speeds, and discs of inputs and states, are kept as second-order cones; every other row is
 linearised and may be missed at a price (exact penalty), so that a step always exists; the curvature
 of the Lagrangian is made positive semidefinite. A step is taken for what it brings of what the
-model promised (trust region and penalty as in section 18.5 of [NW06]).
+model predicted (trust region and penalty as in section 18.5 of [NW06]).
 
 Each convex step is solved by Clarabel. About a point x with rows g, their Jacobian J, the
 objective's gradient c and a positive semidefinite B, over the step d and what is missing, t >= 0,
@@ -42,7 +42,7 @@ from planopt.planning.programme.solver import (
 )
 
 NO_VARIABLE = -1
-"""In place of a column."""
+"""Stands for no column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,31 +61,26 @@ class ConeRows:
         return len(self.row)
 
     def pairs(self, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``(k, 2)`` z where the rows' Jacobian (m, n) is taken: their gradients are 2 weight z."""
+        """Return z (k, 2) from the rows' Jacobian (m, n): their gradients are 2 weight z."""
         return jacobian[self.row[:, None], self.own] / (2.0 * self.weight[:, None])
 
     def radii(self, upper: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``(k,)`` largest |z| under upper bounds (m,) of all rows."""
+        """Return the largest |z| (k,) under upper bounds (m,) of all rows."""
         return np.sqrt((upper[self.row] - self.constant) / self.weight)
 
 
-def no_cones() -> ConeRows:
-    """Return rows of which none is a cone."""
-    return _rows([], [], [], [], [])
-
-
 def step_cones(horizon: int) -> ConeRows:
-    """The steps of a path, whose squared lengths are the first rows."""
+    """Return the cones of a path's steps, whose squared lengths are the first rows."""
     own = [(2 * k, 2 * k + 1) for k in range(horizon)]
     less = [(NO_VARIABLE, NO_VARIABLE), *own[:-1]]
     return _rows(list(range(horizon)), own, less, [1.0] * horizon, [0.0] * horizon)
 
 
 def motion_cones(shape: PathShape) -> ConeRows:
-    """Discs that inputs, or components of the state, must lie in."""
+    """Return the cones of inputs and velocities that lie in discs."""
     motion = shape.motion
     if motion is None:
-        return no_cones()
+        return _rows([], [], [], [], [])
     dynamics, n = motion.dynamics, shape.horizon
     states, inputs = dynamics.state_names, dynamics.input_names
     columns = {name: column for column, name in enumerate((*states[2:], *inputs))}
@@ -120,7 +115,7 @@ def _rows(
 
 
 CLARABEL: Any = clarabel
-"""It has no type stubs."""
+"""The solver, which has no type stubs."""
 
 TERMINATIONS: dict[str, Termination] = {
     "Solved": Termination.CONVERGED,
@@ -139,15 +134,15 @@ TERMINATIONS: dict[str, Termination] = {
 """Every status of Clarabel."""
 
 BIG = 1e12
-"""Stands for no limit where sums are taken."""
+"""Replaces infinite limits in sums."""
 
 USABLE = (Termination.CONVERGED, Termination.ACCEPTABLE)
-"""A step that is not quite exact is judged by what it brings, as any other."""
+"""Terminations after which a step is tested by its gain."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """The model of a programme at a point; see the module."""
+    """The convex model of a programme at a point."""
 
     rows: NDArray[np.float64]
     jacobian: NDArray[np.float64]
@@ -164,8 +159,8 @@ class Model:
 class Step:
     """A step and the multipliers of the rows and of the bounds on it.
 
-    Multipliers are positive at upper bounds and negative at lower ones; of cones they
-    are those of the squared form.
+    Multipliers are positive at upper bounds and negative at lower ones; those of cones belong to
+    the squared form.
     """
 
     step: NDArray[np.float64]
@@ -175,7 +170,7 @@ class Step:
 
     @property
     def usable(self) -> bool:
-        """Return whether the step may be tried."""
+        """Return whether the step may be probed."""
         return self.termination in USABLE
 
 
@@ -185,7 +180,7 @@ def convex_step(model: Model) -> Step:
     plain = np.delete(np.arange(len(model.rows)), cones.row)
     jacobian, values = model.jacobian[plain], model.rows[plain]
     lower, upper = model.row_bounds.lower[plain], model.row_bounds.upper[plain]
-    # What no step can change by enough is left out, as are variables that cannot move.
+    # Rows that no step can violate are left out, as are fixed variables.
     moving = model.lowest < model.highest
     farthest = np.where(moving, np.maximum(-model.lowest, model.highest), 0.0)
     change = np.abs(jacobian) @ np.minimum(farthest, BIG)
@@ -194,7 +189,7 @@ def convex_step(model: Model) -> Step:
     equal = np.nonzero(lower == upper)[0]
     high = np.nonzero(moving & np.isfinite(model.highest))[0]
     low = np.nonzero(moving & np.isfinite(model.lowest))[0]
-    # Only rows that are missed here need t: the others leave room for no step at all.
+    # Only violated rows need t.
     sides = np.concatenate([jacobian[above], -jacobian[below]])
     room = np.concatenate([upper[above] - values[above], values[below] - lower[below]])
     short = np.nonzero(room < 0.0)[0]
@@ -271,29 +266,28 @@ def _cone_block(
 
 
 MAX_ITERATIONS = 60
-"""Convex steps of a solve, those not taken included."""
+"""Maximum number of convex steps of a solve, rejected ones included."""
 
 FIRST_PENALTY, LARGEST_PENALTY = 1e2, 1e6
-"""What a missing unit of a row counts at first, and when the rows are given up."""
+"""First and largest penalty of a violated row."""
 
 PENALTY_FACTOR = 10.0
-"""Growth of that price where the rows are not met."""
+"""Growth of the penalty while rows are violated."""
 
 TAKEN_SHARE, GOOD_SHARE = 0.1, 0.75
-"""A step is taken that brings the first share of what was promised; from the second on the region
-grows."""
+"""Shares of the predicted gain from which on a step is accepted, and the region grows."""
 
 SHRINK, GROW = 0.25, 2.0
-"""What the region is then multiplied by."""
+"""Factors of the region."""
 
 PROMISE_TOLERANCE = 1e-6
-"""Converged where the model promises no more than this share of the objective (or of 1)."""
+"""Relative predicted gain at convergence."""
 
 ROW_TOLERANCE = 1e-6
-"""Rows are met to this, as IPOPT's."""
+"""Tolerance of the rows, as IPOPT's."""
 
 SMALLEST_REGION = 1e-7
-"""Converged where the region is smaller, in longest steps."""
+"""Region at convergence, in longest steps."""
 
 
 def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None = None) -> SolveNlp:
@@ -329,7 +323,7 @@ def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None 
 
 
 class _Climb:
-    """One solve: where it is, and what it knows there."""
+    """One solve."""
 
     def __init__(
         self,
@@ -351,7 +345,7 @@ class _Climb:
         self._penalty = FIRST_PENALTY
 
     def run(self, start: NDArray[np.float64], until: float) -> NlpPoint:
-        """Step until nothing is promised any more, or until a time of `perf_counter`."""
+        """Step until the model predicts no gain, or until a time of `perf_counter`."""
         x = np.clip(start, self._variable_bounds.lower, self._variable_bounds.upper)
         value, rows = self._at(x)
         last = Step(np.zeros(len(x)), np.zeros(len(rows)), np.zeros(len(x)), Termination.STOPPED)
@@ -369,8 +363,8 @@ class _Climb:
             if not found.usable:
                 termination = found.termination
                 break
-            promised = self._promised(model, found.step)
-            if promised <= PROMISE_TOLERANCE * max(1.0, abs(value)) or region < SMALLEST_REGION:
+            predicted = self._predicted(model, found.step)
+            if predicted <= PROMISE_TOLERANCE * max(1.0, abs(value)) or region < SMALLEST_REGION:
                 last = found
                 if self._missing(rows) <= ROW_TOLERANCE:
                     termination = Termination.CONVERGED
@@ -382,19 +376,19 @@ class _Climb:
                 region = max(region, SHRINK)
                 model = self._model(x, rows, last.row_multipliers, region)
                 continue
-            tried = x + found.step
-            new_value, new_rows = self._at(tried)
+            probed = x + found.step
+            new_value, new_rows = self._at(probed)
             merit = self._merit(value, rows)
-            share = self._share(merit, new_value, new_rows, promised)
+            share = self._share(merit, new_value, new_rows, predicted)
             if share < TAKEN_SHARE and np.isfinite(new_rows).all():
                 again = self._corrected(model, found.step, new_rows)
                 if again.usable:
-                    tried = x + again.step
-                    new_value, new_rows = self._at(tried)
-                    share = self._share(merit, new_value, new_rows, promised)
+                    probed = x + again.step
+                    new_value, new_rows = self._at(probed)
+                    share = self._share(merit, new_value, new_rows, predicted)
                     found = again
             if share >= TAKEN_SHARE:
-                x, value, rows = tried, new_value, new_rows
+                x, value, rows = probed, new_value, new_rows
                 last = found
             region *= GROW if share >= GOOD_SHARE else 1.0 if share >= TAKEN_SHARE else SHRINK
             model = self._model(x, rows, last.row_multipliers, region)
@@ -402,20 +396,16 @@ class _Climb:
         return nlp_point(self._horizon, x, *multipliers, termination, iterations)
 
     def _share(
-        self, merit: float, value: float, rows: NDArray[np.float64], promised: float
+        self, merit: float, value: float, rows: NDArray[np.float64], predicted: float
     ) -> float:
-        """Return the share of the promised decrease that a point brings."""
+        """Return the achieved share of the predicted decrease."""
         gained = merit - self._merit(value, rows)
-        return gained / promised if np.isfinite(gained) else -np.inf
+        return gained / predicted if np.isfinite(gained) else -np.inf
 
     def _corrected(
         self, model: Model, step: NDArray[np.float64], rows: NDArray[np.float64]
     ) -> Step:
-        """The step again, with how far rows curve away from their linear models on it.
-
-        Along curved rows that the solution lies on, plain steps would all be refused (second-order
-        correction against the effect of Maratos, Nocedal and Wright 18.3).
-        """
+        """Return the step with second-order correction of the rows (Nocedal and Wright 18.3)."""
         there = rows - model.jacobian @ step
         there[self._cones.row] = model.rows[self._cones.row]
         return convex_step(replace(model, rows=there))
@@ -424,7 +414,7 @@ class _Climb:
         return self._functions.values(x, self._parameters)
 
     def _excess(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return by how much each row but the cones misses its bounds."""
+        """Return by how much each row but the cones violates its bounds."""
         lower, upper = self._row_bounds.lower, self._row_bounds.upper
         return np.delete(np.maximum(np.maximum(lower - rows, rows - upper), 0.0), self._cones.row)
 
@@ -434,8 +424,8 @@ class _Climb:
     def _merit(self, value: float, rows: NDArray[np.float64]) -> float:
         return value + self._penalty * float(self._excess(rows).sum())
 
-    def _promised(self, model: Model, step: NDArray[np.float64]) -> float:
-        """Return the decrease of the merit in a step, if the model is right."""
+    def _predicted(self, model: Model, step: NDArray[np.float64]) -> float:
+        """Return the decrease of the merit function that the model predicts."""
         slope = float(model.gradient @ step + 0.5 * step @ (model.curvature @ step))
         rows = model.rows + model.jacobian @ step
         before, after = self._excess(model.rows).sum(), self._excess(rows).sum()
@@ -468,7 +458,7 @@ class _Climb:
 
 
 def _convex(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The nearest positive semidefinite matrix; zero rows are left out of its eigenvectors."""
+    """Return the nearest positive semidefinite matrix."""
     active = np.nonzero(hessian.any(axis=1))[0]
     convex = np.zeros_like(hessian)
     values, vectors = np.linalg.eigh(hessian[np.ix_(active, active)])

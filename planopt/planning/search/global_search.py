@@ -1,11 +1,11 @@
-"""The global start of a plan to a goal: the cheapest lattice path at the outage price.
+"""The initial guess of a plan to a goal: the cheapest lattice path at the outage price.
 
 The cost-to-go is the length of the cheapest path to the goal, a metre counting
-``1 + outage_price (1 - P)`` metres; the path of N steps is found by dynamic programming with the
-same charges, so that both agree about every metre. A rule of connectivity over several steps is
-searched for under guides (:class:`planopt.planning.values.rule_rows.Guide`); of the paths that
-keep it the cheapest is taken, unless it comes less than half as near to the goal as the cheapest
-path of all: a robot that keeps its rule by standing still would never arrive.
+``1 + outage_price (1 - P)`` metres; dynamic programming finds the path of N steps with the same
+costs. A rule of connectivity over several steps is searched under guides
+(:class:`planopt.planning.values.rule_rows.Guide`); the cheapest path that keeps it is taken, unless
+it comes less than half as near to the goal as the cheapest path of all: a robot that keeps its rule
+by standing still would never arrive.
 """
 
 from __future__ import annotations
@@ -38,44 +38,43 @@ from planopt.world.lattice import CostToGo, lattice_paths, route_from
 from planopt.world.moving_discs import MovingDiscs
 
 FORBIDDEN = 1e6
-"""A metre below the bound costs this many where it must not be driven: more than any path."""
+"""Cost of a metre below a hard bound: more than any path."""
 STAGNANT_STEPS = 0.75
-"""A path that stays within this many longest steps of the robot gets nowhere; a lattice path can
-only end on a node, so that even one that wants to stay moves a little."""
+"""A path that stays within this many longest steps of the robot makes no progress."""
 LEAST_PROGRESS = 0.5
-"""A path that keeps a rule must come at least this share as near to the goal as the cheapest."""
+"""Least progress of a path that keeps a rule, as a share of the cheapest path's."""
 OUT_OF_BOUND_STEP_S = 1e5
-"""Penalty of a step below the level that a guide asks for: no saving of time is worth one."""
+"""Penalty of a step below a guide's level, more than any saving of time."""
 MISSING_DB_S = 1e3
-"""Penalty of a missing dB: among as many steps below the level, the least missing dB wins."""
+"""Penalty of a missing dB, which decides among as many steps below the level."""
 BACK_STEPS = 10
-"""No plan ends where the way on costs more than from here by this many longest steps, unless others
-or a rule make it. Nodes farther off than that need no cost-to-go."""
+"""A plan ends at a node whose cost-to-go exceeds the robot's by at most this many longest steps,
+unless other robots or a rule require it; other nodes need no cost-to-go."""
 CORRECTION_ROUNDS = 8
-"""How often the search is repeated with exact margins along its path."""
+"""Maximum number of searches with better predictions along the path."""
 
 
 @dataclass(frozen=True)
 class GlobalStart:
-    """The initial guess of the refinement."""
+    """The initial guess of a plan to a goal."""
 
     nodes: NDArray[np.intp]  # (N,) lattice nodes
-    path_m: NDArray[np.float64]  # (N, 2) their places
-    margin_db: NDArray[np.float64]  # (N,) connectivity margins there, of what is asked of each step
+    path_m: NDArray[np.float64]  # (N, 2) their positions
+    margin_db: NDArray[np.float64]  # (N,) their connectivity margins
     route_m: NDArray[np.float64]  # (r, 2) the path beyond its end, to the goal
-    # (b, 2) its beginning, as far as it keeps the bound and may be come to in N steps
+    # (b, 2) its first part, as far as it keeps the bound and is reachable in N steps
     beyond_m: NDArray[np.float64]
-    # Cost-to-go of the nodes, in metres; infinite at those that it was not looked for at
+    # Cost-to-go of the nodes, in metres; infinite where it was not computed
     ways: CostToGo
-    metre_cost: NDArray[np.float64]  # (n,) what a metre costs at every node
-    is_blocked: bool  # Whether path or route lead where driving is forbidden
-    is_direct: bool = False  # Whether the robot is to drive this very path, having wandered enough
-    # Whether it is to drive this very path, which keeps from those of other robots
+    metre_cost: NDArray[np.float64]  # (n,) cost of a metre at every node
+    is_blocked: bool  # Whether path or route violate a hard bound
+    is_direct: bool = False  # Whether it is released as it is, after detours
+    # Whether it is released as it is, clear of other robots' paths
     gives_way: bool = False
 
 
 class GlobalSearch:
-    """Finds start paths; keeps its map of the channel."""
+    """Finds initial guesses; keeps its map of the channel."""
 
     def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self._problem = problem
@@ -102,7 +101,7 @@ class GlobalSearch:
         self._table = move_table(scene.road_map.lattice)
 
     def find_start(self, context: StepContext) -> GlobalStart | None:
-        """Search from where the robot is; None if no node is in reach."""
+        """Return the guess from the robot's position; None if no node is in reach."""
         problem, scene = self._problem, self._scene
         self.margins.refresh(context.law, context.power)
         ways = scene.ways
@@ -115,7 +114,7 @@ class GlobalSearch:
         if nodes is None:
             return None
         if self._gets_nowhere(context, nodes):
-            # The fastest path round the obstacles knows of no price, and leads on all the same.
+            # The fastest path around obstacles ignores the outage price.
             nodes = self._cheapest(context, ways, None, priced=self._forbids, effort_s2_m2=0.0)
             if nodes is None:
                 return None
@@ -126,7 +125,7 @@ class GlobalSearch:
     def beside(
         self, position_m: NDArray[np.float64], start: GlobalStart, discs: MovingDiscs
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Search a path to the goal that keeps from discs all the way; None if there is none."""
+        """Return a path to the goal that keeps clear of moving discs; None if there is none."""
         # Shapes: position_m (2,).
         problem, scene = self._problem, self._scene
         nodes, lengths = first_moves(scene.ground, problem, position_m)
@@ -153,7 +152,7 @@ class GlobalSearch:
         others_m: NDArray[np.float64],
         steps: int,
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Search a path off all places (k, 2) that others drive through; as :meth:`beside`."""
+        """Return a path off all positions (k, 2) that others drive through; as :meth:`beside`."""
         problem, scene = self._problem, self._scene
         found = search_room(
             scene.road_map,
@@ -167,7 +166,7 @@ class GlobalSearch:
     def _given(
         self, position_m: NDArray[np.float64], start: GlobalStart, found: TimedPath, steps: int
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath]:
-        """Return the first steps of a path beside others, and where it leads over all `steps`."""
+        """Return the first steps of a path among others, and its positions over all `steps`."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
@@ -186,11 +185,11 @@ class GlobalSearch:
         return given, timed_places(way, places[found.route], step_m, steps), found
 
     def _has_wandered(self, history: History) -> bool:
-        """Return whether a run has gone in circles, or on for longer than the dearest direct path.
+        """Return whether a run has gone in circles, or longer than the most expensive direct path.
 
-        The shortest path out of contact all the way costs ``1 + outage_price`` times its length. A
-        robot that has driven for as long as that takes drives the shortest path from then on, and
-        arrives: its run is at most ``3 + 2 outage_price`` times as long as the shortest path.
+        The shortest path, out of contact throughout, costs ``1 + outage_price`` times its length. A
+        robot that has driven as long then drives the shortest path, so that its run is at most
+        ``3 + 2 outage_price`` times as long as the shortest path.
         """
         if self._forbids:
             return False
@@ -198,10 +197,10 @@ class GlobalSearch:
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
     def _ways_from(self, position_m: NDArray[np.float64]) -> CostToGo:
-        """Cheapest paths to the goal from where the robot is and from where it may plan to be.
+        """Return the cheapest paths to the goal from the robot and from where its plan may end.
 
-        How far to look is guessed from the cost-to-go a step ago. Where that was too little, all
-        paths are found.
+        The search radius follows from the cost-to-go a step ago; if it is too small, all paths are
+        found.
         """
         scene, metre_cost = self._scene, self._metre_cost()
         node = node_at(scene.road_map, position_m)
@@ -223,9 +222,9 @@ class GlobalSearch:
     def _within_rule(
         self, context: StepContext, ways: CostToGo, cheapest: NDArray[np.intp]
     ) -> NDArray[np.intp]:
-        """The cheapest path that keeps the rule and comes near enough to the goal; else nearer.
+        """Return the cheapest path that keeps the rule and makes enough progress, else less.
 
-        Where slack is bounded, keeping the rule comes before coming near.
+        With a limit of slack the rule comes before progress.
         """
         found: dict[bytes, NDArray[np.intp]] = {}
         places = self._scene.road_map.nodes_m
@@ -254,12 +253,12 @@ class GlobalSearch:
         return cheapest
 
     def _nearest_cost_m(self, context: StepContext, ways: CostToGo) -> float:
-        """Cost-to-go from where the robot is."""
+        """Return the cost-to-go of the robot."""
         nodes, lengths = first_moves(self._scene.ground, self._problem, context.position_m)
         return float((lengths + ways.cost_m[nodes]).min())
 
     def _cost_s(self, context: StepContext, ways: CostToGo, nodes: NDArray[np.intp]) -> float:
-        """Cost of a path and of the way on from its end."""
+        """Return the cost of a path and of the route from its end."""
         problem, road_map = self._problem, self._scene.road_map
         places = np.vstack([context.position_m, road_map.nodes_m[nodes]])
         cost = path_cost_s(
@@ -276,7 +275,7 @@ class GlobalSearch:
         return cost + self._rate * (charged + float(ways.cost_m[nodes[-1]]))
 
     def _shortest(self, context: StepContext, ways: CostToGo) -> NDArray[np.intp] | None:
-        """Nodes (N,) of a shortest path: of the fastest one, if no path is shorter than it."""
+        """Return the nodes (N,) of the fastest path, or of a shortest one if that is shorter."""
         places, position = self._scene.road_map.nodes_m, context.position_m
         fastest = self._cheapest(context, ways, None, priced=False, effort_s2_m2=0.0)
         if fastest is None:
@@ -294,7 +293,7 @@ class GlobalSearch:
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
     def _gets_nowhere(self, context: StepContext, nodes: NDArray[np.intp]) -> bool:
-        """Return whether a path stays where the robot is, short of the goal."""
+        """Return whether a path makes no progress, short of the goal."""
         places = self._scene.road_map.nodes_m[nodes]
         farthest = np.linalg.norm(places - context.position_m, axis=1).max()
         at_goal = int(nodes[-1]) == self._scene.goal_node
@@ -309,9 +308,9 @@ class GlobalSearch:
         priced: bool,
         effort_s2_m2: float | None = None,
     ) -> NDArray[np.intp] | None:
-        """Nodes (N,) of the cheapest path, with exact margins wherever it rests on them.
+        """Return the nodes (N,) of the cheapest path, with better predictions along it.
 
-        With another weight of effort than the problem's, if one is given.
+        `effort_s2_m2` replaces the problem's weight of effort.
         """
         if effort_s2_m2 is None:
             effort_s2_m2 = self._problem.reach.effort_weight_s2_m2
@@ -349,7 +348,7 @@ class GlobalSearch:
         return nodes
 
     def _penalty_s(self, guide: Guide) -> NDArray[np.float64]:
-        """Penalty of ending each step at each node, ``(N, n)``; negative where it is credited."""
+        """Return the penalties (N, n) of ending steps at nodes; negative for credits."""
         margins, threshold = self.margins, self._problem.stations[0].threshold_dbm
         penalty = np.zeros((len(guide.asked), len(margins.mean_db)))
         if guide.asked.any():

@@ -1,8 +1,8 @@
-"""The rest of the route beyond a path's end, as one point: the pivot of the cost-to-go.
+"""The route beyond a path's end as one point: the pivot of the cost-to-go.
 
-Round obstacles the shortest route from q is straight up to some corner: its length is the distance
+Around obstacles the shortest route from q is straight up to some corner: its length is the distance
 to any visible point of the route plus the length from there. The farthest visible point is the
-pivot, unless the path could reach it and go beyond: then a farther point is, visible or not.
+pivot, unless the path could reach it and go beyond: then it is a farther point, visible or not.
 Distance plus length never overestimates the route.
 """
 
@@ -22,14 +22,14 @@ from planopt.world.clearance import is_clear, swept_clearance_m
 from planopt.world.lattice import lattice_paths, route_from
 
 LOOKAHEAD_STEPS = 5.0
-"""How far along the way a pivot is sought, in longest steps."""
+"""Length of the route on which a pivot is sought, in longest steps."""
 LATTICE_DETOUR = 0.03
-"""A lattice path is at most this share longer than the straight one (16 headings: 2.7 %). The pivot
-lies at least that far ahead, or a refined path would come to it and have nowhere to go."""
+"""Largest relative detour of a lattice path (16 headings: 2.7 %). The pivot lies farther ahead, out
+of reach of a refined path."""
 
 
 class Ahead:
-    """The rest of the way from wherever a path ends, as a pivot."""
+    """The route from the end of any path, as a pivot."""
 
     def __init__(
         self,
@@ -44,15 +44,12 @@ class Ahead:
         self._has_all_ways = False
         self._node_margin_db = node_margin_db
         self.pivot = self._seen_from(int(start.nodes[-1]), None)
-        # Lattice path, refined path and the one released are asked about more than once.
+        # Lattice path, refined path and released path are evaluated repeatedly.
         self._joins: dict[bytes, tuple[int, float, float] | None] = {}
         self._pivots: dict[bytes, Pivot] = {}
 
     def __call__(self, end_m: NDArray[np.float64]) -> Pivot:
-        """The cheaper of the pivot, if it is seen from `end_m` (2,), and nodes within a step.
-
-        The pivot, seen or not, where there is no node.
-        """
+        """Return the cheaper of the pivot, if `end_m` (2,) sees it, and the nodes within a step."""
         key = end_m.tobytes()
         if key not in self._pivots:
             self._pivots[key] = self._cheaper(end_m)
@@ -77,19 +74,15 @@ class Ahead:
         return Pivot(place, float(self._start.ways.cost_m[node]), metre)
 
     def leading(self, end_m: NDArray[np.float64]) -> Pivot:
-        """The pivot of the way on from `end_m` (2,), so far off that a path is drawn on to it.
+        """Return the pivot of the route from `end_m` (2,), beyond the reach of a path.
 
-        A solver that had a place within reach for it could come there at any time, and would put
-        off setting out.
+        A solver with a pivot within reach could postpone setting out.
         """
         joined = self._joined(end_m)
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)
 
     def _joined(self, end_m: NDArray[np.float64]) -> tuple[int, float, float] | None:
-        """The node within a step that the way on from a place is cheapest by, with its metres'.
-
-        Node, cost-to-go of the place in metres, cost of a metre up to the node.
-        """
+        """Return the cheapest node within a step, its total cost, and the cost of a metre."""
         key = end_m.tobytes()
         if key not in self._joins:
             self._joins[key] = self._join(end_m)
@@ -105,7 +98,7 @@ class Ahead:
         total = lengths * metre + start.ways.cost_m[nodes]
         best = int(np.argmin(total))
         if not np.isfinite(total[best]) and not self._has_all_ways:
-            # Farther back than the search looked.
+            # The search did not expand these nodes.
             ways = lattice_paths(self._scene.road_map, self._scene.goal_node, start.metre_cost)
             self._start, self._has_all_ways = replace(start, ways=ways), True
             return self._join(end_m)
@@ -131,7 +124,7 @@ def find_pivot(
     clearance: float,
     origin_m: NDArray[np.float64] | None = None,  # (2,)
 ) -> Pivot:
-    """Farthest point of the way that is seen from the start path's end, or one out of reach."""
+    """Return the farthest point of the route that the guess's end sees, or one out of reach."""
     end = int(start.nodes[-1])
     way = route_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
     places = scene.road_map.nodes_m[way]

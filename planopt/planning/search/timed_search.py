@@ -1,9 +1,8 @@
-"""Search of a lattice path to a goal in space and time, beside others that drive to theirs.
+"""Search of a lattice path to a goal in space and time, among other robots.
 
-The search goes stage by stage over the nodes that a robot may be at after each step, waiting
-included, and knows the cost-to-go without the others: a path that costs more than the cheapest by
-`DELAYS_STEPS` of waiting is not followed. It ends as soon as the shortest route on from a promising
-place is free at the times at which it would be driven.
+The search expands the nodes reachable after each step, waiting included. The cost-to-go without the
+others prunes paths that cost more than the cheapest by `DELAYS_STEPS` of waiting. It ends as soon
+as the shortest route from a promising node is free at the times at which it would be driven.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from planopt.world.motion import closest_approach_m
 from planopt.world.moving_discs import MovingDiscs
 
 DELAYS_STEPS = (16, 64, 200)
-"""Delays, in steps of waiting, that are looked at one after the other; the last is the longest."""
+"""Delays in steps of waiting that are allowed, one after the other."""
 
 MOST_PLACES = 12_000
-"""The search keeps at most so many places a stage, those of the least cost."""
+"""Maximum number of nodes per stage, those of the least cost."""
 
 ROUTES_TRIED = 4
-"""Routes on that are looked at in each stage, from the places of the least cost."""
+"""Number of routes tested in each stage, from the nodes of the least cost."""
 
 
 @dataclass(frozen=True, eq=False)
 class TimedCosts:
-    """Cost of driving over a lattice to a goal."""
+    """Costs of motion over a lattice to a goal."""
 
     road_map: RoadMap  # The lattice, its cost-to-go without the others, and where it leads
     ways: CostToGo
@@ -47,7 +46,7 @@ class TimedCosts:
 
 
 def route_nodes(ways: CostToGo, node: int) -> NDArray[np.intp]:
-    """Return the nodes of the shortest way from `node` on to the goal, both included."""
+    """Return the nodes of the shortest path from `node` to the goal, both included."""
     nodes = [node]
     while (following := int(ways.next_node[nodes[-1]])) >= 0:
         nodes.append(following)
@@ -57,7 +56,7 @@ def route_nodes(ways: CostToGo, node: int) -> NDArray[np.intp]:
 def timed_places(
     places_m: NDArray[np.float64], route_m: NDArray[np.float64], step_m: float, steps: int
 ) -> NDArray[np.float64]:
-    """Return places at full speed along a route after the steps of a path, then at its end."""
+    """Return the positions of a path, continued at full speed along a route and then at rest."""
     # Shapes: places_m (k + 1, 2); route_m (r, 2).
     route = np.vstack([places_m[-1:], route_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(route, axis=0), axis=1).cumsum()])
@@ -68,7 +67,7 @@ def timed_places(
 
 
 def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) -> bool:
-    """Return whether a timed path keeps from all discs; from a place too near it may lead away."""
+    """Return whether a timed path keeps clear of all discs, or leads away from its start."""
     # Shapes: places_m (T - first + 1, 2).
     if not len(discs):
         return True
@@ -83,7 +82,7 @@ def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) 
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """A path beside others."""
+    """A path among other robots."""
 
     nodes: NDArray[np.intp]  # (k,) after each step
     # (r,) nodes on to the goal, driven at full speed after these steps; none where the path does
@@ -101,7 +100,7 @@ def search_timed(
     discs: MovingDiscs,
     least_stages: int,
 ) -> TimedPath | None:
-    """Find a cheap path that keeps from all discs until the goal, and while standing there."""
+    """Find a cheap path that keeps clear of all discs to the goal, and while standing there."""
     kept = steps_apart(
         discs,
         0,
@@ -161,7 +160,7 @@ def _search_within(
 ) -> TimedPath | None:
     """Search paths of at most a cost, from nodes (m,) that the first step may end at.
 
-    The search in time ends when all others stand: the rest is a search on the lattice alone.
+    The search in time ends when all others stand; the rest is a search on the lattice alone.
     """
     to_go = costs.rate_s_m * costs.ways.cost_m
     stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = [
@@ -204,9 +203,9 @@ def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np
 
 
 def _ways_beside_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
-    """Return the cost-to-go where all discs stand as at the end.
+    """Return the cost-to-go with all discs at their last positions.
 
-    Nodes so near to a disc are closed that no move between others comes too near to it.
+    Nodes near a disc are closed, so that no move between other nodes comes too near to it.
     """
     road_map = costs.road_map
     factor = 1.0 + costs.surcharge_s_m[:-1] / costs.rate_s_m
@@ -226,9 +225,9 @@ def _next_stage(
     step: int,
     limit_s: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
-    """Return where step number `step` may lead from nodes (m,), at what cost, and from which row.
+    """Return the nodes that step number `step` reaches from nodes (m,), their costs and origins.
 
-    Moves of the lattice are symmetric: it arrives from where it may go.
+    Moves of the lattice are symmetric.
     """
     road_map, count = costs.road_map, len(costs.road_map.nodes_m)
     half, to_go = 0.5 * costs.surcharge_s_m, costs.rate_s_m * costs.ways.cost_m

@@ -40,7 +40,7 @@ no influence on reachable places."""
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """Places where the other robots measure."""
+    """Positions where the other robots measure."""
 
     # (N, 2) each: the places after each step of the plans that count
     planned_m: tuple[NDArray[np.float64], ...] = ()
@@ -88,10 +88,7 @@ def shares_places(problem: Problem) -> bool:
 
 
 def structure_of(problem: Problem) -> Structure:
-    """Return how the objective value of a path couples its places.
-
-    A dynamic programme over places is exact unless it couples all of them.
-    """
+    """Return how the objective value of a path couples its positions."""
     found = {term.structure for term in problem.terms}
     if "full" in found:
         return "full"
@@ -118,7 +115,7 @@ def target_model(problem: Problem) -> TargetModel:
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """External inputs of one plan's objective: expected target and steering path, if any."""
+    """External inputs of one plan's objective."""
 
     # (N, 2) where the target was expected at the end of each step; None without target
     target_m: NDArray[np.float64] | None = None

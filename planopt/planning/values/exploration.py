@@ -35,18 +35,18 @@ from planopt.world.clearance import (
 from planopt.world.lattice import MOVES, Lattice, moves_from, node_positions
 
 PLACES = 200
-"""About how many places stand for the workspace."""
+"""About how many cells represent the workspace."""
 
 NEAR_PLACES = 900
-"""About how many stand for the part of it that a plan can change."""
+"""About how many cells represent the part of it that a plan can change."""
 
 ROOM_STEPS = 5.0
-"""How far beyond the reachable places that part goes, in longest steps: what is measured tells of
-places around, of those nearer than other measurements."""
+"""Width of the part beyond the reachable positions, in longest steps: measurements inform about
+positions around them."""
 
 
 def workspace_region(problem: Problem) -> Region:
-    """Cell centres of a square grid over the workspace outside obstacles, of equal weight."""
+    """Return cell centres of a square grid outside obstacles, of equal weight."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     grid = _centres((x_min, y_min, x_max, y_max), _coarse_m(problem))
     free = grid[clearance_m(index_obstacles(problem.workspace), grid) > 0.0]

@@ -1,4 +1,4 @@
-"""The cost of a path that is to reach a goal, the way beyond the horizon included."""
+"""The cost of a path to a goal, the route beyond the horizon included."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive
 
 BRAKING_PLACES = 9
-"""Places on the way to where a robot would come to stand: it begins where a hole does, and where
-its two ends alone were charged, standing before the hole would look cheaper than crossing it."""
+"""Number of positions on the braking path at which the outage price is evaluated."""
 
 
 @dataclass(frozen=True)
 class ReachCost:
-    """The cost of paths of one step of planning."""
+    """The cost of paths of one planning step."""
 
     problem: Problem  # A problem that is to reach a goal
     position_m: NDArray[np.float64]  # (2,) where the robot is

@@ -1,8 +1,8 @@
 """The rule of connectivity for planners: rows of the programme, search guides, and the shortfall.
 
-All are derived from :meth:`planopt.planning.proof.rule.Rule.achieved`. Rules that hold steps
-bound each of them by p_min. Any other rule becomes one row, the tangent of the achieved value: a
-weighted sum of the probabilities.
+All are derived from :meth:`planopt.planning.proof.rule.Rule.achieved`. Rules that hold steps bound
+each of them by p_min. Any other rule becomes one row, the tangent of the achieved value: a weighted
+sum of the probabilities.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ UNASKED = 0.5
 """Level of a step without a bound."""
 
 LEAST_LEVEL = 1e-3
-"""Bounds on single steps are neither below this level nor above one less this."""
+"""Distance of the levels of single steps from 0 and 1."""
 
 LEVEL_HALVINGS = 20
 """Bisections of the common level of all steps."""
@@ -41,25 +41,25 @@ LEVEL_HALVINGS = 20
 class RuleRows:
     """The rows of the rule for a path of N steps."""
 
-    threshold_dbm: float  # Power from which on a place is connected
-    level: NDArray[np.float64]  # (N,) probability asked of each step
-    asked: NDArray[np.bool_]  # (N,) whether it is
-    # (N,) of the sum of the probabilities; None where no sum is bounded
+    threshold_dbm: float  # Power from which on a position is connected
+    level: NDArray[np.float64]  # (N,) required probability of each step
+    asked: NDArray[np.bool_]  # (N,) whether the step is bounded
+    # (N,) weights of the probabilities in the sum; None without a sum
     weight: NDArray[np.float64] | None = None
     total: float = 0.0  # Least value of the sum
 
     @property
     def quantile(self) -> NDArray[np.float64]:
-        """``(N,)`` z_p of each step's level."""
+        """Return z_p of each step's level; (N,)."""
         return np.array([bound_quantile(level) for level in self.level.tolist()])
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Margins of each step at its own level; infinite where nothing is asked."""
+        """Return the margin of each step at its own level; infinite without a bound."""
         margins = power.mean_db - self.quantile * power.deviation_db - self.threshold_dbm
         return np.where(self.asked, margins, np.inf)
 
     def sum_of(self, power: Prediction) -> float:
-        """The sum at predicted powers."""
+        """Return the sum at predicted powers."""
         if self.weight is None:
             raise AssertionError("no sum is bounded")
         chance = connection_probability(power.mean_db, power.deviation_db, self.threshold_dbm)
@@ -100,15 +100,15 @@ def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
 
 
 LARGEST_FACTOR = 4.0
-"""What a path falls short of certain connection grows or shrinks by at most this factor."""
+"""Limit of the factor that scales the shortfall from certain connection."""
 
 
 def scaled_value(
     rule: Rule, context: StepContext, achieved: float, count: int, result: RuleResult
 ) -> float:
-    """Return the value whose shortfall has the risk that is allowed (equation 5.7).
+    """Return the value whose shortfall has the allowed risk (equation 5.7).
 
-    The shortfall from certain connection is scaled by the risk allowed over the risk verified.
+    The shortfall from certain connection is scaled by the allowed over the verified risk.
     """
     most = float(rule.valued(np.ones(count), context.history))
     factor = (1.0 - result.asked) / max(1.0 - result.achieved, 1e-12)
@@ -116,13 +116,13 @@ def scaled_value(
 
 
 AIMED_SHARE = 0.98
-"""Between a path within the risk and one beyond, so much of what is left is aimed at."""
+"""Share of the difference to the allowed risk that the secant aims at."""
 
 USED_SHARE = 0.9
-"""A row whose shortfall is used to this share is held by the solver."""
+"""A row with this share of its shortfall used is active in the solver."""
 
 USED_UP_SHARE = 0.97
-"""A risk that is used to this share is not allocated again."""
+"""A risk with this share used is not allocated again."""
 
 
 def rows_again(
@@ -132,10 +132,10 @@ def rows_again(
     tried: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return the rows corrected by the verified result of a path (N, 2); None if it is used up.
+    """Return the rows corrected by the verified result of a path (N, 2); None if the risk is used.
 
-    By the secant between the last path within the risk and the last beyond, once there are both,
-    or half-way where that does not change sides. `tried` grows by the path.
+    The correction is the secant between the last path within the risk and the last beyond it, or
+    half of it if that does not change sides. `tried` grows by the path.
     """
     rule, history = rule_of(context.problem), context.history
     if not rule.correlates(context.problem.constraints.p_min) or rows.weight is None:
@@ -163,10 +163,9 @@ def rows_again(
 
 
 def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
-    """Return the rows of a programme that bounds single steps only, about a path (N, 2).
+    """Return rows that bound single steps only, about a path (N, 2).
 
-    A bound on a sum becomes one on each of its steps: what the path has to spare, or lacks, is
-    spread evenly over them.
+    A bound on a sum becomes one on each step; the path's surplus or deficit is spread evenly.
     """
     rows = rule_rows(context, path_m)
     if rows.weight is None:
@@ -198,14 +197,13 @@ IsKept = Callable[[NDArray[np.float64]], bool]
 """Whether a path (N, 2) keeps the rule."""
 
 HIGHEST_CREDIT, LOWEST_CREDIT = 10.0, 1e-3
-"""Credit of a connected step, in units of the largest reward of a step: with the first no other
-reward counts, with the second hardly the credit."""
+"""Largest and smallest credit of a connected step, in units of the largest reward of a step."""
 
 CREDIT_HALVINGS = 5
-"""Bisections of the credit between them, in its logarithm."""
+"""Bisections of the logarithm of the credit between them."""
 
 PATTERNS = 4
-"""Number of patterns of held steps that are tried."""
+"""Number of patterns of held steps that are searched."""
 
 
 def find_guided(
@@ -223,10 +221,10 @@ def find_guided(
     found = search(none)
     if not found or is_kept(found[0]):
         return found
-    # A path that keeps the common level at each step keeps the rule, were steps independent.
+    # With independent steps the common level at each step would keep the rule.
     level = common_level(rule, problem.constraints.p_min, history, count)
     found += search(Guide(level, np.ones(count, dtype=np.bool_), no_credit))
-    # A credit as small as may be: a Lagrange multiplier, by bisection.
+    # The smallest credit, a Lagrange multiplier, by bisection.
     _, weight = rule.slopes(np.full(count, UNASKED), history)
     weight = weight / max(float(weight.max()), 1e-9)
     low, high = LOWEST_CREDIT, HIGHEST_CREDIT
@@ -243,7 +241,7 @@ def find_guided(
 
 
 def common_level(rule: Rule, p_min: float, history: History, count: int) -> float:
-    """Return the least probability that suffices where all steps of a plan have it."""
+    """Return the least probability that suffices if all steps of a plan have it."""
     required = rule.required(p_min, history, count)
     low, high = 0.0, 1.0
     for _ in range(LEVEL_HALVINGS):
@@ -254,7 +252,7 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
 
 
 def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray[np.bool_]]:
-    """Return masks (N,) of steps that suffice: as late as may be, the first earlier, and all."""
+    """Return sufficient masks (N,) of held steps: as late as possible, earlier, and all."""
     history, asks = context.history, context.problem.constraints.asks_connection
     every = np.ones(count, dtype=np.bool_)
     latest = rule.held(every, history)
@@ -272,7 +270,7 @@ def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray
 def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
     """Return the shortfall of each path, 0 where it keeps the rule; (c,).
 
-    In dB of all steps that count; of other rules in steps that would have to be connected.
+    In dB, summed over the steps; for other rules in steps that would have to be connected.
     """
     # Shapes: legs_m (c, N).
     constraints, history = at.problem.constraints, at.history
@@ -296,7 +294,7 @@ def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> NDArr
 
 
 def missing_slope(at: StepContext, batch: LocalPaths) -> Pull:
-    """Return the derivatives of :func:`missing` by the powers; none of the length of outages."""
+    """Return the derivatives of :func:`missing` by the powers; zero for lengths of outages."""
     problem, history, power = at.problem, at.history, batch.power
     rule, threshold = rule_of(problem), problem.stations[0].threshold_dbm
     if rule.by_step:

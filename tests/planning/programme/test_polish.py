@@ -263,18 +263,6 @@ def test_a_slope_stops_the_path_where_the_bound_does(nlp):
     assert polished.slack_db.size == 0
 
 
-def test_inside_a_circle(nlp):
-    """Margin 9 - |q|^2 with 5 asked for: the last place is on the circle of radius 2."""
-    task = reach_task(
-        N,
-        LINES,
-        margins=scored(bowl_margins([0.0, 0.0], 9.0)),
-        bound_db=np.full(N, 5.0),
-        pivot_m=np.array([30.0, 40.0]),
-        path_m=0.1 * ALONG,
-    )
-    polished = solved(nlp, task)
-    np.testing.assert_allclose(polished.path_m[-1], [1.2, 1.6], atol=1e-3)
 
 
 def test_a_hard_bound_out_of_reach_is_infeasible(nlp):
@@ -320,18 +308,6 @@ def test_a_uniform_outage_shortens_steps(nlp, chance, price):
     np.testing.assert_allclose(polished.path_m, length * ALONG, atol=3e-3)
 
 
-def test_only_charged_steps_are_shortened(nlp):
-    """With the middle step's place alone charged, each of its two steps pays half of the price."""
-    task = reach_task(
-        N,
-        LINES,
-        effort_s_m2=0.3,
-        step_length_m=5.0,
-        margins=scored(constant_margins(10.0), constant_margins(-40.0)),
-        outage=outage_of(N, 0.6, 0.0, np.array([0.0, 1.0, 0.0])),
-    )
-    lengths = np.diff(np.append(0.0, solved(nlp, task).path_m[:, 0]))
-    np.testing.assert_allclose(lengths, np.array([1.0, 0.7, 0.7]) / 0.6, atol=1e-3)
 
 
 PRICED = {

@@ -233,17 +233,21 @@ def build_path_nlp(
     limit = {} if budget_s is None else {"ipopt.max_wall_time": budget_s}
     solver = _exact_solver(shape, callbacks, OPTIONS | own | limit)
     functions = nlp_functions(solver)
+    solve = _solve_by(method, solver, functions, shape, budget_s)
+    kept = tuple(each for three in callbacks.values() for each in three)
+    return PathNlp(shape, source, functions, solve, kept)
 
-    def solve(start: Any, parameters: Any, variable_bounds: Any, row_bounds: Any) -> Any:
-        return call_nlp(solver, n, start, parameters, variable_bounds, row_bounds)
 
+def _solve_by(
+    method: Method, solver: Any, functions: NlpFunctions, shape: PathShape, budget_s: float | None
+) -> SolveNlp:
+    """Return the call of IPOPT, or of sequential convex programming with its functions."""
     if method == "scp":
         # Clarabel is not needed by other planners.
         from planopt.planning.programme.scp import scp_solve
 
-        solve = scp_solve(functions, shape, budget_s)
-    kept = tuple(each for three in callbacks.values() for each in three)
-    return PathNlp(shape, source, functions, solve, kept)
+        return scp_solve(functions, shape, budget_s)
+    return lambda *arguments: call_nlp(solver, shape.horizon, *arguments)
 
 
 def _exact_solver(

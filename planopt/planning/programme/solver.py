@@ -217,10 +217,7 @@ def call_nlp(
         )
     except RuntimeError:
         return lost_point(horizon, len(start), len(row_bounds.lower))
+    x, lam_g, lam_x = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     stats = solver.stats()
-    return nlp_point(
-        horizon,
-        *(np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x")),
-        termination_of(str(stats["return_status"])),
-        int(stats.get("iter_count", 0)),
-    )
+    termination = termination_of(str(stats["return_status"]))
+    return nlp_point(horizon, x, lam_g, lam_x, termination, int(stats.get("iter_count", 0)))

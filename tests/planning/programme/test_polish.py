@@ -263,8 +263,6 @@ def test_a_slope_stops_the_path_where_the_bound_does(nlp):
     assert polished.slack_db.size == 0
 
 
-
-
 def test_a_hard_bound_out_of_reach_is_infeasible(nlp):
     """It is refused, and by how much is in the residual."""
     task = reach_task(N, LINES, bound_db=np.full(N, 11.0))
@@ -306,8 +304,6 @@ def test_a_uniform_outage_shortens_steps(nlp, chance, price):
     length = (1.0 - price * (1.0 - chance)) / (2.0 * 0.3)
     # The rounding of lengths takes half a thousandth off the price of the shortest step here.
     np.testing.assert_allclose(polished.path_m, length * ALONG, atol=3e-3)
-
-
 
 
 PRICED = {

@@ -14,8 +14,6 @@ from planopt.channel import (
     joint_prediction,
     sample_power,
 )
-from planopt.channel.kriging import predict
-from planopt.channel.posterior import extend
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 DATA = simulated(CHANNEL, 0, 60, 200.0)
@@ -29,9 +27,9 @@ def test_factor_is_sequential_conditioning(theta):
     posterior = condition(CHANNEL, DATA, theta=theta)
     diagonal = np.diag(np.linalg.cholesky(joint_prediction(posterior, PATH).covariance_db2))
     for place, expected in zip(PATH, diagonal, strict=True):
-        assert predict(posterior, place[None]).deviation_db[0] == pytest.approx(expected, rel=1e-9)
-        posterior = extend(
-            posterior, Measurements(place[None], np.array([-80.0]), np.zeros(1, dtype=bool))
+        assert posterior.predict(place[None]).deviation_db[0] == pytest.approx(expected, rel=1e-9)
+        posterior = posterior.extend(
+            Measurements(place[None], np.array([-80.0]), np.zeros(1, dtype=bool))
         )
 
 

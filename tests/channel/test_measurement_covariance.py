@@ -29,7 +29,6 @@ from planopt.channel.measurement_covariance import (
     own_variance_db2,
     place_origins,
 )
-from planopt.channel.posterior import extend
 from planopt.channel.tile_map import TileMap
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))
@@ -80,7 +79,7 @@ def test_the_posterior_is_dense_kriging(parameters, censored):
     posterior = condition(parameters, varied(60, 5, censored=censored))
     assert posterior.now_s == posterior.measurements.time_s.max()
     for now_s in (posterior.now_s, LATER_S):
-        found = predict(at_time(posterior, now_s), PLACES)
+        found = at_time(posterior, now_s).predict(PLACES)
         mean, deviation = dense_prediction(posterior, PLACES, now_s)
         np.testing.assert_allclose(found.mean_db, mean, atol=1e-8)
         np.testing.assert_allclose(found.deviation_db, deviation, atol=1e-8)
@@ -88,7 +87,7 @@ def test_the_posterior_is_dense_kriging(parameters, censored):
     mean, deviation = dense_prediction(posterior, PLACES, posterior.now_s, 2.0)
     np.testing.assert_allclose(blurred.mean_db, mean, atol=1e-8)
     assert (blurred.deviation_db > deviation).all()
-    assert blurred.deviation_db.mean() > predict(posterior, PLACES).deviation_db.mean()
+    assert blurred.deviation_db.mean() > posterior.predict(PLACES).deviation_db.mean()
 
 
 def test_one_by_one_equals_batch():
@@ -98,10 +97,10 @@ def test_one_by_one_equals_batch():
     grown = condition(DRIFTING, data.take(slice(20)))
     assert grown.now_s == data.time_s[19]
     for row in range(20, 50):
-        grown = extend(grown, data.take(slice(row, row + 1)))
+        grown = grown.extend(data.take(slice(row, row + 1)))
     whole = condition(DRIFTING, data)
     assert grown.now_s == whole.now_s
-    found, expected = predict(grown, PLACES), predict(whole, PLACES)
+    found, expected = grown.predict(PLACES), whole.predict(PLACES)
     np.testing.assert_allclose(found.mean_db, expected.mean_db, atol=1e-9)
     np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=1e-9)
 
@@ -113,21 +112,21 @@ def test_a_late_limit_is_one_of_its_receiver():
     posterior = condition(STEADY, data)
     at = np.array([[25.0, 25.0]])
     limit = at_places(at, posterior.now_s)
-    limit = replace(limit, power_dbm=predict(posterior, at).mean_db, censored=np.array([True]))
-    by_reference = extend(posterior, limit)
-    by_other = extend(posterior, replace(limit, receiver=np.array([1])))
-    before = predict(posterior, at).mean_db[0]
+    limit = replace(limit, power_dbm=posterior.predict(at).mean_db, censored=np.array([True]))
+    by_reference = posterior.extend(limit)
+    by_other = posterior.extend(replace(limit, receiver=np.array([1])))
+    before = posterior.predict(at).mean_db[0]
     # The other receiver would have read some 26 dB more: at most the mean is far below.
-    assert predict(by_other, at).mean_db[0] < predict(by_reference, at).mean_db[0] - 1.0
-    assert predict(by_reference, at).mean_db[0] < before
+    assert by_other.predict(at).mean_db[0] < by_reference.predict(at).mean_db[0] - 1.0
+    assert by_reference.predict(at).mean_db[0] < before
 
 
 def test_age_ends_in_path_loss_alone():
     """What was measured long ago says nothing of shadowing; at once it says all that it says."""
     posterior = condition(DRIFTING, varied(60, 8, errors=False))
-    late = predict(at_time(posterior, 1e6), PLACES)
+    late = at_time(posterior, 1e6).predict(PLACES)
     assert (late.deviation_db**2 >= 4.0**2 + 1.5**2 - 1e-9).all()
-    early = predict(posterior, PLACES)
+    early = posterior.predict(PLACES)
     assert (early.deviation_db <= late.deviation_db + 1e-9).all()
     with pytest.raises(InputError, match="now_s"):
         at_time(posterior, np.nan)
@@ -137,8 +136,8 @@ def test_age_ends_in_path_loss_alone():
 def test_all_predictors_agree(parameters):
     """Many places at once, joint, and local with all measurements."""
     posterior = at_time(condition(parameters, varied(70, 9, censored=0.1)), 650.0)
-    expected = predict(posterior, PLACES)
-    many = predict(posterior, np.tile(PLACES, (30, 1)))
+    expected = posterior.predict(PLACES)
+    many = posterior.predict(np.tile(PLACES, (30, 1)))
     joint = joint_prediction(posterior, PLACES)
     local = LocalChannel.around(posterior, PLACES, 80).predict(PLACES)
     nearby = predict_nearby(posterior, PLACES, 70)
@@ -159,7 +158,7 @@ def test_offsets_come_from_all_measurements():
     data = replace(data, receiver=left.astype(np.intp))
     posterior = condition(STEADY, data)
     places = PLACES[PLACES[:, 0] < 18.0]
-    exact = predict(posterior, places)
+    exact = posterior.predict(places)
     local = LocalChannel.around_each(posterior, places, 30).predict(places[:, None])
     nearby = predict_nearby(posterior, places, 30)
     for found in (local, nearby):
@@ -178,7 +177,7 @@ def test_the_tile_map_ages(receivers, neighbours):
     posterior = condition(DRIFTING, data.take(slice(40)))
     kept.refresh(posterior)
     for row in range(40, 80, 2):
-        posterior = extend(posterior, data.take(slice(row, row + 2)))
+        posterior = posterior.extend(data.take(slice(row, row + 2)))
         kept.refresh(at_time(posterior, posterior.now_s + 3.0))
     for moment in (posterior.now_s + 10.0, 50.0, posterior.now_s + 20.0):
         kept.refresh(at_time(posterior, moment))
@@ -216,7 +215,7 @@ def test_fields_are_drawn_with_offsets():
     fields = [conditional_field(posterior, bounds, 10.0, generator) for _ in range(1500)]
     draws = np.array([field.values.ravel() for field in fields])
     centres = np.stack(np.meshgrid(fields[0].x_m, fields[0].y_m), axis=-1).reshape(-1, 2)
-    expected = predict(posterior, centres)
+    expected = posterior.predict(centres)
     latent = np.sqrt(expected.deviation_db**2 - 1.5**2)
     error = latent / np.sqrt(1500.0)
     assert (np.abs(draws.mean(axis=0) - expected.mean_db) < 4.0 * error).all()

@@ -8,10 +8,9 @@ from simulated_channel import simulated
 
 from planopt import InputError
 from planopt.channel import ChannelParameters, Measurements, Station, condition, estimate_theta
-from planopt.channel.kriging import kriging_terms, predict
+from planopt.channel.kriging import kriging_terms
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import regressors
-from planopt.channel.posterior import extend
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
 
@@ -52,7 +51,7 @@ def test_lemma_3_equals_the_batch():
         information = np.outer(terms.trend[0], terms.trend[0]) / terms.variance_db2[0]
         recursion = np.linalg.inv(np.linalg.inv(before) + information)
         one = Measurements(place[None], np.array([-80.0]), np.zeros(1, bool))
-        posterior = extend(posterior, one)
+        posterior = posterior.extend(one)
         batch = estimate_theta(posterior.measurements, CHANNEL).covariance
         np.testing.assert_allclose(recursion, batch, rtol=1e-9)
 
@@ -71,10 +70,10 @@ def test_prediction_with_least_squares_theta_is_calibrated():
     squares = np.zeros(3)
     for power in powers:
         seen = dataclasses.replace(first, power_dbm=power[:12])
-        found = predict(condition(CHANNEL, seen, theta="least_squares"), places)
+        found = condition(CHANNEL, seen, theta="least_squares").predict(places)
         squares += (found.mean_db - power[12:]) ** 2
     np.testing.assert_allclose(squares / len(powers), found.deviation_db**2, rtol=0.1)
-    best = predict(condition(CHANNEL, seen), places)
+    best = condition(CHANNEL, seen).predict(places)
     assert (found.deviation_db >= best.deviation_db - 1e-12).all()
     assert found.deviation_db[2] > 1.005 * best.deviation_db[2]
 

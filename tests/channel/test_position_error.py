@@ -93,8 +93,8 @@ def test_intervals_cover():
     told, untold = [], []
     for seed in range(24):
         data, places, power = surveyed(100 + seed, 120)
-        told.append(inside(power, predict(condition(CHANNEL, data), places)))
-        untold.append(inside(power, predict(condition(CHANNEL, without_errors(data)), places)))
+        told.append(inside(power, condition(CHANNEL, data).predict(places)))
+        untold.append(inside(power, condition(CHANNEL, without_errors(data)).predict(places)))
     assert 0.94 < np.mean(told) < 0.96
     assert np.mean(untold) < np.mean(told)
 
@@ -109,6 +109,6 @@ def test_intervals_of_an_uncertain_robot_cover():
         believed = places + STD_M * generator.standard_normal(places.shape)
         uncertain = np.full(len(places), STD_M)
         wide.append(inside(power, predict(posterior, believed, uncertain)))
-        narrow.append(inside(power, predict(posterior, believed)))
+        narrow.append(inside(power, posterior.predict(believed)))
     assert 0.93 < np.mean(wide) < 0.97
     assert np.mean(narrow) < np.mean(wide)

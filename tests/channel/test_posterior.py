@@ -7,11 +7,10 @@ import pytest
 from scipy.stats import norm
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition
-from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.measurements import join
 from planopt.channel.parameters import regressors
-from planopt.channel.posterior import WEAK_THETA_DEVIATION, extend
+from planopt.channel.posterior import WEAK_THETA_DEVIATION
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 THETA = np.array([PARAMETERS.k_pl_db, PARAMETERS.n_pl])
@@ -66,7 +65,7 @@ def test_estimated_theta_equals_dense_universal_kriging(count):
     data = measured(count)
     posterior = condition(PARAMETERS, data)
     theta, spread, mean, deviation = dense(data, places())
-    found = predict(posterior, places())
+    found = posterior.predict(places())
     np.testing.assert_allclose(posterior.theta, theta, atol=1e-8)
     np.testing.assert_allclose(posterior.theta_covariance, spread, atol=1e-8)
     np.testing.assert_allclose(found.mean_db, mean, atol=1e-8)
@@ -79,15 +78,15 @@ def test_batch_equals_sequential(theta):
     data = measured(120)
     posterior = condition(PARAMETERS, part(data, slice(0, 5)), theta=theta)
     for index in range(5, 120):
-        posterior = extend(posterior, part(data, slice(index, index + 1)))
+        posterior = posterior.extend(part(data, slice(index, index + 1)))
     batch = condition(PARAMETERS, data, theta=theta)
     np.testing.assert_allclose(posterior.theta, batch.theta, atol=1e-10)
     np.testing.assert_allclose(
-        predict(posterior, places()).mean_db, predict(batch, places()).mean_db, atol=1e-10
+        posterior.predict(places()).mean_db, batch.predict(places()).mean_db, atol=1e-10
     )
     np.testing.assert_allclose(
-        predict(posterior, places()).deviation_db,
-        predict(batch, places()).deviation_db,
+        posterior.predict(places()).deviation_db,
+        batch.predict(places()).deviation_db,
         atol=1e-10,
     )
 
@@ -233,7 +232,7 @@ def test_fine_steps_widen_the_noise_in_a_batch_and_in_extensions():
 @pytest.mark.parametrize("count", [0, 1, 150])
 def test_many_places_equal_few(count):
     """A map's in-place solve gives what a few places at a time give, extended factor included."""
-    posterior = extend(condition(PARAMETERS, measured(count)), measured(5, seed=3))
+    posterior = condition(PARAMETERS, measured(count)).extend(measured(5, seed=3))
     everywhere = places(2500)
     whole = posterior.predict(everywhere)
     parts = [posterior.predict(some) for some in np.array_split(everywhere, 5)]

@@ -16,7 +16,6 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Kernel, Matern, Whi
 from planopt.channel import ChannelParameters, Station, condition, joint_prediction
 from planopt.channel.measurements import join
 from planopt.channel.parameters import regressors
-from planopt.channel.posterior import extend
 
 CHANNELS = {
     "street": ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0)),
@@ -122,7 +121,7 @@ def test_sites_and_updates_keep_to_the_peers(channel):
     whole = simulated(channel, 2, 60, SIDE_M, censored_share=0.2)
     posterior = condition(channel, whole.take(slice(40)))
     for index in range(40, 60):
-        posterior = extend(posterior, whole.take(slice(index, index + 1)))
+        posterior = posterior.extend(whole.take(slice(index, index + 1)))
     mean, variance = universal_kriging(channel, posterior)(places().T)
     assert_same(posterior.predict(places()), mean, variance + channel.multipath_std_db**2)
 

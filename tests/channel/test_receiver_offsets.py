@@ -16,7 +16,6 @@ from planopt.channel import (
     receiver_offsets,
 )
 from planopt.channel import long_logs as module
-from planopt.channel.kriging import predict
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 
@@ -73,7 +72,7 @@ def test_a_flat_prior_is_explicit_columns(wide):
         [o.standard_error_db for o in found], np.sqrt(np.diag(spread)[2:]), atol=1e-4
     )
     np.testing.assert_allclose(posterior.theta, solution[:2], atol=1e-4)
-    np.testing.assert_allclose(predict(posterior, PLACES).mean_db, mean, atol=1e-4)
+    np.testing.assert_allclose(posterior.predict(PLACES).mean_db, mean, atol=1e-4)
 
 
 @pytest.mark.parametrize("method", METHODS)

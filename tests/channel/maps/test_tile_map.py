@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition
-from planopt.channel.kriging import predict
 from planopt.channel.tile_map import TileMap
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 4.0, 20.0, 1.13, Station((5.0, -10.0), 12.0))
@@ -43,7 +42,7 @@ def test_all_measurements_give_the_exact_posterior(count):
     posterior = condition(PARAMETERS, data(count))
     lattice = fresh(posterior, 70)
     xx, yy = np.meshgrid(X, Y)
-    exact = predict(posterior, np.column_stack([xx[NEEDED], yy[NEEDED]]))
+    exact = posterior.predict(np.column_stack([xx[NEEDED], yy[NEEDED]]))
     np.testing.assert_allclose(lattice.mean_db[NEEDED], exact.mean_db, atol=1e-9)
     np.testing.assert_allclose(lattice.deviation_db[NEEDED], exact.deviation_db, atol=1e-9)
     assert np.isnan(lattice.mean_db[~NEEDED]).all()

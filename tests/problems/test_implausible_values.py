@@ -13,8 +13,6 @@ from PIL import Image
 import planopt
 from planopt.cli import main
 from planopt.problems.library import library_folder
-from planopt.problems.plausibility import problem_warnings
-from planopt.studies.bench.cases import library_names
 
 FIELD = (library_folder() / "open_field.toml").read_text()
 WALL = '[[world.obstacles]]\nname = "bar"\npolygon = [[70, 0], [72, 0], [72, 100], [70, 100]]\n\n'
@@ -79,12 +77,6 @@ def test_occupancy_grids(
         return  # cells of 25 m leave no way to the goal
     text = warned(command, path, capsys)
     assert words in text if words else "yard.yaml" not in text
-
-
-@pytest.mark.parametrize("name", library_names())
-def test_the_library_is_plausible(name: str) -> None:
-    """No library problem is warned about."""
-    assert problem_warnings(planopt.load(name)) == []
 
 
 LATITUDE, LONGITUDE = 48.1374, 11.5755

@@ -10,66 +10,29 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, label
 from scipy.stats import norm
 
-from planopt import InputError, load
+from planopt import InputError, Problem, load
 from planopt.channel import Rician
 from planopt.cli import main
 from planopt.problems import ModelTruth, RasterTruth, library, list_problems
 from planopt.problems.library import find_problem
+from planopt.problems.load import with_overrides
+from planopt.problems.plausibility import problem_warnings
 from planopt.world.clearance import clearance_m, index_obstacles
 
-NAMES = [
-    "connect_rooftop",
-    "connect_street",
-    "coverage_1000",
-    "coverage_obstacles",
-    "coverage_plain",
-    "coverage_radio",
-    "crowded_track",
-    "event_response",
-    "events_several",
-    "fig1",
-    "fig2",
-    "fig3",
-    "fig4",
-    "fig5",
-    "fig5_wide",
-    "harbour_reach",
-    "harbour_track",
-    "harbour_traffic",
-    "indoor_learn",
-    "munich_courier",
-    "munich_couriers",
-    "munich_courtyard",
-    "munich_hard",
-    "munich_islands",
-    "munich_long_hole",
-    "munich_shadow_goal",
-    "munich_street_northwest",
-    "munich_street_southwest",
-    "munich_street_west",
-    "munich_unmeasured",
-    "open_field",
-    "outdoor_map",
-    "outdoor_track",
-    "pursuit_design",
-    "pursuit_fleeing",
-    "pursuit_obstacles",
-    "pursuit_several",
-    "pursuit_static",
-    "scout_courier",
-    "two_station_courier",
-]
+NAMES = [entry.name for entry in list_problems()]
 
 
 def test_library_lists_its_problems_by_name() -> None:
-    """Every problem of the library is there, described, with its file."""
-    entries = list_problems()
-    assert [entry.name for entry in entries] == NAMES
-    for entry in entries:
+    """Every problem is there, described, plausible, and as it should be for an override."""
+    assert len(NAMES) == 40 and sorted(NAMES) == NAMES
+    for entry in list_problems():
         assert entry.description.endswith(".")
         problem = load(entry.name)
         assert (problem.name, problem.description) == (entry.name, entry.description)
         assert problem.file == entry.path
+        if isinstance(problem, Problem):
+            assert problem_warnings(problem) == []
+            assert with_overrides(problem) == problem
 
 
 MUNICH = [name for name in NAMES if name.startswith("munich")]

@@ -10,9 +10,8 @@ import pytest
 
 from planopt import ConnectivityRule, Constraints, InputError, Problem, Robot, load
 from planopt.objectives import TermsObjective
-from planopt.problems import Unicycle, list_problems
+from planopt.problems import Unicycle
 from planopt.problems.load import with_overrides
-from planopt.problems.tasks import MOTION
 
 DRIVEN = partial(
     Robot,
@@ -137,12 +136,3 @@ def test_what_no_task_asks() -> None:
     ):
         with pytest.raises(InputError):
             with_overrides(problem)
-
-
-def test_every_problem_of_the_library_passes() -> None:
-    """They are as they should be."""
-    for entry in list_problems():
-        if entry.task not in MOTION:
-            continue
-        problem = load(entry.path)
-        assert with_overrides(problem) == problem

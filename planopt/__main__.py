@@ -4,4 +4,5 @@ import sys
 
 from planopt.cli import main
 
-sys.exit(main())
+if __name__ == "__main__":  # Worker processes import this file as well.
+    sys.exit(main())

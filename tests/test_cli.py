@@ -267,22 +267,6 @@ def test_unverified_plans_of_a_run_are_told_with_a_reason(
     assert "constraints.p_min asks for" in told.group(2)
 
 
-def test_metrics_of_a_run_stand_in_columns(field: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every metric of the JSON with its value, in lines that a terminal shows whole."""
-    assert main(["simulate", str(field), "--horizon", "2", "--json"]) == 4
-    metrics = json.loads(capsys.readouterr().out)["metrics"]
-    assert main(["simulate", str(field), "--horizon", "2"]) == 4
-    lines = capsys.readouterr().out.splitlines()
-    words = [line.split() for line in lines if len(line.split()) in (2, 4, 6)]
-    told = {
-        name: value for line in words for name, value in zip(line[::2], line[1::2], strict=True)
-    }
-    for name, value in metrics.items():
-        shown = "-" if value is None else f"{value:.4g}"
-        assert told[name] == shown
-        assert max(len(line) for line in lines if name in line.split()) <= 120
-
-
 def test_a_goal_that_nothing_single_opens_is_told(
     cut_off: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -76,12 +76,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "Belief": belief,
         "ChannelPosterior": belief.posterior,
         "120": belief.posterior.measurements,
-        "weights=<": planopt.channel.marginalise(
-            belief.fit.parameters, belief.posterior.measurements
-        ),
-        "threshold_dbm=-60": planopt.channel.posterior_map(
-            belief.posterior, (0.0, 0.0, 120.0, 100.0), 1.0, -60.0
-        ),
         "(11, 2)": solution.plan,
     }
 

@@ -91,8 +91,7 @@ def goal_ending(
     plan: Plan | None,
 ) -> tuple[Outcome, str] | None:
     """Return how a run of one robot to its goal ends, with the reason; None if it goes on."""
-    here = track[-1]
-    if is_at_goal(problem, here[:2]) and stands(problem, here):
+    if _has_arrived(problem, track[-1]):
         where = "the start is within" if plan is None else "within"
         return Outcome.REACHED, f"{where} goal_radius_m of the goal"
     why = None if plan is None else _circling(problem, track, learnt, plan)
@@ -120,7 +119,7 @@ def standstill(
     again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
     again &= problem.planner.budget_s is None
     if stood and not waits and not learnt[-1] and again:
-        return f"standing still with nothing new to learn{_detail(plan)}"
+        return f"standing still with nothing new to learn{plan.message and ': ' + plan.message}"
     return _circling(problem, track, learnt, plan)
 
 
@@ -135,7 +134,7 @@ def _circling(
         return None
     return (
         f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
-        f"with nothing new to learn{_detail(plan)}"
+        f"with nothing new to learn{plan.message and ': ' + plan.message}"
     )
 
 
@@ -145,10 +144,6 @@ def _stays(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
         return False
     recent = np.array(track[-STALL_STEPS - 1 :])[:, :2]
     return bool(np.linalg.norm(recent - recent[0], axis=1).max() <= 2.0 * step_length_m)
-
-
-def _detail(plan: Plan) -> str:
-    return f": {plan.message}" if plan.message else ""
 
 
 def terms_ending(
@@ -166,7 +161,7 @@ def terms_ending(
     if term.steers == "connection" and bool(connected[-1, waiting].all()):
         return Outcome.COMPLETED, f"connected after step {steps}"
     led = [r for r in robots if any(term.steers == "goal" for term in r.problem.terms)]
-    if led and all(_has_arrived(robot) for robot in led):
+    if led and all(_has_arrived(robot.problem, robot.states[-1]) for robot in led):
         return Outcome.REACHED, f"within goal_radius_m of the goal after step {steps}"
     last = steps >= problem.planner.max_steps
     stuck = [
@@ -193,10 +188,9 @@ def terms_ending(
     return Outcome.COMPLETED, f"all {steps} steps driven"
 
 
-def _has_arrived(robot: Progress) -> bool:
+def _has_arrived(problem: Problem, state: NDArray[np.float64]) -> bool:
     """Return whether a robot stands at its goal."""
-    here = robot.states[-1]
-    return is_at_goal(robot.problem, here[:2]) and stands(robot.problem, here)
+    return is_at_goal(problem, state[:2]) and stands(problem, state)
 
 
 def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:

@@ -73,6 +73,7 @@ def test_worse_share(objective: float, best: float, sense: str, share: float) ->
 
 
 BEST = {row().question: 100.0}
+ERROR = {"outcome": "error", "termination": "no_path"}
 
 
 @pytest.mark.parametrize(
@@ -87,12 +88,7 @@ BEST = {row().question: 100.0}
         ({"verdict": "violated"}, False, True, False),
         ({"verdict": "violated", "termination": "iteration_limit"}, False, False, False),
         ({"verdict": "none", "outcome": "no_plan", "objective": None}, False, True, True),
-        (
-            {"verdict": "none", "outcome": "error", "objective": None, "termination": "no_path"},
-            False,
-            False,
-            False,
-        ),
+        ({**ERROR, "verdict": "none", "objective": None}, False, False, False),
     ],
 )
 def test_solved_and_wrong(changes, solved: bool, claimed: bool, wrong: bool) -> None:

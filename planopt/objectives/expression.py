@@ -133,20 +133,20 @@ def names_in(program: str) -> frozenset[str]:
 
 
 def expression_values(
-    program: str, steps: int, given: Mapping[str, NDArray[np.float64]]
+    program: str, steps: int, inputs: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
     """Return the values (c,) of c paths from inputs (c, rows, columns), NaN where undefined."""
-    count = max(len(values) for values in given.values())
+    count = max(len(values) for values in inputs.values())
     if not count:
         return np.empty(0)
     buffer, evaluate = _mapped(program, steps, count).buffer()
     # The buffer refers to the arrays, which must live until it is evaluated.
-    inputs: list[NDArray[np.float64]] = []
+    arrays: list[NDArray[np.float64]] = []
     for number, (name, shape) in enumerate(_shapes(steps).items()):
-        values = np.broadcast_to(given.get(name, np.zeros((1, *shape))), (count, *shape))
+        values = np.broadcast_to(inputs.get(name, np.zeros((1, *shape))), (count, *shape))
         # CasADi's matrices are column-major.
-        inputs.append(np.ascontiguousarray(values.transpose(0, 2, 1), dtype=np.float64))
-        buffer.set_arg(number, memoryview(inputs[-1]))  # pyright: ignore[reportArgumentType]
+        arrays.append(np.ascontiguousarray(values.transpose(0, 2, 1), dtype=np.float64))
+        buffer.set_arg(number, memoryview(arrays[-1]))  # pyright: ignore[reportArgumentType]
     found = np.empty(count)
     buffer.set_res(0, memoryview(found))  # pyright: ignore[reportArgumentType]
     evaluate()
@@ -154,15 +154,15 @@ def expression_values(
 
 
 def expression_derivatives(
-    program: str, steps: int, given: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
+    program: str, steps: int, inputs: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
 ) -> PathDerivatives:
     """Return the value of a path with derivatives by its positions."""
-    columns = [given[name] for name in ("x", "y", *CHANNELS[1:])]
+    columns = [inputs[name] for name in ("x", "y", *CHANNELS[1:])]
     shapes = _shapes(steps)
     values = dict(zip(CHANNELS[1:], (each.value for each in columns[2:]), strict=True))
     values["positions_m"] = np.stack([each.value for each in columns[:2]], axis=1)
-    inputs = [(values | known).get(name, np.zeros(shape)) for name, shape in shapes.items()]
-    value, gradient, hessian = _differentiated(program, steps)(*inputs)
+    arrays = [(values | known).get(name, np.zeros(shape)) for name, shape in shapes.items()]
+    value, gradient, hessian = _differentiated(program, steps)(*arrays)
     count = len(columns)
     return by_stages(
         float(value),

@@ -342,9 +342,6 @@ def test_closed_places_are_left_out_and_open_ones_counted_whole(name):
     np.testing.assert_allclose(found.gradient[4:], 0.0, atol=near)
 
 
-OFFSETS = np.array([[0.0, 0.0], [0.05, -0.02], [0.12, 0.0], [3.0, 4.0], [-20.0, 9.0]])
-
-
 def test_rounding_costs_what_is_said():
     """At most the share eps / beta at the cusp; at ten roundings a twentieth of it."""
     away = CUSP_ROUNDING * CHANNEL.decorrelation_m * np.array([0.0, 10.0, 100.0])

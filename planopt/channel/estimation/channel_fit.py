@@ -139,7 +139,7 @@ Loss = Literal["squares", "huber", "absolute"]
 
 
 def require_method(method: str, key: str) -> FitMethod:
-    """Return the method of that name, or refuse; `key` is what it was given by."""
+    """Return the method of that name, or raise an error about the option `key`."""
     if method not in get_args(FitMethod):
         remedy = f"use {', '.join(get_args(FitMethod))}"
         raise InputError(f"{method!r} is no method", key=key, remedy=remedy)
@@ -147,7 +147,7 @@ def require_method(method: str, key: str) -> FitMethod:
 
 
 def require_loss(loss: str, method: FitMethod, key: str) -> None:
-    """Refuse a loss that does not exist, or is not the method's; `key` is what it was given by."""
+    """Refuse a loss that does not exist or that the method lacks; `key` names the option."""
     if loss not in get_args(Loss):
         raise InputError(f"{loss!r} is no loss", key=key, remedy=f"use {', '.join(get_args(Loss))}")
     if loss != "squares" and method != "convex":
@@ -171,7 +171,7 @@ class ChannelFit:
     Attributes
     ----------
     method
-        How they were estimated; ``given`` where all but path loss, or all, were known.
+        Method of estimation; ``given`` if all parameters, or all but path loss, were known.
     status
         ``"ok"``; ``"weak"`` when a parameter is hardly determined, another set of parameters is
         nearly as likely, or a value is not to be believed; ``"degenerate"`` when a parameter is not
@@ -185,7 +185,7 @@ class ChannelFit:
     theta_covariance
         ``(2, 2)`` covariance of (K_PL, n_PL), finite.
     measurements, censored
-        How many were given, and how many of these only as upper limits.
+        Number of measurements, and of censored ones among them.
     warnings
         What the user should know.
     log_likelihood
@@ -194,7 +194,7 @@ class ChannelFit:
         How much more each receiver but number 0 reads; empty where all measurements are by that.
     station_covariance_m2
         ``(2, 2)`` covariance of the station's x and y where its position is estimated, ``inf`` on
-        the diagonal where it is not determined; None where it was given.
+        the diagonal if it is not determined; None for a known position.
     other_modes
         Other maxima of the likelihood, for ``reml``, that are lower by no more than
         :data:`planopt.channel.estimation.reml.NEARLY_AS_LIKELY`; the best first.

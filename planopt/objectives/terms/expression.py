@@ -53,8 +53,15 @@ class CasadiTerm(Term):
 
     def check(self, setting: TermSetting) -> None:
         """Require a program for the planned number of steps, with inputs that the problem has."""
-        if setting.stations > 1:
-            self._check_stations(setting.stations)
+        for name in ("mean_db", "deviation_db"):
+            if setting.stations > 1 and name in names_in(self.program):
+                raise InputError(
+                    f"reads {name}, which is of one station's power, and there are "
+                    f"{setting.stations} stations",
+                    key="program",
+                    remedy="read connectivity, which is to any of them, or leave one entry of "
+                    "stations",
+                )
         steps = setting.horizon
         if self.steps != steps:
             raise InputError(
@@ -72,17 +79,6 @@ class CasadiTerm(Term):
                 "be",
             )
 
-    def _check_stations(self, count: int) -> None:
-        for name in ("mean_db", "deviation_db"):
-            if name in names_in(self.program):
-                raise InputError(
-                    f"reads {name}, which is of one station's power, and there are {count} "
-                    "stations",
-                    key="program",
-                    remedy="read connectivity, which is to any of them, or leave one entry of "
-                    "stations",
-                )
-
     def known(self, at: TermContext, steps: int) -> dict[str, NDArray[np.float64]]:
         """Return the inputs that do not depend on the path: the start, and the target if any."""
         if self.steps != steps:
@@ -94,26 +90,19 @@ class CasadiTerm(Term):
         known = {START: at.position_m[None]}
         if at.target_m is not None:
             known["target_m"] = at.target_m
-        elif "target_m" in names_in(self.program):
-            raise InputError(
-                "an expression reads target_m, and there is no target",
-                key="objective.terms",
-                remedy="add an entry of targets and a term of kind tracking, of weight 0 if need "
-                "be",
-            )
         return known
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return the expression of one path."""
         power = at.power(path_m)
         chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
-        given = self.known(at, len(path_m)) | {
+        inputs = self.known(at, len(path_m)) | {
             "positions_m": path_m,
             "mean_db": power.mean_db[:, None],
             "deviation_db": power.deviation_db[:, None],
             "connectivity": chance[:, None],
         }
-        each = {name: values[None] for name, values in given.items()}
+        each = {name: values[None] for name, values in inputs.items()}
         value = float(expression_values(self.program, self.steps, each)[0])
         if not np.isfinite(value):
             raise InputError(
@@ -126,7 +115,7 @@ class CasadiTerm(Term):
     def values(self, paths: Paths) -> NDArray[np.float64]:
         """Return the expression of many paths; those without a finite value come last."""
         count, steps = paths.shape
-        given = {"positions_m": paths.paths_m} | {
+        inputs = {"positions_m": paths.paths_m} | {
             name: np.broadcast_to(values, (count, *values.shape))
             for name, values in self.known(paths.at, steps).items()
         }
@@ -135,8 +124,8 @@ class CasadiTerm(Term):
             ("deviation_db", paths.power.deviation_db),
             ("connectivity", paths.chance),
         ):
-            given[name] = values.reshape(count, steps, 1)
-        found = expression_values(self.program, self.steps, given)
+            inputs[name] = values.reshape(count, steps, 1)
+        found = expression_values(self.program, self.steps, inputs)
         return np.where(np.isfinite(found), found, -np.inf)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
@@ -150,9 +139,9 @@ class CasadiTerm(Term):
             for axis, name in enumerate(("x", "y"))
         }
         chance = connectivity_derivatives(*power, path.at.thresholds_dbm[0])
-        given = own | {"mean_db": power[0], "deviation_db": power[1], "connectivity": chance}
+        channels = own | {"mean_db": power[0], "deviation_db": power[1], "connectivity": chance}
         return expression_derivatives(
-            self.program, self.steps, given, self.known(path.at, len(places))
+            self.program, self.steps, channels, self.known(path.at, len(places))
         )
 
 

@@ -164,8 +164,8 @@ class TrackingTerm(Term):
 
     def _step_weights_of(self, steps: int) -> NDArray[np.float64]:
         """Return the weights of so many steps without that of the last one as such."""
-        given = np.array(self.step_weights or (1.0,))
-        return given[np.minimum(np.arange(steps), len(given) - 1)]
+        weights = np.array(self.step_weights or (1.0,))
+        return weights[np.minimum(np.arange(steps), len(weights) - 1)]
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return the information, or the covariance removed, of one path's packets."""

@@ -41,8 +41,7 @@ CIRCLES = (0.35, 0.7, 1.0, 1.5, 2.0, 2.5, 3.25, 4.0, 5.0, 6.0, 7.5, 9.0)
 """Radii of circles of positions, in longest steps."""
 
 FEWEST_ON_CIRCLE, APART_SHARE, LEAST_APART = 8, 1.0 / 6.0, 0.5
-"""Number of positions on a circle: at least the first; they are at most a share of the radius, and
-at least so many longest steps, apart."""
+"""Positions on a circle: their least number, and their distance in radii and in longest steps."""
 
 MOST_KNOWN = 60
 """Maximum number of known connected positions, those nearest to the expected target."""

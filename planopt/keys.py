@@ -270,7 +270,13 @@ def _tables(annotation: Any) -> list[type[BaseModel]]:
 LARGEST_COORDINATE_M = 1e9
 """Beyond this a coordinate is not a place on Earth in metres."""
 
+SMALLEST = 1e-6
+"""Least length, time, speed and rate in SI units where zero makes no sense: a micrometre."""
+
+# pydantic ignores a bound of a field whose annotation has such a bound too: lengths have their own.
 Metres = Annotated[float, Field(ge=-LARGEST_COORDINATE_M, le=LARGEST_COORDINATE_M)]
+Distance = Annotated[float, Field(ge=0, le=LARGEST_COORDINATE_M)]
+Length = Annotated[float, Field(ge=SMALLEST, le=LARGEST_COORDINATE_M)]
 Decibels = Annotated[float, Field(ge=-500, le=500)]
 
 # TOML and JSON have arrays only, so the tuple itself is not strict; the numbers in it are.
@@ -280,10 +286,6 @@ Quad = Annotated[tuple[Metres, Metres, Metres, Metres], Strict(False)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)]
 # No operating system accepts a NUL in a file name; Python raises a ValueError for it.
 FileName = Annotated[str, Field(pattern=r"^[^\x00]+$")]
-
-
-SMALLEST = 1e-6
-"""Least length, time, speed and rate in SI units where zero makes no sense: a micrometre."""
 
 
 def _meanings(data: type[Any]) -> dict[str, str]:

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
-from planopt.keys import SMALLEST, Metres, Table
+from planopt.keys import SMALLEST, Length, Table
 from planopt.pursuit.guarantees import Chase, Guarantee, capture_guarantees, contraction
 from planopt.pursuit.service import (
     HOPS_PER_ROUND,
@@ -73,7 +73,7 @@ class MoteNetwork(Table):
 
     levels: int = Field(ge=1, le=MAX_LEVELS)
     """L: there are 4^L motes."""
-    mote_spacing_m: Metres = Field(ge=SMALLEST)
+    mote_spacing_m: Length
     """Metres between neighbours."""
     bit_rate_bit_s: float = Field(ge=SMALLEST, le=1e15)
     """Bits that a slot carries, in bit/s."""

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
 from planopt.files.typed_json import finite
-from planopt.keys import SMALLEST, Metres, Table
+from planopt.keys import SMALLEST, Length, Table
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.certificate import DesignData, Requirement, certify
@@ -96,9 +96,9 @@ class ChaseTable(Table):
     """Largest speed of the pursuer in m/s; above the evader's."""
     stage_delay_s: float = Field(default=0.0, ge=0, le=1e4)
     """Seconds that a stage may take beyond driving straight: turning, one step."""
-    first_distance_m: Metres | None = Field(default=None, ge=SMALLEST)
+    first_distance_m: Length | None = None
     """From the pursuer to where the evader is sampled first."""
-    capture_radius_m: Metres | None = Field(default=None, ge=SMALLEST)
+    capture_radius_m: Length | None = None
     """An evader so near is caught, for capture_in_time."""
     deadline_s: float | None = Field(default=None, ge=SMALLEST, le=1e9)
     """Seconds by when it is to be caught, for capture_in_time and least_energy."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.errors import InputError
-from planopt.keys import SMALLEST, Metres, Name, Pair, Quad, Table
+from planopt.keys import SMALLEST, Distance, Length, Name, Pair, Quad, Table
 from planopt.problems.schema import ObstacleTable, obstacle_table, obstacles_of
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
@@ -64,7 +64,7 @@ class ServiceTable(Table):
 
     levels: int = Field(ge=1, le=MAX_LEVELS)
     """L: there are 2^L by 2^L motes."""
-    mote_spacing_m: Metres = Field(ge=SMALLEST)
+    mote_spacing_m: Length
     """Metres between neighbours."""
     frame_s: float = Field(ge=SMALLEST, le=1e6)
     """A TDMA frame: its slots times their width."""
@@ -83,13 +83,13 @@ class ServiceTable(Table):
 class RulesTable(Table):
     """``[pursuit]``: end of the pursuit, and its guarantee."""
 
-    capture_radius_m: Metres = Field(ge=SMALLEST)
+    capture_radius_m: Length
     """Metres at which an evader is captured."""
     step_s: float = Field(ge=SMALLEST, le=1e4)
     """Seconds between the decisions of pursuers and evaders."""
     max_steps: int = Field(default=5000, ge=1, le=100_000)
     """Number of steps after which the pursuit ends."""
-    clearance_m: Metres = Field(default=1.0, ge=SMALLEST)
+    clearance_m: Length = 1.0
     """Distance of pursuers and evaders from obstacles in metres."""
     guarantee: Literal["any_instant", "snapshots"] | None = None
     """A theorem that must promise capture, or there is no plan; left out: none."""
@@ -102,7 +102,7 @@ class EvaderTable(Table):
     """Name in outputs."""
     start_m: Pair
     """Start [x, y] in metres."""
-    start_radius_m: Metres = Field(default=0.0, ge=0)
+    start_radius_m: Distance = 0.0
     """The start is drawn within this distance of start_m."""
     speed_max_m_s: float = Field(ge=0, le=1e4)
     """Largest speed in m/s."""
@@ -117,7 +117,7 @@ class PursuerTable(Table):
     """Name in outputs."""
     start_m: Pair
     """Start [x, y] in metres."""
-    start_radius_m: Metres = Field(default=0.0, ge=0)
+    start_radius_m: Distance = 0.0
     """The start is drawn within this distance of start_m."""
     speed_max_m_s: float = Field(ge=SMALLEST, le=1e4)
     """Largest speed in m/s."""

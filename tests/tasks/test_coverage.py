@@ -135,6 +135,8 @@ def cell(file: str, column: str, number: int, new: str):
     [
         ((("[12, 11]", "[50, 11]"),), "", "events[0].place_m", "outside"),
         ((("ends_s = 40", "ends_s = 7"),), "", "events[0].ends_s", "not after"),
+        ((("scale_m = 3.0", "scale_m = 0.0"),), "", "sensor.scale_m", "at least"),
+        (((BOUNDS, BOUNDS + "\nclearance_m = -1.0"),), "", "world.clearance_m", "at least"),
         ((("agents = 3 }", "agents = 3 }\nvelocity_m_s = [1, 0]"),), "", "velocity_m_s", "outside"),
         ((('kind = "random", count = 12', 'kind = "list", places_m = [[1,1], [50,1], [2,2]]'),), "",
          "agents.start.places_m[1]", "outside"),

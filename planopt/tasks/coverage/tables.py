@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from planopt.coverage.control.movers import Gains, Partition
 from planopt.coverage.events import Sensing
 from planopt.coverage.network import Counting, LinkModel
-from planopt.keys import SMALLEST, FileName, Metres, Name, Pair, Quad, Table
+from planopt.keys import SMALLEST, Distance, FileName, Length, Metres, Name, Pair, Quad, Table
 from planopt.problems.schema import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.tasks.task import TaskFile
@@ -30,7 +30,7 @@ class BumpTable(Table):
 
     weight: float = Field(ge=0, le=1e12, description="Its mass.")
     mean_m: Pair = Field(description="Its middle [x, y] in metres.")
-    std_m: Metres = Field(ge=SMALLEST, description="Its standard deviation in metres.")
+    std_m: Length = Field(description="Its standard deviation in metres.")
 
 
 class GaussiansTable(Table):
@@ -71,14 +71,14 @@ class WorldTable(Table):
         default=None, min_length=3, description="Corners [x, y] in order, convex or not."
     )
     obstacles: list[ObstacleTable] = Field(default=[], description="The forbidden areas.")
-    clearance_m: Metres = Field(
-        default=0.0, ge=0, description="Distance that agents keep from obstacles and the border."
+    clearance_m: Distance = Field(
+        default=0.0, description="Distance that agents keep from obstacles and the border."
     )
-    spacing_m: Metres | None = Field(
-        default=None, ge=SMALLEST, description="Grid of the cells; for regions with obstacles."
+    spacing_m: Length | None = Field(
+        default=None, description="Grid of the cells; for regions with obstacles."
     )
-    sensing_range_m: Metres | None = Field(
-        default=None, ge=SMALLEST, description="Sensing range of agents; for convex regions only."
+    sensing_range_m: Length | None = Field(
+        default=None, description="Sensing range of agents; for convex regions only."
     )
 
     @model_validator(mode="after")
@@ -163,7 +163,7 @@ class AccuracyTable(Table):
     """The fewest agents that locate the event well enough."""
 
     kind: Literal["accuracy"]
-    accuracy_m: Metres = Field(ge=SMALLEST, description="Root mean squared error in metres.")
+    accuracy_m: Length = Field(description="Root mean squared error in metres.")
     measurements: int = Field(default=1, ge=1, le=10**6, description="Of each agent.")
 
 
@@ -191,9 +191,8 @@ class AgentsTable(Table):
     speed_max_m_s: float | None = Field(
         default=None, ge=SMALLEST, le=1e4, description="Largest speed in m/s; left out: none."
     )
-    body_radius_m: Metres = Field(
+    body_radius_m: Distance = Field(
         default=0.0,
-        ge=0,
         description="Radius of the bodies, which never touch, for the planner receding; 0: points.",
     )
     acceleration_max_m_s2: float | None = Field(
@@ -234,7 +233,7 @@ class SensorTable(Table):
 
     strength: float = Field(ge=SMALLEST, le=1e12, description="K, the signal at the event.")
     noise_std: float = Field(ge=1e-12, le=1e12, description="Standard deviation of the noise.")
-    scale_m: Metres = Field(default=1.0, ge=SMALLEST, description="Distance at which half is left.")
+    scale_m: Length = Field(default=1.0, description="Distance at which half is left.")
     strength_known: bool = Field(default=True, description="Whether agents know K.")
     detection_std: float = Field(
         default=Sensing.detection_std, ge=1, le=100, description="A reading of more is an event."
@@ -258,10 +257,9 @@ class SensorTable(Table):
 class AssignmentTable(Table):
     """``[assignment]``: rules of the assignment of agents to events."""
 
-    hysteresis_m: Metres = Field(default=1.0, ge=0, description="Gain that an exchange needs.")
-    moved_m: Metres = Field(
+    hysteresis_m: Distance = Field(default=1.0, description="Gain that an exchange needs.")
+    moved_m: Distance = Field(
         default=1.0,
-        ge=0,
         description="Motion of an estimate that needs a new assignment.",
     )
     stand_off: bool = Field(
@@ -293,7 +291,9 @@ class SurveyTable(Table):
         "radio.k_pl_db, radio.n_pl and the shadowing below.",
     )
     shadow_std_db: float = Field(default=6.0, ge=0, le=50, description="Simulated: shadowing.")
-    decorrelation_m: Metres = Field(default=25.0, ge=0.1, description="Simulated: it forgets so.")
+    decorrelation_m: float = Field(
+        default=25.0, ge=0.1, le=1e9, description="Simulated: it forgets so."
+    )
     multipath_std_db: float = Field(default=1.0, ge=0, le=50, description="Simulated: multipath.")
     seed: int = Field(default=0, ge=0, le=2**63 - 1, description="Simulated: the random seed.")
 
@@ -341,9 +341,8 @@ class ControlTable(Table):
     partition: Partition = Field(
         default="all", description="Cells of all agents, or coverage_only: of those that cover."
     )
-    settled_m: Metres | None = Field(
+    settled_m: Length | None = Field(
         default=None,
-        ge=SMALLEST,
         description="Distance to a target at which an agent has settled.",
     )
     stop_when_settled: bool = Field(

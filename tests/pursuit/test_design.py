@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from planopt import NoPlanError
 from planopt.pursuit import (
     MAX_BITS,
     Chase,
@@ -195,14 +194,6 @@ def test_energy_by_grid(idle_w, bits):
     assert found.energy_per_capture_j == pytest.approx(energy.min(), rel=1e-6)
 
 
-def test_energy_of_a_slow_radio():
-    """Where half of the limit is too short for the payload, the payload binds."""
-    task = replace(TASK, network=radio(bit_rate_bit_s=70e3), first_distance_m=30.0, bits_per_axis=6)
-    found = least_energy_design(task)
-    assert found.binding == ("payload",)
-    assert found.slot_width_s == task.network.least_slot_s(6)
-
-
 def test_pareto_front():
     """Every design meets its deadline; no slot and bits of a grid beat one in both."""
     task = replace(TASK, margin=0.01, first_distance_m=30.0)
@@ -278,35 +269,3 @@ def test_fewer_relays_cost_less():
     assert simulate_flooding(service, "middle", False, 4).keeps_rounds
     lean = replace(TASK, network=radio(border_relays=False, slot_blocks=4))
     assert cheapest_design(lean).cost_w < 0.6 * cheapest_design(TASK).cost_w
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"bits_per_axis": 1}, r"c = 1, a \+ margin below 1: 1\.56066 < 1 fails by 0\.5607"),
-        (
-            {"network": radio(bit_rate_bit_s=1e4)},
-            r"c = \d, slot of the payload below the widest slot: .* fails by 0\.018\d* s",
-        ),
-        ({"margin": 0.6}, "a . margin below 1"),
-    ],
-)
-@pytest.mark.parametrize("solve", [cheapest_design, cheapest_rated_design, least_energy_design])
-def test_impossible_designs(solve, change, words):
-    """The inequality that fails with the best number of bits is named, and by how much."""
-    task = replace(TASK, first_distance_m=30.0, **change)
-    with pytest.raises(NoPlanError, match=words):
-        solve(task)
-    with pytest.raises(NoPlanError):
-        relaxed_design(task, bits_per_axis=task.bits_per_axis or 6)
-
-
-def test_a_payload_too_large_for_a_sharp_design():
-    """The widest slot that is named is that of a radio which carries the payload."""
-    task = fixed(OTHER, 6)
-    slow = replace(task, network=OTHER.network.model_copy(update={"bit_rate_bit_s": 1e3}))
-    with pytest.raises(NoDesignError, match="slot of the payload below the widest slot") as found:
-        sharp_design(slow)
-    inequality = found.value.inequality
-    assert inequality.left == slow.network.least_slot_s(6)
-    assert inequality.right == pytest.approx(sharp_design(task).slot_width_s, rel=1e-8)

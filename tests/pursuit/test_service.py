@@ -33,16 +33,6 @@ def test_last_round_in_whole_numbers(frames, hops, divisor):
         assert number == max(ended) == Fraction(frames - length, divisor * length) // 1
 
 
-@given(st.integers(3, 5), st.integers(1, 4), st.floats(0.0, 1e4))
-def test_finer_levels_are_never_older(hops, divisor, time_s):
-    """Sample times fall from level to level; ages lie between one round and the bound."""
-    service = SnapshotService(6, 1.0, 0.37, 3, hops, divisor)
-    ages_s = time_s - service.sample_numbers(time_s) * service.periods_s
-    assert (np.diff(ages_s) >= -1e-9).all()
-    assert (ages_s >= service.rounds_s * (1 - 1e-6)).all()
-    assert (ages_s < service.rounds_s + service.periods_s).all()
-
-
 def test_bounds_of_the_plain_service():
     """The constant 12 of equation 8.8, k = 2^c / sqrt 2, and the floors."""
     found = SnapshotService(6, 5.0, 0.02, 3).bounds
@@ -170,33 +160,6 @@ def test_bounds_hold_for_all_motes(service, share):
         shares = ages_s[beyond] / (bounds.age_s_m * away_m[beyond]), errors_m / limit_m
         closest = np.maximum(closest, [each.max() for each in shares])
     assert (closest > 0.6).all()
-
-
-@pytest.mark.parametrize("service", SERVICES)
-def test_level_by_distance(service):
-    """A level's motes lie between 2^(j-1) and 2^(j+1) spacings from an object that stands.
-
-    Along any row or column the level only grows with the distance.
-    """
-    generator = np.random.default_rng(5)
-    centres = mote_centres_m(service)
-    for place in generator.uniform(0.0, service.side_m, (30, 2)):
-        levels = snapshot(service, Track(np.zeros(1), place[None]), 0.0).level_map()
-        away = np.abs(centres - place).max(axis=-1) / service.mote_spacing_m
-        assert (away < 2.0 ** (levels + 1)).all()
-        assert (away[levels > 0] > 2.0 ** (levels[levels > 0] - 1)).all()
-        column, row = service.cells(place, 0)
-        for line in (levels[row], levels[:, column], levels[:, (column * 3) % len(levels)]):
-            least = int(line.argmin())
-            assert (np.diff(line[least:].astype(int)) >= 0).all()
-            assert (np.diff(line[: least + 1].astype(int)) <= 0).all()
-
-
-def test_rounds_before_the_start_saw_the_first_place():
-    """The network has always been running, and the object stood where its track begins."""
-    service = SERVICES[0]
-    track = Track(np.array([0.0, 10.0]), np.array([[2.0, 2.0], [12.0, 2.0]]))
-    np.testing.assert_array_equal(snapshot(service, track, 0.0).sampled_m, [[2.0, 2.0]] * 5)
 
 
 def test_object_off_the_grid():

@@ -10,7 +10,6 @@ from pursuit_scene import ExactRecords, pursue
 
 from planopt import InputError
 from planopt.pursuit import (
-    Arena,
     DriveToReport,
     Evader,
     Fleeing,
@@ -66,14 +65,6 @@ def test_fleeing_evader():
     assert pursuit.capture_time_s == pytest.approx(57.0, rel=1e-3)
     steps = np.linalg.norm(np.diff(pursuit.evaders_m[0], axis=0), axis=1)
     np.testing.assert_allclose(steps[:-1], 0.05, rtol=1e-9)
-
-
-def test_step_limit():
-    """An evader that is not caught has no capture time and no captor."""
-    pursuit = pursue(ExactRecords(), Fleeing(), 0, max_steps=10)
-    assert pursuit.outcome == "step_limit"
-    assert np.isinf(pursuit.capture_time_s) and pursuit.captors.tolist() == [-1]
-    assert pursuit.times_s.shape == (11,) and pursuit.evaders_m.shape == (1, 11, 2)
 
 
 def test_rule_r():
@@ -151,16 +142,6 @@ def test_more_pursuers_than_evaders():
     assert (pursuit.chased == 0).all()
     assert pursuit.capture_time_s < 14.0
     assert pursuit.capture_time_s < many([[0.0, 0.0]], [[15.0, 0.0]], Fleeing()).capture_time_s
-
-
-def test_bounds_hold_evaders():
-    """An evader cannot leave the arena, and is caught sooner in it."""
-    arena = Arena((-20.0, -20.0, 30.0, 20.0))
-    pursuit = many([[0.0, 0.0]], [[15.0, 3.0]], Fleeing(), arena=arena)
-    assert (pursuit.evaders_m >= [-20, -20]).all() and (pursuit.evaders_m <= [30, 20]).all()
-    wandering = many([[0.0, 0.0]], [[15.0, 3.0]], Wandering(turn_std_rad=2.0), arena=arena)
-    steps = np.linalg.norm(np.diff(wandering.evaders_m[0], axis=0), axis=1)
-    np.testing.assert_allclose(steps[:-1], 0.1, rtol=2e-3)
 
 
 UNICYCLE = UnicycleMotion(Unicycle(2.0, 0.8))

@@ -162,39 +162,6 @@ def test_power_by_distance(figures, measurements):
     assert line.get_label() == "-30.0 dBm - 25.0 dB log10(d / 1 m)"
 
 
-def test_covariance_against_pairs(figures, measurements):
-    """Dots and bars: mean product and number of uncensored pairs, in 1 % bins of the extent."""
-    axes = panel_of(figures["fit"], "covariance")
-    exact = measurements.positions_m[:25]
-    distance = np.sqrt(((exact - [50.0, 60.0]) ** 2).sum(axis=1) + 25.0)
-    residual = measurements.power_dbm[:25] - (-30.0 - 25.0 * np.log10(distance))
-    first, second = np.triu_indices(25, 1)
-    lag = np.linalg.norm(exact[first] - exact[second], axis=1)
-    width = np.hypot(*np.ptp(exact, axis=0)) / 100.0
-    expected = []
-    for number in np.unique(lag // width):
-        pairs = lag // width == number
-        mean = (residual[first] * residual[second])[pairs].mean()
-        expected.append((lag[pairs].mean(), mean, pairs.sum()))
-    expected = np.array([row for row in expected if row[0] <= 5.0 * 15.0])
-    dots = collection_of(axes, "mean of a bin").get_offsets()
-    np.testing.assert_allclose(dots, expected[:, :2])
-    heights = [bar.get_height() for bar in figures["fit"].axes[2].patches]
-    np.testing.assert_array_equal(heights, expected[:, 2])
-
-
-def test_fitted_covariance(figures):
-    """The curve is xi^2 exp(-d / beta), multipath adds its variance at 0; errors where known."""
-    axes = panel_of(figures["fit"], "covariance")
-    curve, origin = axes.lines
-    lag, covariance = curve.get_xydata().T
-    np.testing.assert_allclose(covariance, 16.0 * np.exp(-lag / 15.0))
-    np.testing.assert_allclose(origin.get_xydata(), [[0.0, 18.25]])
-    texts = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert "fit: std 4 ± 0.5 dB, decorrelation 15 ± 3 m" in texts
-    assert "with multipath, std 1.5 dB" in texts
-
-
 def test_coverage_and_pit(figures, calibrations):
     """Coverage in percent against level, the PIT as steps."""
     sure = calibrations["sure"]

@@ -47,17 +47,6 @@ def test_means_and_intervals(comparison):
     np.testing.assert_allclose(bar[:, 1], [60.5 - 6.353, 60.5 + 6.353])
 
 
-def test_single_runs_are_dots(comparison):
-    """One faint dot a run, with its value, beside its setting's mean."""
-    axes = panel_of(draw_comparison(comparison), "longest outage")
-    dots = np.concatenate([line.get_xydata() for line in axes.lines if line.get_alpha() == 0.25])
-    assert sorted(y for _, y in dots) == [0.0] * 4 + [4.0] * 4
-    slots = layout_of(comparison).slots
-    means = sorted(slot.x for slot in slots)
-    nearest = [min(abs(x - mean) for mean in means) for x, _ in dots]
-    assert max(nearest) < slots[0].width / 2
-
-
 def test_stalled_and_step_times(comparison):
     """Counts of runs that did not arrive, and median with 95 % quantile in milliseconds."""
     figure = draw_comparison(comparison)

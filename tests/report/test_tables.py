@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from planopt import load
 from planopt.channel.calibration import reliability
 from planopt.report import comparison_text, reliability_lines
 
@@ -48,15 +47,6 @@ def test_mean_without_interval(comparison):
     assert table[-1].split()[:7] == ["geodesic", "auto", "10", "1", "0", "61.2", "-"]
     words = " ".join(title)
     assert "no interval from fewer than 5" in words and "brackets" not in words
-
-
-def test_no_column_for_costs_where_there_is_no_goal(comparison):
-    """Without a goal there is no cost to go to tell apart."""
-    learn = replace(comparison.problem, objective=load("outdoor_map").objective)
-    rows = tuple(replace(row, cost_to_go=None) for row in comparison.rows[:1])
-    runs = tuple(replace(run, cost_to_go=None) for run in comparison.runs)
-    _, table, *_ = blocks_of(replace(comparison, problem=learn, rows=rows, runs=runs))
-    assert table[-1].split()[0] == "auto" and "cost" not in " ".join(table)
 
 
 def test_reliability_lines():

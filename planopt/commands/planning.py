@@ -12,7 +12,7 @@ from planopt.commands.output import drawing, progress, results_folder, say, show
 from planopt.errors import InputError, NoPlanError
 
 if TYPE_CHECKING:
-    from planopt.tasks.task import Action, Report, Task
+    from planopt.tasks.task import Action, Task
 
 
 @with_options(PlanningOptions)
@@ -56,7 +56,7 @@ def _perform(action: Action, options: PlanningOptions, animation: bool = False) 
     settings: dict[str, Any] = {}
     if action == "simulate" and task.says_ahead and not options.json:
         settings["on_start"] = say_ahead
-    report: Report
+    report: Any
     total = task.steps(problem) if action == "simulate" else None
     with results_folder(options.out) as folder:
         try:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
 
 import numpy as np
 from pydantic import Field
@@ -60,38 +60,6 @@ class TaskFile(Table):
 
     problem: HeadTable
     report: ReportTable = Field(default_factory=ReportTable)
-
-
-class Report(Protocol):
-    """A result as the command line shows, saves and draws it."""
-
-    @property
-    def data(self) -> Mapping[str, Any]:
-        """Return the JSON object."""
-        ...
-
-    @property
-    def words(self) -> Sequence[str]:
-        """Return lines of text."""
-        ...
-
-    @property
-    def exit_code(self) -> int:
-        """Return 0 if verified, 3 if not, 4 if there is no plan or a run did not do its task."""
-        ...
-
-    @property
-    def files(self) -> Patterns:
-        """Return the names of all files that it replaces in a folder."""
-        ...
-
-    def save(self, folder: Path, /) -> None:
-        """Save the result."""
-        ...
-
-    def draw(self, folder: Path, /, *, animation: bool = False) -> None:
-        """Draw the figures that the problem asks for, and an animation on request."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,11 +159,11 @@ class Task:
         """Return lines of text before the first step of a run."""
         return ()
 
-    def report(self, result: Any) -> Report:
-        """Return a result as the command line shows it."""
+    def report(self, result: Any) -> Any:
+        """Return a result as the command line shows it, with the members of a TaskResult."""
         return result
 
-    def no_plan(self, action: Action, problem: Any, seed: int, error: NoPlanError) -> Report:
+    def no_plan(self, action: Action, problem: Any, seed: int, error: NoPlanError) -> Any:
         """Return the report of an action that found no plan."""
         planner = getattr(problem.given, "planner", None)
         data: dict[str, Any] = {

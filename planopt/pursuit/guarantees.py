@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,13 +91,20 @@ class Guarantee:
     inequalities: tuple[Inequality, ...]  # All must hold
     ratio: float  # Largest W of a stage over that of the stage before, far from the floor
     stages: tuple[Stage, ...]
-    floor_m: float  # Largest W that may not fall; infinite unless all inequalities hold
     distances: Distances = Distances.STRAIGHT  # Kind of distance that W bounds
 
     @property
     def holds(self) -> bool:
         """Return whether every inequality does."""
         return all(each.holds for each in self.inequalities)
+
+    @cached_property
+    def floor_m(self) -> float:
+        """Largest W that may not fall; infinite unless all inequalities hold."""
+        floor_m = _floor_m(self.stages) if self.holds else math.inf
+        if self.theorem is Theorem.LEMMA and math.isfinite(floor_m):
+            return _start_m(self.chase, self.bounds, floor_m)
+        return floor_m
 
     def next_bound_m(self, bound_m: Floats) -> Floats:
         """Return the bound of W at the end of stages that begin with W (...); ``(...)``."""
@@ -148,10 +156,7 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
     def found(
         theorem: Theorem, ratio: float, stages: tuple[Stage, ...], *needs: Inequality
     ) -> Guarantee:
-        floor_m = _floor_m(needs, stages)
-        if theorem is Theorem.LEMMA and math.isfinite(floor_m):
-            floor_m = _start_m(chase, bounds, floor_m)
-        return Guarantee(theorem, chase, bounds, needs, ratio, stages, floor_m)
+        return Guarantee(theorem, chase, bounds, needs, ratio, stages)
 
     ratio = a + (1.0 - 1.0 / chase.speed_ratio) * x
     each = [
@@ -295,10 +300,8 @@ def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> F
     )
 
 
-def _floor_m(needs: tuple[Inequality, ...], stages: tuple[Stage, ...]) -> float:
+def _floor_m(stages: tuple[Stage, ...]) -> float:
     """Return the largest W that a stage may raise: the fixed point of a bound of slope below 1."""
-    if not all(each.holds for each in needs):
-        return math.inf
 
     def lifts(bounds_m: Floats) -> NDArray[np.bool_]:
         return np.any([stage(bounds_m)[0] > bounds_m for stage in stages], axis=0)

@@ -442,26 +442,14 @@ class Part(metaclass=Documented):
 
 
 class ReadAs:
-    """Marks a key whose value is an object, or the table that describes one.
-
-    Parameters
-    ----------
-    table
-        The table.
-    make
-        From a validated table to the object, with the folder of the file if `needs_folder`.
-    kinds
-        Classes of the object.
-    to_keys
-        From an object made in Python to its table, which is validated; None where the object
-        validates itself.
-    """
+    """Marks a key whose value is an object of some kinds, or the table that describes one."""
 
     def __init__(
         self,
         table: type[BaseModel],
-        make: Callable[..., Any],
+        make: Callable[..., Any],  # From a validated table, and the folder if `needs_folder`
         *kinds: type[Any],
+        # From an object of Python to its table, which is validated; None if it validates itself
         to_keys: Callable[[Any], dict[str, Any]] | None = None,
         needs_folder: bool = False,
     ) -> None:

@@ -33,7 +33,6 @@ from planopt.targets.rounding import Derivatives
 class CasadiTerm(Term):
     """A user's own value of a path, written by :func:`planopt.extend.casadi_term`."""
 
-    # Factor in the sum of terms
     weight: Annotated[
         float,
         Field(

@@ -152,7 +152,6 @@ class LearningTerm(MeasuredTerm):
     theta, the posterior's weak prior is part of M_t, so that every criterion is finite.
     """
 
-    # T (trace), D, A or V (prediction over the workspace)
     criterion: Annotated[
         LearningCriterion,
         Field(
@@ -205,8 +204,6 @@ Nonnegative = Annotated[float, Field(ge=0, le=1e6)]
 class MappingTerm(MeasuredTerm):
     """Uncertainty of the channel that measurements along the path remove."""
 
-    # two_layer (steer to the maximiser of J_CH), path (J_CH summed along the path), information or
-    # average (over the workspace)
     form: Annotated[
         MappingForm,
         Field(
@@ -215,12 +212,10 @@ class MappingTerm(MeasuredTerm):
             "average (variance over the workspace)."
         ),
     ] = "information"
-    # sigma_TH^2 in dB^2
     variance_threshold_db2: Annotated[
         Nonnegative,
         Field(description="Variances up to this count as none, sigma_TH^2 in dB^2."),
     ] = 0.0
-    # zeta of psi(d) = exp(-zeta d)
     closeness_per_m: Annotated[
         Nonnegative,
         Field(description="zeta of exp(-zeta d), in 1/m: how much near places are preferred."),

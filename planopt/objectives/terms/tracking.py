@@ -49,7 +49,6 @@ class TrackingTerm(Term):
     ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
     """
 
-    # Curvature (a number), least variance in m^2 and best distance in m of the sensor
     noise_curvature: Annotated[
         float,
         Field(
@@ -83,8 +82,6 @@ class TrackingTerm(Term):
             "the covariance of the target's position."
         ),
     ] = "trace"
-    # Weights of the steps ahead, the last one for all further steps, and a factor of the last step
-    # of a plan
     step_weights: Annotated[
         tuple[Annotated[float, Field(ge=0, le=1e9)], ...],
         Strict(False),

@@ -28,8 +28,6 @@ from planopt.targets.rounding import Derivatives, rounded_length
 class UntilConnectedTerm(Term):
     """Expected distance until connected, a cost."""
 
-    # Metres that the search is expected to go on for where the place that the robot is steered to
-    # is not connected; None: estimated from what is believed
     beyond_m: Annotated[
         float | None,
         Field(

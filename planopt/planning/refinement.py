@@ -162,7 +162,7 @@ class GuessRefinement:
         self,
         context: StepContext,
         judge: Judge,
-        start: Guess,
+        guess: Guess,
         rung: Rung,
         budget: Budget | None = None,
     ) -> list[Candidate]:
@@ -172,24 +172,24 @@ class GuessRefinement:
         nlp = self._nlp_for(moving)
         if budget.spent:
             return []
-        rows = rule_rows(context, start.path_m)
-        evaluate = local_value(context, start.path_m, rows)
-        ends = np.vstack([context.position_m, start.path_m])
+        rows = rule_rows(context, guess.path_m)
+        evaluate = local_value(context, guess.path_m, rows)
+        ends = np.vstack([context.position_m, guess.path_m])
         pieces = self._ground.pieces
-        lines, still = lines_of_guess(problem, pieces, moving, ends, start.drive, nlp.shape.lines)
+        lines, still = lines_of_guess(problem, pieces, moving, ends, guess.drive, nlp.shape.lines)
         task = PathTask(
             start_m=context.position_m,
-            path_m=start.path_m,
+            path_m=guess.path_m,
             lines=lines,
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
             evaluate=evaluate,
-            scale=VALUE_IN_SOLVER / (abs(_counted(problem, start)) or VALUE_IN_SOLVER),
+            scale=VALUE_IN_SOLVER / (abs(_counted(problem, guess)) or VALUE_IN_SOLVER),
         )
-        if nlp.shape.motion is not None and start.drive is not None:
-            motion = motion_task(problem, self._ground, nlp.shape.motion, start.drive, still)
-            task = replace(task, motion=motion, charge=start.charge)
+        if nlp.shape.motion is not None and guess.drive is not None:
+            motion = motion_task(problem, self._ground, nlp.shape.motion, guess.drive, still)
+            task = replace(task, motion=motion, charge=guess.charge)
         task = with_bounds(task, context, rows)
         correlates = rule_of(problem).correlates(problem.constraints.p_min)
         allocations = ALLOCATIONS if correlates else 0
@@ -200,7 +200,7 @@ class GuessRefinement:
             point = polish_path(nlp, task)
             drive = refined_drive(problem, judge.state, point.inputs)
             spent_s = perf_counter() - begun
-            lattice = judge.sense * start.value
+            lattice = judge.sense * guess.value
             candidate = candidate_of(judge, point, rung, lattice, spent_s, drive)
             if lacks(context, rows, point, firmly=attempt == 0):
                 # The local model was wrong, and a verification would be expensive.
@@ -209,8 +209,8 @@ class GuessRefinement:
                     return found
                 task = _driven_from(recentred(task, context, rows, point), drive)
                 continue
-            improvable = start.clear and start.missing_db == 0.0 and not allocations
-            if improvable and judge.worth(candidate) < start.value:
+            improvable = guess.clear and guess.missing_db == 0.0 and not allocations
+            if improvable and judge.worth(candidate) < guess.value:
                 # The guess itself will be verified instead.
                 return [*found, candidate]
             candidate = judge.judged(candidate)
@@ -274,9 +274,9 @@ class GuessRefinement:
         return replace(task, path_m=path_m, lines=lines, motion=motion)
 
 
-def _counted(problem: Problem, start: Guess) -> float:
+def _counted(problem: Problem, guess: Guess) -> float:
     """Return the value that scales the solver's; of a goal, the time of all steps."""
-    return start.value if start.charge is None else problem.planner.step_s * len(start.path_m)
+    return guess.value if guess.charge is None else problem.planner.step_s * len(guess.path_m)
 
 
 def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:

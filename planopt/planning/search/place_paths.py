@@ -31,7 +31,7 @@ from planopt.planning.search.taut_path import PathsFrom, retime, stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.exploration import left_to_learn
-from planopt.planning.values.objective_value import tried_worth
+from planopt.planning.values.objective_value import probe_values
 from planopt.problems.problem import Problem
 from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M
@@ -103,7 +103,7 @@ class ProbedPlaces:
         value = np.zeros(len(paths))
         for number, term in enumerate(context.problem.terms):
             if term.probes_end:
-                value += tried_worth(context, number, paths, chance)
+                value += probe_values(context, number, paths, chance)
         missing = np.zeros(len(paths))
         if self._problem.constraints.asks_connection:
             constraints = self._problem.constraints

@@ -91,11 +91,11 @@ class Steering:
         reachable = np.isfinite(distance)
         straight = np.linalg.norm(self._places_m - position_m, axis=1)
         distance = np.where(ways.straight(self._places_m), straight, distance)
-        worth = np.zeros_like(above_db2)
+        score = np.zeros_like(above_db2)
         nearness = np.exp(-self._term.closeness_per_m * distance[reachable])
-        worth[reachable] = above_db2[reachable] * nearness
-        best = int(worth.argmax())
-        if worth[best] == 0.0:
+        score[reachable] = above_db2[reachable] * nearness
+        best = int(score.argmax())
+        if score[best] == 0.0:
             return None
         road_map, node = self._ground.road_map, int(self._nearest[best])
         lengths = lattice_paths(road_map, node).cost_m + self._beside_m[best]

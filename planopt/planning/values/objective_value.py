@@ -48,8 +48,8 @@ class ObjectiveValue:
         for number in range(len(self._terms)):
             total += self._of_term(number, paths_m)
         return [
-            worth - slack_cost(self.context, path)
-            for worth, path in zip(total.tolist(), paths_m, strict=True)
+            value - slack_cost(self.context, path)
+            for value, path in zip(total.tolist(), paths_m, strict=True)
         ]
 
     def _of_term(self, number: int, paths_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -57,10 +57,10 @@ class ObjectiveValue:
         term, at = self._terms[number], self.context
         if not term.probes_end or not paths_m:
             return np.array([self._contributed(number, path) for path in paths_m])
-        ways = np.array(paths_m)
-        power = at.power(ways.reshape(-1, 2))
+        paths = np.array(paths_m)
+        power = at.power(paths.reshape(-1, 2))
         chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
-        return tried_worth(at, number, ways, chance.reshape(ways.shape[:2]))
+        return probe_values(at, number, paths, chance.reshape(paths.shape[:2]))
 
     @property
     def _terms(self) -> tuple[Term, ...]:
@@ -75,17 +75,17 @@ class ObjectiveValue:
             return term.weight * float(returned(term, "value", value, (), words=words, key="value"))
 
 
-def tried_worth(
-    at: StepContext, number: int, ways_m: NDArray[np.float64], chance: NDArray[np.float64]
+def probe_values(
+    at: StepContext, number: int, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return what a term that tries places contributes to paths, its weight included; ``(c,)``."""
-    # Shapes: ways_m (c, N, 2); chance (c, N).
+    """Return the contribution of a term that probes path ends, its weight included; ``(c,)``."""
+    # Shapes: paths_m (c, N, 2); chance (c, N).
     term, method = at.problem.terms[number], "probe_values"
     words = "one finite number for each path"
     with _named(at, number):
         with calling(term, method, key=method):
-            found = term.probe_values(at, ways_m, chance)
-        return term.weight * returned(term, method, found, (len(ways_m),), words=words, key=method)
+            found = term.probe_values(at, paths_m, chance)
+        return term.weight * returned(term, method, found, (len(paths_m),), words=words, key=method)
 
 
 @contextmanager

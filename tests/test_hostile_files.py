@@ -179,8 +179,8 @@ def test_files_that_broke_a_reader(tmp_path: Path) -> None:
 import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
-from planopt.channel.power_log import read_log
-from planopt.errors import InputError
+from planopt.channel import (read_log)
+from planopt import (InputError)
 from planopt.world.occupancy import read_grid
 from planopt.world.raster_files import read_raster
 for path in sorted(Path(sys.argv[1]).iterdir()):

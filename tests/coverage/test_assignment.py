@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scattered import scattered
 from scipy.optimize import linprog
 
+from planopt import InputError
 from planopt.coverage.assignment import (
     NONE,
     Assignment,
@@ -29,7 +30,6 @@ from planopt.coverage.assignment import (
 from planopt.coverage.localisation import EventSensor
 from planopt.coverage.network import Network
 from planopt.coverage.voronoi import ConvexRegion, agent_neighbours, voronoi_cells
-from planopt.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scattered import scattered
 from scipy.spatial import KDTree
 
+from planopt import InputError
 from planopt.coverage.density import (
     UNIFORM,
     CallableDensity,
@@ -21,7 +22,6 @@ from planopt.coverage.density import (
 )
 from planopt.coverage.ground import coverage
 from planopt.coverage.voronoi import ConvexRegion, convex_region, voronoi_cells
-from planopt.errors import InputError
 from planopt.world.raster import Raster
 
 

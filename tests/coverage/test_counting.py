@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import gamma, kstest
 
+from planopt import InputError
 from planopt.coverage.network import (
     Network,
     average_round,
@@ -19,7 +20,6 @@ from planopt.coverage.network import (
     minima_round,
     running_round,
 )
-from planopt.errors import InputError
 
 
 def network_of(graph: nx.Graph) -> Network:

@@ -10,6 +10,7 @@ import shapely
 from numpy.typing import NDArray
 from scattered import scattered
 
+from planopt import InputError, Obstacle, Workspace
 from planopt.coverage.density import CallableDensity
 from planopt.coverage.geodesic import (
     GeodesicGround,
@@ -19,10 +20,8 @@ from planopt.coverage.geodesic import (
 )
 from planopt.coverage.ground import coverage
 from planopt.coverage.voronoi import ConvexRegion, voronoi_cells
-from planopt.errors import InputError
 from planopt.world.clearance import index_obstacles
 from planopt.world.shortest_paths import path_lengths_m, shortest_paths
-from planopt.world.workspace import Obstacle, Workspace
 
 OUTLINE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
 OBSTACLES = (

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from planopt import InputError
 from planopt.coverage.events import packed_places, ring_angles, ring_places
 from planopt.coverage.localisation import (
     Drift,
@@ -22,7 +23,6 @@ from planopt.coverage.localisation import (
     single_readings,
 )
 from planopt.coverage.voronoi import convex_region
-from planopt.errors import InputError
 
 FIELD = convex_region(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 16.0], [0.0, 16.0]]))
 EVENT = np.array([7.3, 9.2])

@@ -11,6 +11,7 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
+from planopt import InputError
 from planopt.coverage.control.movers import Gains, law_moves, plan_moves
 from planopt.coverage.control.programme import (
     Inertia,
@@ -24,7 +25,6 @@ from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import Motion, MoveLimits
 from planopt.coverage.verify import verify_moves
 from planopt.coverage.voronoi import ConvexRegion
-from planopt.errors import InputError
 from tests.coverage.scattered import scattered, swept
 
 Floats = NDArray[np.float64]

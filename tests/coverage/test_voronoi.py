@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scattered import scattered
 from scipy.spatial import Delaunay
 
+from planopt import InputError
 from planopt.coverage.voronoi import (
     Cells,
     ConvexRegion,
@@ -20,7 +21,6 @@ from planopt.coverage.voronoi import (
     merge_coincident,
     voronoi_cells,
 )
-from planopt.errors import InputError
 
 SQUARE = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]])
 

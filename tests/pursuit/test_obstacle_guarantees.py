@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from planopt import InputError
+from planopt import InputError, Obstacle, Workspace
 from planopt.pursuit import (
     EVADER_SHARE,
     Chase,
@@ -27,7 +27,6 @@ from planopt.pursuit import (
     guarantees_among_obstacles,
     simulate_pursuit,
 )
-from planopt.world.workspace import Obstacle, Workspace
 
 
 def arena(*polygons, clearance_m=1e-6, bounds_m=(0.0, 0.0, 60.0, 60.0)):

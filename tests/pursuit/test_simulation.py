@@ -8,7 +8,8 @@ import pytest
 import shapely
 from pursuit_scene import ExactRecords, pursue
 
-from planopt import InputError
+from planopt import InputError, Obstacle, Workspace
+from planopt.problems import Unicycle
 from planopt.pursuit import (
     DriveToReport,
     Evader,
@@ -27,9 +28,7 @@ from planopt.pursuit import (
     fresher,
     simulate_pursuit,
 )
-from planopt.robots.models import Unicycle
 from planopt.world.clearance import clearance_m
-from planopt.world.workspace import Obstacle, Workspace
 
 
 def test_first_within():

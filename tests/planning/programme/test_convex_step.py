@@ -5,7 +5,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from planopt.planning.plan import Termination
+from planopt.extend import Termination
 from planopt.planning.programme.scp import TERMINATIONS, Model, convex_step, step_cones
 from planopt.planning.programme.solver import Bounds
 

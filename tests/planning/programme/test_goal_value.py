@@ -8,7 +8,7 @@ import pytest
 from reach_tasks import bowl_margins, constant_margins, goal_nlp, outage_of, scored
 from scipy.stats import norm
 
-from planopt.planning.plan import Termination
+from planopt.extend import Termination
 from planopt.planning.programme.evaluation import ValueSource
 from planopt.planning.programme.goal_value import (
     PIVOT_ROUNDING_M,

@@ -6,7 +6,7 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from planopt.planning.plan import Termination
+from planopt.extend import Termination
 from planopt.planning.programme.solver import TERMINATIONS, termination_of
 
 SOLVED = (Termination.CONVERGED, Termination.ACCEPTABLE)

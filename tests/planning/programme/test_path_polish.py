@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from planopt.planning.plan import Termination
+from planopt.extend import Termination
 from planopt.planning.programme.evaluation import (
     Evaluation,
     PathValue,

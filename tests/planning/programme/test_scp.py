@@ -16,8 +16,9 @@ from reach_tasks import (
 )
 from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
 
+from planopt import Verdict
+from planopt.extend import Termination
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Termination, Verdict
 from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.programme.path_rows import PathShape
 from planopt.planning.programme.scp import scp_solve

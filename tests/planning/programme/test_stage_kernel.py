@@ -6,10 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from planopt import Measurements
+from planopt.channel import ChannelParameters, Station, condition
 from planopt.channel.kriging import LocalChannel, predict
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition
 from planopt.channel.prediction import bound_margin_db, bound_quantile
 from planopt.objectives.stage_power import CUSP_ROUNDING, StagePredictor
 from planopt.planning.programme.evaluation import margins_of

@@ -10,8 +10,7 @@ import pytest
 import shapely
 from terms_scene import LEARNING, judge_of, situation_of, terms_problem
 
-from planopt.channel.parameters import Station
-from planopt.channel.posterior import condition
+from planopt.channel import Station, condition
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.programme import path_nlp
 from planopt.planning.proof.verify import Verdict

@@ -11,11 +11,12 @@ from scenes import bad_where, belief_of, situation_of, small_problem
 from scipy.optimize import brentq
 from terms_scene import SENDING, judge_of, terms_problem
 
+from planopt import Verdict
 from planopt.channel.kriging import predict
 from planopt.channel.prediction import bound_margin_db
+from planopt.extend import Rung, Termination
 from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.search.place_paths import paths_to_good_place
 from planopt.world.clearance import index_obstacles, swept_clearance_m

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
 
-from planopt.channel.posterior import condition
+from planopt.channel import condition
 from planopt.objectives.stage_power import CUSP_ROUNDING
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.values.objective_value import ObjectiveValue

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scenes import WALL, good_everywhere, search_of, small_problem
 
+from planopt import MovingObstacle
 from planopt.planning.scene import build_ground, first_moves
 from planopt.planning.search.lattice_search import (
     LatticeSearch,
@@ -20,7 +21,6 @@ from planopt.planning.search.lattice_search import (
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES
 from planopt.world.moving_discs import path_distances_m, predicted_discs
-from planopt.world.workspace import MovingObstacle
 
 CART = MovingObstacle("cart", 1.2, (0.0,), ((14.0, 13.0),), (-1.5, -1.0))
 VAN = MovingObstacle("van", 0.7, (0.0,), ((8.0, 12.0),), (1.0, 0.3))

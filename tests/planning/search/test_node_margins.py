@@ -6,11 +6,11 @@ import shapely
 from scenes import small_road_map
 from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
+from planopt import Measurements
+from planopt.channel import ChannelParameters, Station, condition
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import predict
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import condition, extend
+from planopt.channel.posterior import extend
 from planopt.planning.search.node_margins import NodeField, NodeMargins
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 4.0, 2.0, Station((3.0, -4.0), 6.0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from terms_scene import TRACKING, judge_of, situation_of, terms_problem
 
-from planopt.planning.plan import Verdict
+from planopt import Verdict
 from planopt.planning.planners import planner_for
 from planopt.planning.search import place_paths
 from planopt.planning.search.node_margins import NodeField

@@ -10,14 +10,13 @@ import pytest
 import shapely
 from terms_scene import ENERGY, TRACKING, judge_of, situation_of, terms_problem
 
+from planopt import Obstacle, Verdict
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.plan import Verdict
 from planopt.planning.planners import OneStepPlanner
 from planopt.planning.search.place_paths import path_to_unmeasured
 from planopt.planning.search.taut_path import PathsFrom
 from planopt.world.clearance import swept_clearance_m
-from planopt.world.workspace import Obstacle
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 BETWEEN = np.array([15.0, 20.0])

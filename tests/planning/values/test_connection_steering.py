@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import norm
 from terms_scene import CONNECT, judge_of, situation_of, terms_problem
 
+from planopt import Measurements
+from planopt.channel import condition
 from planopt.channel.kriging import predict
-from planopt.channel.measurements import Measurements
-from planopt.channel.posterior import condition
 from planopt.objectives.until_connected import (
     charged_distance_m,
     search_length_m,

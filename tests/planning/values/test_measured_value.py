@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from terms_scene import LEARNING, situation_of, terms_problem
 
-from planopt.channel.ground_truth import measure
+from planopt.channel import measure
 from planopt.channel.kriging import predict
 from planopt.planning.initial_data import learn_measured, prepare
 from planopt.planning.values.local_value import local_value

@@ -7,12 +7,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from planopt import Measurements
+from planopt.channel import ChannelParameters, ChannelPosterior, Prediction, Station, condition
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import LocalChannel
-from planopt.channel.measurements import Measurements
-from planopt.channel.parameters import ChannelParameters, Station
-from planopt.channel.posterior import ChannelPosterior, condition
-from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
+from planopt.channel.prediction import bound_quantile, connection_probability
 from planopt.objectives.stage_power import ServingStages, StagePredictor, connectivity_derivatives
 from planopt.planning.programme.evaluation import margins_of
 

@@ -13,8 +13,8 @@ from terms_scene import (
     terms_problem,
 )
 
+from planopt.channel import joint_prediction
 from planopt.channel.cholesky import semidefinite_factor
-from planopt.channel.joint import joint_prediction
 from planopt.objectives.until_connected import counted_legs_m
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.values.context import StepContext

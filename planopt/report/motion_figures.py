@@ -55,7 +55,7 @@ def draw_solution(solution: Solution) -> Figure:
     positions = np.concatenate(shown)
     words = _certificates(solution)
     series = plan_series(problem, plans, target_m)
-    figure, maps, curves = _sheet(problem, [*series, (_draw_nothing, 0.3 + 0.11 * len(words))])
+    figure, maps, curves = _sheet(problem, [*series, (lambda panel: None, 0.3 + 0.11 * len(words))])
     alone = problem.task == "reach" and len(plans) == 1
     window = (window_about if alone else map_window)(problem, positions)
     entries = draw_belief_maps(figure, maps, problem, solution.belief, positions, window)
@@ -223,7 +223,3 @@ def _draw_series(
         panel.set_xlim(begin_s, end_s)
         panel.set_xlabel("")
     panels[-1].set_xlabel(TIME)
-
-
-def _draw_nothing(panel: Panel) -> None:
-    """Draw nothing: the panel holds text."""

@@ -11,6 +11,7 @@ most informative about it, and no path of the fan may pass near it.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -260,8 +261,108 @@ def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int)
     return turn, speeds
 
 
-RANKED = 4
-"""Paths of the fan that are returned where no slopes are known."""
+ELITE, ROUNDS_BENT, NARROWING = 8, 3, 0.6
+"""Paths that are varied in a round, number of rounds, and factor of the widths of each round."""
+
+BENT, NUDGED, NUDGED_PLACES = 8, 6, 3.0
+"""Bent and nudged copies of each path, and positions that are nudged in one, on average."""
+
+BEND_RAD, NUDGE_SHARE = 0.8, 0.4
+"""Standard deviations of a bend, and of a nudge as a share of the longest step, at first."""
+
+FIRST_SHARE, EVEN_SHARE, SPEED_SHARE = 0.5, 2.0, 0.5
+"""Standard deviations of first heading, even turn and speed, relative to a bend."""
+
+SEED, RANKED = 0, 4
+"""Seed of the random variations, the same at every step; number of paths returned."""
+
+
+def varied_paths(
+    start_m: NDArray[np.float64],  # (2,)
+    paths_m: NDArray[np.float64],  # (c, N, 2)
+    longest_m: float,
+    drive: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+    value: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    budget: Budget = UNLIMITED,
+) -> NDArray[np.float64]:
+    """Bend and nudge the best paths at random in a few rounds; return the best, pairwise distinct.
+
+    Terms without slopes of many paths at once have maxima that the fan misses, shorter steps first.
+    """
+    generator = np.random.default_rng(SEED)
+    horizon, apart = int(paths_m.shape[1]), APART_STEPS * longest_m
+    values = value(paths_m)
+    kept = distinct(paths_m, values, apart, ELITE)
+    paths, values = paths_m[kept], values[kept]
+    for number in range(ROUNDS_BENT):
+        if budget.searched:
+            break
+        width = NARROWING**number
+        moved = _nudged(start_m, np.repeat(paths, NUDGED, axis=0), longest_m, width, generator)
+        again = np.concatenate([np.repeat(paths, BENT, axis=0), moved])
+        turn, speed = _commands_of(start_m, again, longest_m)
+        count = BENT * len(paths)
+        turn[:, :count] += _bends(horizon, count, BEND_RAD * width, generator)
+        speed[:, :count] *= 1.0 + SPEED_SHARE * width * generator.normal(size=(1, count))
+        np.clip(speed, 0.0, 1.0, out=speed)
+        varied = drive(turn, speed)
+        paths, values = np.concatenate([paths, varied]), np.concatenate([values, value(varied)])
+        kept = distinct(paths, values, apart, ELITE)
+        paths, values = paths[kept], values[kept]
+    return paths[:RANKED]
+
+
+def _nudged(
+    start_m: NDArray[np.float64],
+    paths_m: NDArray[np.float64],
+    longest_m: float,
+    width: float,
+    generator: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Return paths (c, N, 2) with some positions moved, and others only as steps require."""
+    count, horizon = len(paths_m), int(paths_m.shape[1])
+    nudge = NUDGE_SHARE * width * longest_m * generator.normal(size=paths_m.shape)
+    moves = generator.random((count, horizon, 1)) < NUDGED_PLACES / horizon
+    wanted = paths_m + moves * nudge
+    found = np.empty_like(paths_m)
+    here = np.broadcast_to(start_m, (count, 2))
+    for k in range(horizon):
+        leg = wanted[:, k] - here
+        length = np.hypot(leg[:, 0], leg[:, 1])
+        here = here + leg * np.minimum(1.0, longest_m / np.maximum(length, longest_m))[:, None]
+        found[:, k] = here
+    return found
+
+
+def _bends(
+    horizon: int, count: int, width_rad: float, generator: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return turns (N, c): of the whole path, evenly, and at one step of it."""
+    turn = np.zeros((horizon, count))
+    turn[0] = FIRST_SHARE * width_rad * generator.normal(size=count)
+    if horizon > 1:
+        turn[1:] += EVEN_SHARE * width_rad * generator.normal(size=count) / (horizon - 1)
+        at = generator.integers(1, horizon, count)
+        turn[at, np.arange(count)] += width_rad * generator.normal(size=count)
+    return turn
+
+
+def _commands_of(
+    start_m: NDArray[np.float64], paths_m: NDArray[np.float64], longest_m: float
+) -> Commands:
+    """Return turns and speeds ``(N, c)`` that drive the paths (c, N, 2)."""
+    begin = np.broadcast_to(start_m, (len(paths_m), 1, 2))
+    legs = np.diff(np.concatenate([begin, paths_m], axis=1), axis=1)
+    length = np.hypot(legs[:, :, 0], legs[:, :, 1])
+    heading = np.arctan2(legs[:, :, 1], legs[:, :, 0])
+    # A step that stands still keeps the last heading.
+    moved = (length > 0.0) * np.arange(int(paths_m.shape[1]))
+    last = np.maximum.accumulate(moved, axis=1)
+    heading = np.take_along_axis(heading, last, axis=1)
+    turn = np.diff(heading, axis=1, prepend=0.0)
+    turn = (turn + math.pi) % (2.0 * math.pi) - math.pi
+    return turn.T.copy(), np.minimum(length / longest_m, 1.0).T.copy()
+
 
 CLIMBING = 12
 """Number of paths that climb at first."""
@@ -299,10 +400,18 @@ class FanGuesses:
             paths = paths if via is None else np.concatenate([paths, drive(*via)])
         ranking = LocalRanking(context, paths)
         apart = APART_STEPS * longest
-        values = self._if_apart(context, paths, ranking(paths))
-        best = paths[distinct(paths, values, apart, CLIMBING if climbs else RANKED)]
         if not climbs:
-            return list(best)
+            found = varied_paths(
+                context.position_m,
+                paths,
+                longest,
+                drive,
+                lambda moved_m: self._if_apart(context, moved_m, ranking(moved_m)),
+                budget,
+            )
+            return list(found)
+        values = self._if_apart(context, paths, ranking(paths))
+        best = paths[distinct(paths, values, apart, CLIMBING)]
 
         def slopes(moved_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             value, slope = ranking.slopes(moved_m)

@@ -1,9 +1,9 @@
-"""planopt: motion plans for robots that must stay in radio contact.
+"""planopt: motion planning for robots that must stay in radio contact.
 
-Names are imported when they are first used, so that ``import planopt`` costs nothing. The stub
-``__init__.pyi`` lists them. Others are in :mod:`planopt.channel` (the radio channel),
+Names are imported on first use, so ``import planopt`` costs nothing. The stub ``__init__.pyi``
+lists them. Further names are in :mod:`planopt.channel` (the radio channel),
 :mod:`planopt.objectives` (terms), :mod:`planopt.problems` (ground truth, dynamics, other tasks) and
-:mod:`planopt.extend` (parts of one's own).
+:mod:`planopt.extend` (user-defined parts).
 """
 
 from planopt.lazy_names import lazy_names

@@ -1,8 +1,8 @@
 """The command line: ``planopt COMMAND``.
 
-Exit code 0 verified, 2 usage or bad input, 3 solved but not verified, 4 no plan, 130 interrupted,
-143 terminated.
-Errors are one line on standard error, and with ``--json`` one JSON object on standard output too.
+Exit codes: 0 verified, 2 usage error or bad input, 3 solved but not verified, 4 no plan, 130
+interrupted, 143 terminated.
+An error is one line on standard error and, with ``--json``, one JSON object on standard output.
 """
 
 from __future__ import annotations
@@ -90,14 +90,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 code = int(app(arguments, prog_name="planopt", standalone_mode=False) or 0)
             except KeyboardInterrupt:
                 code = INTERRUPTED
-        # Typer makes this code of any interrupt; one within a callback may have been lost.
+        # Typer returns this code for any interrupt; one raised in a callback may have been lost.
         if received:
             return TERMINATED if signal.SIGTERM in received else INTERRUPTED
         return code
     except PlanoptError as error:
         message, found = str(error), error
     except Exception as error:
-        # Typer's usage errors have no public base class over the versions we allow.
+        # Typer's usage errors share no public base class across the supported versions.
         format_message = getattr(error, "format_message", None)
         if format_message is None:
             raise
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def error_json(message: str, error: Exception) -> dict[str, str | int | None]:
-    """Return what ``--json`` prints where a command fails: the message, and its place if known."""
+    """Return the JSON object of a failed command: the message and the location, if known."""
     place = ("file", "key", "row", "remedy")
     known = vars(error) if isinstance(error, InputError) else {}
     return {"error": message, **{name: known.get(name) for name in place}}

@@ -1,6 +1,6 @@
-"""The errors planopt raises: what was wrong, where, and what to do about it.
+"""Errors raised by planopt: the fault, its location and a remedy.
 
-Nothing else leaves the package for bad input. The command line maps :class:`InputError` and
+Bad input raises no other exception. The command line maps :class:`InputError` and
 :class:`OutputError` to exit code 2.
 """
 
@@ -11,25 +11,25 @@ from pathlib import Path
 from typing import Any
 
 A_FOLDER = 'give the name of a folder, such as "run"'
-"""Remedy where the name of a folder is missing."""
+"""Remedy for a missing folder name."""
 
 LONGEST_WORD = 300
-"""Longer words in messages are cut; paths of files are rarely longer."""
+"""Maximum length of a word in a message; file paths are rarely longer."""
 
 LONGEST_MESSAGE = 1200
-"""Longer messages are cut in the middle."""
+"""Maximum length of a message; longer ones are shortened in the middle."""
 
 LISTED = 12
-"""Number of names that a message lists."""
+"""Maximum number of names listed in a message."""
 
 
 class PlanoptError(Exception):
-    """Base of every error that planopt raises on purpose.
+    """Base class of all errors that planopt raises on purpose.
 
     Parameters
     ----------
     text
-        The message. Names and values in it may come from any file: it is shortened and made
+        The message. It may quote names and values from any file, so it is shortened and made
         printable, without terminal codes and lone surrogates.
     """
 
@@ -38,13 +38,13 @@ class PlanoptError(Exception):
 
 
 def printable(text: str) -> str:
-    r"""Return `text` on one line, escaped where it cannot be printed, its long words cut."""
+    r"""Return `text` on one line, with unprintable characters escaped and long words shortened."""
     words = (_cut(word, LONGEST_WORD) for word in text.split())
     return escaped(_cut(" ".join(words), LONGEST_MESSAGE))
 
 
 def escaped(line: str) -> str:
-    """Return `line` with an escape for every character that cannot be printed."""
+    """Return `line` with unprintable characters escaped."""
     if line.isprintable():
         return line
     return "".join(
@@ -54,7 +54,7 @@ def escaped(line: str) -> str:
 
 
 def require_text(text: str, what: str) -> None:
-    """Refuse text that no UTF-8 file can hold, such as a file name that is not UTF-8."""
+    """Raise an error for text that UTF-8 cannot encode, such as a file name with invalid bytes."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -64,7 +64,7 @@ def require_text(text: str, what: str) -> None:
 
 
 def path_of(key: str, value: Any, remedy: str) -> Path:
-    """Return a path that a user gives."""
+    """Return a path supplied by the user."""
     try:
         return Path(value)
     except TypeError:
@@ -72,7 +72,7 @@ def path_of(key: str, value: Any, remedy: str) -> Path:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return names for a message: the first ones, and the number of others."""
+    """Return the first names for a message, and the number of the others."""
     known = list(names)
     shown = ", ".join(_cut(name, LONGEST_WORD // 5) for name in known[:LISTED])
     more = len(known) - LISTED
@@ -80,7 +80,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def _cut(text: str, most: int) -> str:
-    """Return `text` without its middle where it is longer than `most`."""
+    """Return `text`, shortened in the middle if it is longer than `most`."""
     if len(text) <= most:
         return text
     kept = most // 2
@@ -88,20 +88,20 @@ def _cut(text: str, most: int) -> str:
 
 
 class InputError(PlanoptError):
-    """Something the user gave cannot be used.
+    """User input that cannot be used.
 
     Parameters
     ----------
     message
-        What was wrong, with the offending value.
+        The fault, with the offending value.
     file
-        The file it stands in.
+        File that contains the fault.
     key
         The key (problem files, ``robots[0].start_m``) or column (logs).
     row
-        The line number in the file, the first line being 1.
+        Line number in the file, counted from 1.
     remedy
-        What to do about it.
+        Advice on how to correct the input.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class InputError(PlanoptError):
         super().__init__(text if remedy is None else f"{text} ({self.remedy})")
 
     def located(self, file: Path | str | None, remedy: str | None = None) -> InputError:
-        """Return the error with file and remedy filled in where they are unknown."""
+        """Return the error with file and remedy filled in if they are missing."""
         return InputError(
             self.message,
             file=file if self.file is None else self.file,
@@ -134,13 +134,13 @@ class InputError(PlanoptError):
         )
 
     def remedied(self, remedy: str) -> InputError:
-        """Return the error with a remedy if it has none."""
+        """Return the error with a remedy, unless it already has one."""
         return self.located(None, remedy)
 
 
 class OutputError(PlanoptError):
-    """A result cannot be written."""
+    """Failure to write a result."""
 
 
 class NoPlanError(PlanoptError):
-    """There is provably no plan to look for, for instance a goal cut off by obstacles."""
+    """Proof that no plan exists, for instance because obstacles cut off the goal."""

@@ -1,13 +1,13 @@
 """Declared keys: frozen dataclasses whose annotations declare the keys of a table.
 
 Type, range and meaning of a key are declared once, at the field of the dataclass and in the
-docstring below it. The table of a problem file, its JSON schema, the documentation and messages
-follow from the declaration. A part made in Python is validated against the same table as one read
-from a file.
+docstring below it. The table of a problem file, its JSON schema, the documentation and the error
+messages are derived from this declaration. A part made in Python is validated against the same
+table as one read from a file.
 
-Numbers are finite, integers are no booleans, text is no number, and an unknown key is an error. Of
-the faults that pydantic reports a user gets one: the key as it is written in the file, its value,
-what is allowed, and the nearest known key if the key itself is wrong.
+Numbers must be finite, booleans are not integers, text is not a number, and an unknown key is an
+error. Of all faults that pydantic finds, the user sees one: the key as written in the file, its
+value, the allowed values, and the nearest known key if the key itself is wrong.
 """
 
 from __future__ import annotations
@@ -59,20 +59,20 @@ from planopt.errors import InputError
 from planopt.plain_values import make_plain
 
 LIKE_WORDS = 0.9
-"""Similarity of the words of two keys, in any order, from which on one is taken for the other."""
+"""Minimum similarity, ignoring word order, at which one key is suggested for another."""
 
 LONGEST_KEY = 100
-"""Keys and names are compared with known ones up to this length."""
+"""Maximum length of a word that is compared with known keys and names."""
 
 KeyPath = tuple[str | int, ...]
 
 
 @runtime_checkable
 class OpenTables(Protocol):
-    """Alternatives of a table that are known only when a file is read."""
+    """Alternative tables that become known only when a file is read."""
 
     def tables(self) -> Sequence[type[BaseModel]]:
-        """Return their models."""
+        """Return the models of the alternatives."""
         ...
 
 
@@ -95,7 +95,7 @@ def input_error(
     file: Path | str | None = None,
     table: str | None = None,
 ) -> InputError:
-    """Return one error for a failed validation."""
+    """Return a single error for a failed validation."""
     faults = error.errors(include_url=False)
     fault = min(faults, key=lambda item: item["type"] != "extra_forbidden")
     path, fields, field = _resolve(fault["loc"], model)
@@ -105,13 +105,13 @@ def input_error(
             message = "is not a known key"
             remedy = nearest(str(path[-1]), list(fields))
         case "missing" if isinstance(path[-1], int):
-            # A short array: pydantic calls its absent numbers missing.
+            # Too short an array: pydantic reports the absent numbers as missing.
             path = path[:-1]
             message = f"is {shown(fault['input'])}, should have more numbers"
         case "missing":
             message = "is missing"
         case "union_tag_not_found" | "union_tag_invalid":
-            # No alternative of the table has this kind.
+            # No alternative of the table is of this kind.
             path, context = (*path, "kind"), fault.get("ctx", {})
             message = (
                 f"is {shown(context['tag'])}, should be one of {context['expected_tags']}"
@@ -134,7 +134,7 @@ def input_error(
 
 @contextlib.contextmanager
 def located(model: type[BaseModel], file: Path | None, table: str | None = None) -> Generator[None]:
-    """Turn validation errors of tables of `model` into errors that name the key and the file."""
+    """Convert validation errors of `model` into errors that name the key and the file."""
     try:
         yield
     except ValidationError as error:
@@ -152,7 +152,7 @@ def key_text(path: KeyPath) -> str | None:
 
 
 def shown(value: object) -> str:
-    """Return `value` in the words of a message."""
+    """Return `value` as it appears in a message."""
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, list):
@@ -164,15 +164,15 @@ def shown(value: object) -> str:
         return str(value).lower()
     try:
         return reprlib.repr(value)
-    except ValueError:  # Python refuses to print integers of thousands of digits
+    except ValueError:  # Python refuses to print integers with thousands of digits
         return "a huge number"
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
-    """Return what to write instead of the unknown `word`."""
-    # The comparison takes time that grows with the square of the length.
+    """Return a suggestion for the unknown `word`: the closest known name, or all of them."""
+    # The run time of the comparison is quadratic in the length.
     word = word[:LONGEST_KEY]
-    # max_speed_m_s is speed_max_m_s with its words in another order.
+    # max_speed_m_s and speed_max_m_s differ only in word order.
     by_words = {_sorted_words(key): key for key in known}
     same = difflib.get_close_matches(_sorted_words(word), list(by_words), n=1, cutoff=LIKE_WORDS)
     close = [by_words[key] for key in same] or difflib.get_close_matches(word, known, n=1)
@@ -184,7 +184,7 @@ def _sorted_words(key: str) -> str:
 
 
 def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
-    """Return what is allowed instead of the value."""
+    """Return the allowed values as text."""
     kind = fault["type"]
     if kind in _RANGE_TYPES and field is not None and (bounds := _bounds_of(field)):
         words = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
@@ -194,7 +194,7 @@ def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
 
 
 def _bounds_of(field: FieldInfo) -> dict[str, float]:
-    """Return the limits of the range of a key by pydantic's names."""
+    """Return the bounds of a key under pydantic's names."""
     return {
         name: float(getattr(bound, name))
         for bound in field.metadata
@@ -205,14 +205,14 @@ def _bounds_of(field: FieldInfo) -> dict[str, float]:
 
 _BEYOND = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
 _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
-"""Limits by pydantic's kinds of faults; ``le`` by the last."""
+"""Names of limits by pydantic's error type; any other type is ``le``."""
 
 
 def _within(fault: ErrorDetails, field: FieldInfo) -> str:
-    """Return what to give in place of a number beyond its range, with an example."""
+    """Return the remedy for a number out of range, with an example."""
     bounds = _bounds_of(field)
     limit = _LIMITS.get(fault["type"], "le")
-    # Limits of the numbers in an array are not those of the key.
+    # The numbers of an array have limits of their own.
     bounds.setdefault(limit, float(fault.get("ctx", {})[limit]))
     low = bounds.get("gt", bounds.get("ge", -math.inf))
     high = bounds.get("lt", bounds.get("le", math.inf))
@@ -227,7 +227,7 @@ def _within(fault: ErrorDetails, field: FieldInfo) -> str:
 def _resolve(
     location: KeyPath, model: type[BaseModel]
 ) -> tuple[KeyPath, dict[str, FieldInfo], FieldInfo | None]:
-    """Return the path of keys that pydantic reports, the fields of its table, and the field."""
+    """Return the key path of a pydantic error location, the fields of its table, and the field."""
     path: list[str | int] = []
     fields: dict[str, FieldInfo] = {}
     field: FieldInfo | None = None
@@ -238,7 +238,7 @@ def _resolve(
         else:
             path.append(part)
             if isinstance(part, str):
-                # Faults of the keys of an open table are reported at the table.
+                # A fault in a key of an open table is reported at the table.
                 fields = _fields(tables[0]) if tables else {}
                 field = fields.get(part) if tables else field
                 hints = () if field is None else (field.annotation, *field.metadata)
@@ -248,7 +248,7 @@ def _resolve(
 
 
 def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
-    """Return the fields of `model` by the key that the file uses."""
+    """Return the fields of `model` by their key in the file."""
     return {info.alias or name: info for name, info in model.model_fields.items()}
 
 
@@ -259,7 +259,7 @@ def _kinds(model: type[BaseModel]) -> tuple[object, ...]:
 
 
 def _tables(annotation: Any) -> list[type[BaseModel]]:
-    """Return every table in an annotation, including those registered since."""
+    """Return all tables in an annotation, including those registered later."""
     if isinstance(annotation, OpenTables):
         return list(annotation.tables())
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -268,28 +268,28 @@ def _tables(annotation: Any) -> list[type[BaseModel]]:
 
 
 LARGEST_COORDINATE_M = 1e9
-"""Beyond this a coordinate is not a place on Earth in metres."""
+"""Largest coordinate accepted, in metres; larger values are no positions on Earth."""
 
 SMALLEST = 1e-6
-"""Least length, time, speed and rate in SI units where zero makes no sense: a micrometre."""
+"""Minimum of lengths, times, speeds and rates that must be positive, in SI units."""
 
-# pydantic ignores a bound of a field whose annotation has such a bound too: lengths have their own.
+# pydantic ignores a field's bound if its annotation already has one, hence a type for lengths.
 Metres = Annotated[float, Field(ge=-LARGEST_COORDINATE_M, le=LARGEST_COORDINATE_M)]
 Distance = Annotated[float, Field(ge=0, le=LARGEST_COORDINATE_M)]
 Length = Annotated[float, Field(ge=SMALLEST, le=LARGEST_COORDINATE_M)]
 Decibels = Annotated[float, Field(ge=-500, le=500)]
 
-# TOML and JSON have arrays only, so the tuple itself is not strict; the numbers in it are.
+# TOML and JSON have only arrays, so the tuple is not strict, but its numbers are.
 Pair = Annotated[tuple[Metres, Metres], Strict(False)]
 Quad = Annotated[tuple[Metres, Metres, Metres, Metres], Strict(False)]
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)]
-# No operating system accepts a NUL in a file name; Python raises a ValueError for it.
+# No operating system accepts NUL in a file name, and Python raises a ValueError for it.
 FileName = Annotated[str, Field(pattern=r"^[^\x00]+$")]
 
 
 def _meanings(data: type[Any]) -> dict[str, str]:
-    """Return the docstrings below the fields of a part or table, from its source."""
+    """Return the docstrings below the fields of a part or table, read from its source."""
     return {
         field.target.id: " ".join(text.value.value.split())
         for found in _tree_of(data.__module__).body
@@ -307,30 +307,30 @@ def _meanings(data: type[Any]) -> dict[str, str]:
 def _tree_of(module: str) -> ast.Module:
     try:
         return ast.parse(inspect.getsource(sys.modules[module]))
-    except (KeyError, OSError, TypeError):  # there is no module or no source file
+    except (KeyError, OSError, TypeError):  # No module or no source file
         return ast.Module([], [])
 
 
 class Table(BaseModel):
-    """A table of a problem file: frozen, strict, finite, without unknown keys."""
+    """A table of a problem file: frozen and strict, with finite numbers and no unknown keys."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
     def __init_subclass__(cls, **_: Any) -> None:
-        # pydantic's own option reads the source of each class by itself, which takes longer.
+        # pydantic's own option parses the source once per class, which is slower.
         for name, said in _meanings(cls).items():
             hint = cls.__annotations__[name]
             cls.__annotations__[name] = Annotated[hint, Field(description=said)]
 
 
 def _folder(info: ValidationInfo) -> Path:
-    """Return the folder that relative file names start at."""
+    """Return the folder against which relative file names are resolved."""
     context = cast("Mapping[str, Path] | None", info.context)
     return Path() if context is None else context["folder"]
 
 
 class ValidatedAs:
-    """Marks a key that is validated as another type than its annotation says."""
+    """Marker for a key that is validated as a type other than its annotation."""
 
     def __init__(self, kind: Any) -> None:
         self._kind = kind
@@ -338,7 +338,7 @@ class ValidatedAs:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Return the schema of that type."""
+        """Return the schema of the other type."""
         return handler.generate_schema(self._kind)
 
 
@@ -353,17 +353,17 @@ def _in_folder(name: str, info: ValidationInfo) -> Path:
 FilePath = Annotated[
     Path, ValidatedAs(FileName), BeforeValidator(_text_of), AfterValidator(_in_folder)
 ]
-"""A file, by text or path, relative to the folder in the context of the validation."""
+"""A file as text or path, relative to the folder in the validation context."""
 
 Of = TypeVar("Of", bound="Part")
 
 
 class Documented(type):
-    """The class of parts: their documentation lists their fields."""
+    """Metaclass of parts that adds the fields to their documentation."""
 
     @property
     def __doc__(cls) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Return the docstring with a section of the fields and their meanings."""
+        """Return the docstring with a section on the fields and their meanings."""
         text = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
         words, _, examples = text.partition("\n\nExamples\n")
         rows = [
@@ -376,11 +376,11 @@ class Documented(type):
 
 @dataclass(frozen=True)
 class Part(metaclass=Documented):
-    """A part of a problem. Values are validated, and become plain Python values."""
+    """A part of a problem, with values validated and converted to plain Python values."""
 
     at: ClassVar[str] = ""  # Key of its table, for messages
-    Keys: ClassVar[type[BaseModel]] = Table  # Keys of the file that are no fields
-    not_keys: ClassVar[frozenset[str]] = frozenset()  # Fields that are no keys of the file
+    Keys: ClassVar[type[BaseModel]] = Table  # Keys of the file that are not fields
+    not_keys: ClassVar[frozenset[str]] = frozenset()  # Fields that are not keys of the file
 
     def __post_init__(self) -> None:
         make_plain(self)
@@ -398,7 +398,7 @@ class Part(metaclass=Documented):
             raise InputError(message, key=self.at, remedy=remedy)
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys and values of its table."""
+        """Return the keys and values of the part's table."""
         return _kind_of(self) | {
             each.name: getattr(self, each.name)
             for each in fields(self)
@@ -407,17 +407,17 @@ class Part(metaclass=Documented):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the values of its fields that a validated table has; subclasses add the others."""
+        """Return the field values in a validated table; subclasses add the remaining fields."""
         names = (each.name for each in fields(cls) if each.name not in cls.not_keys)
         return {name: getattr(table, name) for name in names}
 
     def fault(self) -> str | None:
-        """Return which values do not go together and, after a colon, the remedy; or None."""
+        """Return a conflict between values as "fault: remedy", or None."""
         return None
 
     @classmethod
     def of_table(cls: type[Of], table: Any) -> Of:
-        """Return the part that a validated table describes."""
+        """Return the part described by a validated table."""
         made = object.__new__(cls)
         for name, value in cls.of_keys(table).items():
             object.__setattr__(made, name, value)
@@ -428,28 +428,28 @@ class Part(metaclass=Documented):
 
     @classmethod
     def tables(cls) -> Sequence[type[BaseModel]]:
-        """Return its table, for messages."""
+        """Return the part's table, for messages."""
         return (table_of(cls),)
 
     @classmethod
     def __get_pydantic_core_schema__(
         cls, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Accept a part, or read its table."""
+        """Return a schema that accepts a part or reads its table."""
         return ReadAs(table_of(cls), cls.of_table, cls).__get_pydantic_core_schema__(
             source, handler
         )
 
 
 class ReadAs:
-    """Marks a key whose value is an object of some kinds, or the table that describes one."""
+    """Marker for a key whose value is an object of given types, or a table describing one."""
 
     def __init__(
         self,
         table: type[BaseModel],
         make: Callable[..., Any],  # From a validated table, and the folder if `needs_folder`
         *kinds: type[Any],
-        # From an object of Python to its table, which is validated; None if it validates itself
+        # From a Python object to its table for validation; None if the object validates itself
         to_keys: Callable[[Any], dict[str, Any]] | None = None,
         needs_folder: bool = False,
     ) -> None:
@@ -463,7 +463,7 @@ class ReadAs:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Accept an object, or read its table."""
+        """Return a schema that accepts an object or reads its table."""
         return core_schema.with_info_wrap_validator_function(
             self._read, handler.generate_schema(self._table)
         )
@@ -480,7 +480,7 @@ class ReadAs:
 
 
 def fault_of(words: str) -> PydanticCustomError:
-    """Return the error of a table whose keys do not go together: the fault, a colon, a remedy."""
+    """Return the error for keys of a table that conflict; `words` are "fault: remedy"."""
     return PydanticCustomError("one_of", "{words}", {"words": words})
 
 
@@ -506,17 +506,17 @@ def table_of(data: type[Any]) -> type[BaseModel]:
 
 
 def _kind_of(data: Any) -> dict[str, Any]:
-    """Return the key that selects a table among others, if it has one."""
+    """Return the key that selects a table among alternatives, if it has one."""
     return {"kind": data.kind} if isinstance(getattr(data, "kind", None), str) else {}
 
 
 def made_of(data: type[Any], table: BaseModel) -> Any:
-    """Return the dataclass that a table describes."""
+    """Return the dataclass instance described by a table."""
     return data(**{each.name: getattr(table, each.name) for each in fields(data)})
 
 
 def saved(value: Any) -> Any:
-    """Return a value as JSON has it: parts as tables, without keys that have no value."""
+    """Return a value as JSON data: parts become tables, without keys that have no value."""
     if isinstance(value, Part):
         value = {key: one for key, one in value.to_keys().items() if one != ()}
     if isinstance(value, Mapping):

@@ -1,9 +1,9 @@
-"""Import a package's public names when they are first used.
+"""Import of a package's public names on first use.
 
-The stub ``__init__.pyi`` beside a package's ``__init__.py`` lists its public names, each once, as
-``from module import Name as Name``; packages within it are listed like names. Type checkers read
-the stub, and so does :func:`lazy_names`. A name that a package lacks is looked for in the stubs of
-all, so that the error says where it is, or which name is like it.
+The stub ``__init__.pyi`` next to a package's ``__init__.py`` lists each public name once, as ``from
+module import Name as Name``; subpackages are listed like names. Both type checkers and
+:func:`lazy_names` read the stub. If a package lacks a name, the stubs of all packages are searched,
+so that the error gives its location or the most similar name.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any
 
 LIKE = 0.75
-"""Names at least so alike are taken for each other."""
+"""Minimum similarity at which one name is suggested for another."""
 
 
 def lazy_names(
@@ -39,7 +39,7 @@ def lazy_names(
             return version(package)
         words = f"module {package!r} has no attribute {name!r}{_hint(package, name)}"
         caller = sys._getframe(1)  # pyright: ignore[reportPrivateUsage]
-        # Python replaces an AttributeError of "from package import name" by words of its own.
+        # Python replaces an AttributeError of "from package import name" by its own message.
         raise (ImportError if _is_import(caller) else AttributeError)(words)
 
     def names() -> list[str]:
@@ -49,7 +49,7 @@ def lazy_names(
 
 
 def _listed_names(stub: str) -> dict[str, str]:
-    """Return the public names in a package's stub, each with the module that has it."""
+    """Return the public names in a package's stub, each with the module that defines it."""
     with open(stub, encoding="utf-8") as file:
         tree = ast.parse(file.read())
     return {
@@ -62,13 +62,13 @@ def _listed_names(stub: str) -> dict[str, str]:
 
 def _is_import(frame: FrameType) -> bool:
     """Return whether a frame executes ``from package import name``."""
-    import opcode  # a mistake pays for it, no other import
+    import opcode  # needed for errors only, so imports stay fast
 
     return opcode.opname[frame.f_code.co_code[frame.f_lasti]] == "IMPORT_FROM"
 
 
 def _hint(package: str, name: str) -> str:
-    """Return where a name is, or the name that is most like it, as the end of a message."""
+    """Return the location of a name, or the most similar name, as the end of a message."""
     if name.startswith("_"):
         return ""
     import difflib

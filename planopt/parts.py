@@ -1,7 +1,7 @@
-"""Parts of a problem: of the required kind, by name, and a user's own with their faults.
+"""Parts of a problem: type checks, registries by name, and errors in user-defined parts.
 
-Terms, rules, dynamics, planners and ground truths may come from outside. Whatever their code raises
-or returns amiss becomes one :class:`planopt.errors.InputError` that names class, method and line.
+Terms, rules, dynamics, planners and ground truths may be user-defined. If their code raises an
+exception or returns a wrong value, :class:`planopt.errors.InputError` names class, method and line.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Part = TypeVar("Part")
 
 
 def part_of(key: str, value: object, kind: type[Part], remedy: str | None = None) -> Part:
-    """Return `value`, which must be of a kind."""
+    """Return `value` if it is of the required type, else raise an InputError."""
     if not isinstance(value, kind):
         words = f"give {kind.__name__}(...)" if remedy is None else remedy
         got = f"class {value.__name__}" if isinstance(value, type) else type(value).__name__
@@ -38,7 +38,7 @@ def part_of(key: str, value: object, kind: type[Part], remedy: str | None = None
 def parts_of(
     key: str, values: object, kind: type[Part], remedy: str | None = None
 ) -> tuple[Part, ...]:
-    """Return one value or several, which must be of a kind, as a tuple; as :func:`part_of`."""
+    """Return one or several values of the required type as a tuple; see :func:`part_of`."""
     if isinstance(values, kind):
         return (values,)
     if not isinstance(values, Iterable) or isinstance(values, str | Mapping):
@@ -50,7 +50,7 @@ def parts_of(
 
 
 def require_name(name: object, of: str, taken: Collection[str] = (), *, key: str = "kind") -> str:
-    """Return the name of a part that problem files may name."""
+    """Return `name` if a part may be registered under it, else raise an InputError."""
     is_word = isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,100}", name)
     if not is_word or name in taken:
         others = f", and none of {listed(taken)}" if taken else ""
@@ -63,30 +63,30 @@ def require_name(name: object, of: str, taken: Collection[str] = (), *, key: str
 
 
 class Registry:
-    """Parts that problem files may name: planopt's own, a program's, and those of packages."""
+    """Parts that problem files can name: built-in, registered in this process, or from packages."""
 
     def __init__(self, of: str, key: str, own: Mapping[str, Any], group: str = "") -> None:
         self.of, self.key, self.group = of, key, group
-        self.own = own  # Parts by name, or "module:attribute", imported when it is needed
-        self.registered: dict[str, Any] = {}  # Parts of this process
+        self.own = own  # Parts by name, or "module:attribute", imported on first use
+        self.registered: dict[str, Any] = {}  # Parts registered in this process
 
     @cached_property
     def installed(self) -> Mapping[str, EntryPoint]:
         """Return the entry points of packages by name; they are not imported yet."""
-        from importlib.metadata import entry_points  # few commands need it
+        from importlib.metadata import entry_points  # only some commands need it
 
         return {point.name: point for point in entry_points(group=self.group)} if self.group else {}
 
     def names(self) -> tuple[str, ...]:
-        """Return all names, planopt's own first."""
+        """Return all names, the built-in ones first."""
         return tuple(dict.fromkeys([*self.own, *self.registered, *self.installed]))
 
     def add(self, name: object, part: Any, key: str = "kind") -> None:
-        """Register a part in this process; one registered under its name before is replaced."""
+        """Register a part in this process; it replaces an earlier one of the same name."""
         self.registered[require_name(name, self.of, self.own, key=key)] = part
 
     def find(self, name: object) -> Any:
-        """Return the part of a name, imported if need be."""
+        """Return the part with a name and import it if necessary."""
         if not isinstance(name, str) or name not in self.names():
             remedy = f"use one of {', '.join(self.names())}"
             raise InputError(f"is {name!r}", key=self.key, remedy=remedy)
@@ -107,13 +107,13 @@ class Registry:
 
 
 def class_name(part: object) -> str:
-    """Return the full name of a part's class, or of the class or function that it is."""
+    """Return the qualified name of a part's class, or of the part if it is a class or function."""
     named = part if hasattr(part, "__qualname__") else type(part)
     return f"{named.__module__}.{named.__qualname__}"  # pyright: ignore
 
 
 def is_own(part: object) -> bool:
-    """Return whether a part is a user's own: faults of planopt's are not in a user's code."""
+    """Return whether a part is user-defined."""
     return not class_name(part).startswith("planopt.")
 
 
@@ -121,7 +121,7 @@ def is_own(part: object) -> bool:
 def calling(
     part: object, method: str, *, key: str | None = None, remedy: str | None = None
 ) -> Generator[None]:
-    """Name class, method and line of what a user's own part raises."""
+    """Convert an exception in a user-defined part to an error with class, method and line."""
     try:
         yield
     except PlanoptError:
@@ -152,8 +152,8 @@ def returned(
     key: str | None = None,
     unbounded: bool = False,
 ) -> NDArray[np.float64]:
-    """Return what a part's method returned, as numbers of a shape."""
-    import numpy as np  # the command line knows planners, and loads no numerics
+    """Return the result of a part's method as a numeric array, after checking its shape."""
+    import numpy as np  # imported late because the command line uses this module without numerics
 
     try:
         found = None if value is None else np.asarray(value, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Values that users give to frozen data: made plain, and checked."""
+"""Conversion and validation of user values for frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from planopt.errors import InputError
 
 
 def require_weights(weight: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """`weight` as ``(count,)`` floats from 0 on, or an InputError."""
+    """Return `weight` as non-negative floats (count,), or raise an InputError."""
     found = np.asarray(weight, dtype=np.float64)
     if found.shape != (count,) or not (np.isfinite(found).all() and (found >= 0.0).all()):
         raise InputError(
@@ -25,7 +25,7 @@ def require_weights(weight: NDArray[np.float64], count: int) -> NDArray[np.float
 
 
 def plain(value: Any) -> Any:
-    """Return `value` with tuples in place of lists and arrays, and Python's numbers in them."""
+    """Return `value` with lists and arrays converted to tuples of Python numbers."""
     if isinstance(value, np.ndarray | np.generic):
         value = cast("Any", value).tolist()
     if isinstance(value, list | tuple):
@@ -34,9 +34,9 @@ def plain(value: Any) -> Any:
 
 
 def make_plain(data: Any, *files: str) -> None:
-    """Make the values of a frozen dataclass plain, while it is being made.
+    """Convert the fields of a frozen dataclass to plain values during initialisation.
 
-    Those of the fields `files` may be text, and become paths.
+    Text in the fields `files` is converted to paths.
     """
     for part in fields(data):
         if not part.init:

@@ -1,7 +1,7 @@
-"""Short texts of data with arrays: what ``print`` and an interactive prompt show.
+"""Short representations of data with arrays, for ``print`` and interactive prompts.
 
-A dataclass that holds arrays has ``__repr__ = short_repr`` in its body. Arrays
-are shown by shape and range, long tuples by their length; what is left out is ``...``.
+A dataclass with array fields sets ``__repr__ = short_repr``. Arrays are shown by shape and range,
+long tuples by their length; omitted parts are shown as ``...``.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 WIDTH, LINES = 100, 5
-"""Largest width and number of lines of a text."""
+"""Maximum width in characters and maximum number of lines."""
 
 MOST_SHOWN = 4
-"""Numbers of an array, and members of a tuple, that are shown one by one."""
+"""Maximum number of array or tuple entries that are shown individually."""
 
 MOST_NESTED = 200
-"""Letters of data within data; longer ones are shown by their name."""
+"""Maximum length of nested data in characters; longer data are shown by type name."""
 
 
 def short_repr(self: object) -> str:
-    """Return the fields of a dataclass, wrapped to at most `LINES` lines of `WIDTH` letters."""
+    """Return the fields of a dataclass, wrapped to at most `LINES` lines of `WIDTH` characters."""
     return wrapped(_fields_of(self))
 
 
 def wrapped(text: str, lines: int = LINES) -> str:
-    """Return `text` on at most `lines` lines; what does not fit becomes ``...``."""
+    """Return `text` on at most `lines` lines; excess text becomes ``...``."""
     return "\n".join(
         textwrap.wrap(
             text,
@@ -54,7 +54,7 @@ def _fields_of(thing: object) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return one value in few letters."""
+    """Return a short text of one value."""
     if isinstance(value, np.ndarray):
         return _short_array(cast("NDArray[Any]", value))
     if isinstance(value, Enum):

@@ -1,4 +1,4 @@
-"""Compare settings of problems in closed loop, on the same seeds: horizons, planners, any keys."""
+"""Closed-loop comparison of horizons, planners and other settings on common random seeds."""
 
 from __future__ import annotations
 
@@ -52,29 +52,29 @@ def compare(
     Parameters
     ----------
     problems
-        One or several, with different names, of tasks that can be simulated.
+        One or several problems of tasks that can be simulated, with different names.
     horizons, planners, costs_to_go
-        Values to compare; None keeps the problems' own. Problems with a goal are compared with
-        both costs-to-go by default; others have none.
+        Values to compare; None keeps the problems' own. By default, problems with a goal are
+        compared with both costs-to-go; others have none.
     sweep
-        Values of any further keys of the problem files, by dotted key such as
-        ``constraints.p_min`` or ``robots[*].speed_max_m_s``. The settings are the product of all.
-        One problem without any setting is compared as its own table ``compare`` says.
+        Values of any further keys of the problem files, by dotted key such as ``constraints.p_min``
+        or ``robots[*].speed_max_m_s``. All combinations of settings are run. A single problem
+        without any setting is compared as specified in its table ``compare``.
     seeds
-        The seeds, or their number (0, 1, ...); by default those of the table ``compare`` if it
+        Random seeds, or their number (0, 1, ...). Defaults to those of the table ``compare`` if it
         is used, else 30. Every setting uses the same seeds. Ratios and differences are paired by
-        seed with the first setting of the same problem; with that of the first problem if each
-        has only one.
+        seed with the first setting of the same problem, or of the first problem if each has only
+        one setting.
     workers
         Number of processes; each runs one seed of one problem on one BLAS thread. Only measured
-        times depend on their number.
+        times depend on it.
     backend
-        Where the processes run: ``loky`` (this machine), ``dask`` or ``ray``.
+        Backend of the processes: ``loky`` (this machine), ``dask`` or ``ray``.
     on_run
-        Called for every finished run, for progress display.
+        Function called after every finished run, for progress display.
     finished
-        Folder that keeps every finished run (:mod:`planopt.studies.study`). Runs that an earlier
-        comparison has kept there are read, with the times measured then.
+        Folder for finished runs (:mod:`planopt.studies.study`). Runs stored there by an earlier
+        comparison are reused, with the times measured then.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def compare(
     ------
     InputError
         There is nothing to compare, a seed is negative, repeated or no whole number, a value or
-        backend is unknown, or a run with parts from Python cannot be kept.
+        backend is unknown, or a run with parts from Python cannot be stored.
     NoPlanError
         No run has a plan, for instance because obstacles cut off every goal.
 
@@ -121,7 +121,7 @@ def compare(
         variant = variants[number]
         for setting, run in enumerate(runs):
             resumed += run.resumed
-            # The record of a run does not contain the name and changes of this study.
+            # The stored run lacks the name and the changed keys of this study.
             done = replace(run.result, problem=variant.problem.name, sweep=variant.sweep)
             driven[number, setting, seed] = done
             if on_run is not None:
@@ -145,7 +145,7 @@ def compare(
 
 
 def _shared(item: Item) -> Any:
-    """Return the data that all settings of one seed share; the error if there is no plan."""
+    """Return the data common to all settings of one seed, or the error if there is no plan."""
     problem, seed = item
     try:
         return task_of(problem).shared(problem, seed)
@@ -170,12 +170,12 @@ OWN_OPTIONS = {
     "planner.name": "planners",
     "objective.cost_to_go": "costs_to_go",
 }
-"""Keys that have an argument of their own; a sweep may have them in its place."""
+"""Keys with an argument of their own; a sweep may contain them instead."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A problem with swept changes, and its settings."""
+    """A problem with the changes of a sweep, and its settings."""
 
     problem: AnyProblem
     sweep: Mapping[str, Any]
@@ -184,7 +184,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Lists:
-    """Values whose product is run; None keeps the problem's own."""
+    """Lists of values to combine; None keeps the problem's own."""
 
     horizons: Sequence[int] | None = None
     planners: Sequence[str] | None = None
@@ -199,7 +199,7 @@ def settings_of(
     costs_to_go: Sequence[str] | None = None,
     sweep: Mapping[str, Sequence[Any]] | None = None,
 ) -> list[AnyProblem]:
-    """Return every setting that :func:`planopt.compare` runs on each seed; errors as there."""
+    """Return every setting that :func:`planopt.compare` runs on each seed, with the same errors."""
     variants = variants_of(problems, Lists(horizons, planners, costs_to_go, sweep))
     return [setting for variant in variants for setting in variant.settings]
 
@@ -213,12 +213,12 @@ def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSett
 
 
 def default_seeds(own: ComparisonSettings | None) -> range:
-    """Return the seeds where none are given: those of the table ``compare`` that is run."""
+    """Return the default seeds: those of the table ``compare`` if it is used."""
     return seeds_of(DEFAULT_SEEDS if own is None else own.seeds, "compare.seeds")
 
 
 def several(values: object) -> Sequence[Any] | None:
-    """Return several values; a single one, such as a name, as a list of it."""
+    """Return several values as a sequence; a single value, such as a name, as a list."""
     if values is None:
         return None
     if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
@@ -243,7 +243,7 @@ def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
 
 
 def chosen_seeds(seeds: object) -> list[int]:
-    """Return the required seeds, of which `seeds` may also be the number."""
+    """Return the seeds; `seeds` may also be their number."""
 
     def is_whole(value: object) -> bool:
         return isinstance(value, int | np.integer) and not isinstance(value, bool)
@@ -265,7 +265,7 @@ def chosen_seeds(seeds: object) -> list[int]:
 
 
 def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
-    """Return every problem under every combination of the swept values, with checked settings."""
+    """Return every combination of problem and swept values, with validated settings."""
     for key, values in {"problems": problems, **vars(lists), **(lists.sweep or {})}.items():
         if key != "sweep" and values is not None and len(values) == 0:
             raise InputError(
@@ -300,7 +300,7 @@ def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
 
 
 def _product(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
-    """Return the product of all lists."""
+    """Return all combinations of the lists."""
     swept = dict(lists.sweep or {})
     for key, option in OWN_OPTIONS.items():
         if key in swept and getattr(lists, option) is not None:
@@ -334,6 +334,6 @@ def _settings(
     ):
         one = task.overridden(problem, horizon=horizon, planner=planner, cost_to_go=cost)
         own_horizon, *others = task.labels(one)
-        # Planners that foresee the whole run plan alike with every horizon.
+        # Planners with a full-run horizon produce the same plan for every horizon.
         found.setdefault((own_horizon if task.has_horizon(one) else None, *others), one)
     return tuple(found.values())

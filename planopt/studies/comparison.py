@@ -1,4 +1,4 @@
-"""A paired comparison of settings over the same seeds, and the folder that it is saved in."""
+"""Paired comparison of settings on common seeds, and its files."""
 
 from __future__ import annotations
 
@@ -43,28 +43,28 @@ COMPARISON = (
     *(COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE, PARQUET_FILE),
     *("comparison.png", "reliability.png", "traces.png"),
 )
-"""The files of a comparison with its pictures."""
+"""Files of a comparison, including figures."""
 
 MACHINE = frozenset(("program", "python", "machine"))
-"""Keys of the manifest that describe where the comparison was made."""
+"""Keys of the manifest that describe the software and the machine."""
 
 REMEDY = "run the comparison again"
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The runs of a comparison, and the table made of them.
+    """Runs of a comparison and the table computed from them.
 
     Attributes
     ----------
     problem
         The first problem; each run has its changes.
     runs
-        Setting by setting, seed by seed.
+        Runs, ordered by setting and then by seed.
     rows
         The table.
     wall_s
-        Time it took.
+        Wall time of the comparison.
     resumed
         Number of runs that an earlier comparison had finished.
     others
@@ -86,16 +86,16 @@ class Comparison:
         Parameters
         ----------
         folder
-            Made if it is missing; a comparison that it had is replaced.
+            Folder, created if missing; a comparison in it is replaced.
         parquet
-            Whether the runs are saved as ``runs.parquet`` as well, which needs pyarrow.
+            Whether to save the runs as ``runs.parquet`` as well, which needs pyarrow.
 
         Raises
         ------
         OutputError
-            The folder cannot be written; what it had is still there.
+            The folder cannot be written; its previous content is kept.
         InputError
-            A problem has parts from Python, which no file can hold, or pyarrow is missing.
+            A problem has parts from Python, which cannot be saved, or pyarrow is missing.
         """
         if parquet:
             require_pyarrow()
@@ -116,7 +116,7 @@ class Comparison:
             write_text(new / COMPARISON_FILE, strict_text(data))
 
     def to_dataframe(self) -> Any:
-        """Return the runs as a pandas DataFrame: a row a run, a column a setting and metric.
+        """Return the runs as a pandas DataFrame: a row per run, a column per setting and metric.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class Comparison:
 
     @property
     def exit_code(self) -> int:
-        """Return 0 if all runs did their task, 3 if some step is not verified, 4 if one failed."""
+        """Return 0 if all runs completed the task, 3 if a step is unverified, 4 if a run failed."""
         return max(run.exit_code for run in self.runs)
 
     @property
@@ -137,12 +137,12 @@ class Comparison:
 
     @property
     def reliability(self) -> tuple[ReliabilityBin, ...]:
-        """Predicted against true connection over the steps of all runs of all settings."""
+        """Return predicted and true connection rates over all steps, runs and settings."""
         return runs_reliability(self.runs)
 
 
 def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Path) -> None:
-    """Save that there is no plan, in place of what there was."""
+    """Save a result without a plan, in place of the previous one."""
     tables = task_of(problem).tables(problem)
     data = {**no_comparison_json(problem.name, message), "problem_file": tables}
     with replaced_results(folder, COMPARISON) as new:
@@ -150,7 +150,7 @@ def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Pat
 
 
 def load_comparison(path: Path) -> Comparison | None:
-    """Read a saved comparison; None if the folder or file has another result."""
+    """Read a saved comparison; return None if the folder or file contains another result."""
     folder = path.parent if path.name == COMPARISON_FILE else path
     others = (folder / name for name in (PLAN_FILE, RUN_FILE))
     named = path.name == COMPARISON_FILE
@@ -160,9 +160,9 @@ def load_comparison(path: Path) -> Comparison | None:
 
 
 def comparison_reasons(path: Path) -> list[str] | None:
-    """Return differences of a saved comparison from tables computed from its runs.
+    """Return differences between a saved comparison and tables recomputed from its runs.
 
-    A digest covers the runs. None if the folder or file has another result.
+    A digest covers the runs. None if the folder or file contains another result.
     """
     comparison = load_comparison(path)
     if comparison is None:
@@ -176,7 +176,7 @@ def comparison_reasons(path: Path) -> list[str] | None:
     made: dict[str, Any] = json.loads(read_text(folder / MANIFEST_FILE))
     try:
         again = manifest(comparison, [tables["problem_file"], *tables["other_problems"]])
-    except InputError as error:  # A map or log that the digests cover is gone
+    except InputError as error:  # A map or log covered by the digests is missing
         return [*reasons, f"{MANIFEST_FILE}, key problems: {error}"]
     return reasons + in_words(MANIFEST_FILE, differences(made, again, accepted=MACHINE))
 
@@ -193,7 +193,7 @@ def _load_comparison(folder: Path) -> Comparison:
         ]
         wall_s, resumed = float(data["wall_s"]), int(data["resumed"])
         file = folder / RUNS_FILE
-        # Comparisons that were saved before there were traces lack them.
+        # Comparisons saved by early versions have no traces.
         records = map(json.loads, read_text(file).splitlines())
         lines: list[dict[str, Any]] = [{"traces": {}, **record} for record in records]
         runs = tuple(decoded(RunSummary, line) for line in lines)
@@ -206,7 +206,7 @@ def _load_comparison(folder: Path) -> Comparison:
 
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """Return the JSON keys of ``compare``."""
+    """Return the JSON object that ``compare`` prints."""
     return {
         "problem": comparison.problem.name,
         "outcome": "compared",
@@ -229,7 +229,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def no_comparison_json(name: str, message: str) -> dict[str, Any]:
-    """Return the same keys for a comparison without plan; `message` is the reason."""
+    """Return the same object for a comparison without plan; `message` is the reason."""
     return {
         "problem": name,
         "outcome": "no_plan",
@@ -248,7 +248,7 @@ def _setting_json(run: RunSummary) -> dict[str, Any]:
 
 
 def manifest(comparison: Comparison, tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the program, machine, seeds and settings with which the runs can be repeated."""
+    """Return the program, machine, seeds and settings needed to repeat the runs."""
     settings = runs_by_setting(comparison.runs)
     return {
         "program": dict(program()),
@@ -270,7 +270,7 @@ def manifest(comparison: Comparison, tables: Sequence[Mapping[str, Any]]) -> dic
 
 
 def run_columns(comparison: Comparison) -> dict[str, list[Any]]:
-    """Return the runs as columns: a row for each, with a column for each swept key and metric."""
+    """Return the runs as columns: one row per run, one column per swept key and metric."""
     runs = comparison.runs
     swept = dict.fromkeys(key for run in runs for key in run.sweep)
     metrics = dict.fromkeys(name for run in runs for name in run.metrics)
@@ -293,7 +293,7 @@ def run_columns(comparison: Comparison) -> dict[str, list[Any]]:
 
 
 def require_pyarrow() -> None:
-    """Raise an InputError that says what to install if pyarrow is missing."""
+    """Raise an InputError with an installation hint if pyarrow is missing."""
     if find_spec("pyarrow") is None:
         raise InputError("Parquet files need pyarrow", remedy="pip install 'planopt[parquet]'")
 

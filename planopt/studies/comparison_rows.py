@@ -1,4 +1,4 @@
-"""The settings and the table of a comparison: means and paired differences with intervals."""
+"""Settings and table of a comparison: means and paired differences with intervals."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ SettingKey = tuple[str, str, str | None, str, int]
 
 @dataclass(frozen=True)
 class Row:
-    """One metric of one setting over all seeds; None without a value.
+    """One metric of one setting over all seeds; None where there is no value.
 
-    The reference is the first setting of the problem. Intervals are 95 % Student intervals within
-    the possible values, from five seeds on.
+    The reference is the first setting of the problem. From five seeds on there are 95 % Student
+    intervals, clipped to the metric's range.
     """
 
-    horizon: int  # The setting
+    horizon: int  # Planning horizon in steps
     planner: str
     cost_to_go: str | None
     seeds: int  # Number of runs
-    stalled: int  # Number of runs that did not do what the problem asks
+    stalled: int  # Number of runs that did not complete their task
     metric: str  # goal_time_s, true_connected_share, ...
     mean: float | None  # Over the `count` runs for which the metric exists
     ci_low: float | None
     ci_high: float | None
     count: int
-    # Geometric mean over seeds of the ratio to the reference, where both exist and are positive
+    # Geometric mean over seeds of the ratio to the reference, if both are positive
     paired_ratio: float | None
     verified_rate: float | None  # Share of released steps that were verified, over all runs
-    p50_step_s: float | None  # Median and 95 % quantile of the planning time of a step
+    p50_step_s: float | None  # Median and 95 % quantile of the planning time per step
     p95_step_s: float | None
-    # Mean over seeds of the difference from the reference, where both exist
+    # Mean over seeds of the difference from the reference, if both exist
     paired_difference: float | None = None
     difference_low: float | None = None
     difference_high: float | None = None
-    ratio_low: float | None = None  # Interval of the paired ratio, over logarithms
+    ratio_low: float | None = None  # Interval of the paired ratio, computed on logarithms
     ratio_high: float | None = None
     problem: str = ""
     sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])  # Changed keys, values
@@ -58,12 +58,12 @@ class Row:
 class Setting:
     """One setting of a comparison."""
 
-    runs: Sequence[RunSummary]  # Seed by seed
+    runs: Sequence[RunSummary]  # Ordered by seed
     rows: Mapping[str, Row]  # By metric
 
     @property
     def one(self) -> RunSummary:
-        """Return the first run; all have its problem, sweep, cost-to-go, planner and horizon."""
+        """Return the first run, which represents the setting."""
         return self.runs[0]
 
     @property
@@ -73,7 +73,7 @@ class Setting:
 
 
 def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Setting]:
-    """Divide runs and rows by their settings, in the order of the rows."""
+    """Group runs and rows by setting, in the order of the rows."""
     found: dict[SettingKey, dict[str, Row]] = {}
     for row in rows:
         found.setdefault(setting_of(row), {})[row.metric] = row
@@ -82,9 +82,9 @@ def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Se
 
 
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
-    """Return the rows of runs, setting by setting with the same seeds in the same order.
+    """Return the rows of all settings, whose runs have the same seeds in the same order.
 
-    Settings are paired with the first of their problem, or with the very first if each is alone.
+    Settings are paired with the first of their problem, or the very first if each has only one.
     """
     settings = runs_by_setting(runs)
     first = {each[0].problem: each for each in reversed(settings)}
@@ -94,7 +94,7 @@ def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
 
 
 def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> list[Row]:
-    """Return the rows of one setting, one a metric; the reference has the same seeds in order."""
+    """Return the rows of one setting, one per metric; the reference has the same seeds in order."""
     one = runs[0]
     steps = np.concatenate([run.step_s for run in runs])
     rates = np.array([run.verified_rate for run in runs])
@@ -147,7 +147,7 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
 def mean_interval(
     values: NDArray[np.float64], possible: tuple[float, float] = ANY
 ) -> tuple[float | None, float | None]:
-    """Return the Student interval of the mean, within the possible values.
+    """Return the Student interval of the mean, clipped to the possible values.
 
     None for fewer than `FEWEST_GROUPS` values.
     """
@@ -161,7 +161,7 @@ def mean_interval(
 
 
 def log_ratios(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the logarithms of paired ratios where both values are positive and finite."""
+    """Return the logarithms of paired ratios, restricted to positive finite pairs."""
     both = np.isfinite(values) & np.isfinite(others) & (values > 0.0) & (others > 0.0)
     return np.log(values[both] / others[both])
 
@@ -177,7 +177,7 @@ def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
 
 
 def runs_by_setting(runs: Sequence[RunSummary]) -> list[list[RunSummary]]:
-    """Divide runs by their settings, in the order in which these occur."""
+    """Group runs by setting, in order of first occurrence."""
     found: dict[SettingKey, list[RunSummary]] = {}
     for run in runs:
         found.setdefault(setting_of(run), []).append(run)
@@ -190,7 +190,7 @@ def setting_of(one: RunSummary | Row) -> SettingKey:
 
 
 def has_horizon(one: RunSummary | Row) -> bool:
-    """Return False for bounds, which foresee the whole run whatever their horizon."""
+    """Return False for planners that optimise the whole run regardless of the horizon."""
     kind = OWN.get(one.planner)
     return kind is None or not kind.foresees
 
@@ -198,7 +198,7 @@ def has_horizon(one: RunSummary | Row) -> bool:
 def sweep_words(
     one: RunSummary | Row, left_out: str | None = None, names: Mapping[str, str] | None = None
 ) -> str:
-    """Return the changed keys of a setting with their values, in words."""
+    """Return the changed keys of a setting and their values as text."""
     called = names or {}
     return ", ".join(
         f"{called.get(key, key)} = {value}" for key, value in one.sweep.items() if key != left_out
@@ -208,7 +208,7 @@ def sweep_words(
 def setting_words(
     one: RunSummary | Row, names: Mapping[str, str], *, several_problems: bool
 ) -> str:
-    """Return a setting in words; parameters as of :func:`sweep_words`."""
+    """Return a setting as text; parameters as in :func:`sweep_words`."""
     own = {
         "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost to go",
         "planner.name": f"planner {one.planner}",
@@ -223,7 +223,7 @@ def setting_words(
 
 
 def short_keys(settings: Iterable[RunSummary | Row]) -> dict[str, str]:
-    """Return the swept keys with as many of their last parts as distinguish them."""
+    """Return the shortest unambiguous suffix of each swept key."""
     keys = list(dict.fromkeys(key for one in settings for key in one.sweep))
     found = {key: key for key in keys}
     if len(keys) > 1:

@@ -1,4 +1,4 @@
-"""Run studies: results in parallel, each kept in a file when it is finished, so that they resume.
+"""Parallel execution of studies, with one file per finished run so that they can be resumed.
 
 The file name of a run is a digest of everything that determines its result: the problem with the
 content of its files, the seed, and the program. The process that simulates a run writes its file.
@@ -57,32 +57,32 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class FinishedRuns:
-    """A folder of finished runs."""
+    """Folder of finished runs."""
 
-    folder: Path  # Made when the first run is kept
+    folder: Path  # Created when the first run is stored
 
     def find(self, key: Mapping[str, Any], kind: type[Value]) -> Value | None:
-        """Return the result that was kept for `key`; None without one, or if it is damaged."""
+        """Return the result stored under `key`; None if it is missing or damaged."""
         found = _read_record(self._file(key), kind)
         return None if found is None or found[0] != key else found[1]
 
     def all(self, kind: type[Value]) -> list[Value]:
-        """Return every result of a type that is kept, whatever its key; damaged ones left out."""
-        # Hidden files belong to processes that are writing, or were killed while they wrote.
+        """Return all stored results of a type; damaged ones are skipped."""
+        # Hidden files are unfinished, either in progress or left by a killed process.
         files = sorted(self.folder.glob("[!.]*.json"))
         found = (_read_record(file, kind) for file in files)
         return [record[1] for record in found if record is not None]
 
     def has(self, key: Mapping[str, Any]) -> bool:
-        """Return whether there is a file for `key`."""
+        """Return whether a file for `key` exists."""
         return self._file(key).is_file()
 
     def keep(self, key: Mapping[str, Any], result: object) -> None:
-        """Keep a result, whole or not at all."""
+        """Store a result atomically."""
         write_text(self._file(key), strict_text({"key": key, "result": encoded(result)}))
 
     def tidy(self) -> None:
-        """Remove the unfinished files of processes that were killed."""
+        """Remove unfinished files of killed processes."""
         remove_remains(self.folder)
 
     def _file(self, key: Mapping[str, Any]) -> Path:
@@ -90,7 +90,7 @@ class FinishedRuns:
 
 
 def _read_record(file: Path, kind: type[Value]) -> tuple[Any, Value] | None:
-    """Return the key and the result of a file; None if it is missing or damaged."""
+    """Return the key and the result in a file; None if it is missing or damaged."""
     try:
         record = json.loads(read_text(file))
         return record["key"], decoded(kind, record["result"])
@@ -110,12 +110,12 @@ def digest_of_tables(tables: Mapping[str, Any]) -> str:
 
 
 def _deciding(tables: Mapping[str, Any]) -> Any:
-    """Return the tables of a problem that affect a run, and the content of its files."""
+    """Return the tables of a problem that affect a run, with the content of its files."""
     return _with_contents({key: each for key, each in tables.items() if key not in UNDECIDING})
 
 
 def _with_contents(value: Any, name: str = "") -> Any:
-    """Return `value` with digests in place of the names of files, whose content is decisive."""
+    """Return `value` with file names replaced by digests of the files' content."""
     if isinstance(value, Mapping):
         table = cast("Mapping[str, Any]", value)
         return {key: _with_contents(part, key) for key, part in table.items()}
@@ -128,7 +128,7 @@ def _with_contents(value: Any, name: str = "") -> Any:
 
 @cache
 def program() -> tuple[tuple[str, str], ...]:
-    """Return versions, and a digest of the source: a checkout changes without its version."""
+    """Return package versions and a digest of the source, since a checkout keeps its version."""
     package = Path(__file__).parents[1]
     source = b"".join(path.read_bytes() for path in sorted(package.rglob("*.py")))
     return (
@@ -139,7 +139,7 @@ def program() -> tuple[tuple[str, str], ...]:
 
 
 def cpu_name() -> str:
-    """Return the processor's name, as far as it is known."""
+    """Return the processor's name, if known."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -155,7 +155,7 @@ def _digest(content: bytes) -> str:
 
 
 CHECK_EVERY_S = 1.0
-"""Interval at which a worker looks for its parent."""
+"""Interval in seconds at which a worker checks that its parent is alive."""
 
 Item = TypeVar("Item")
 Shared = TypeVar("Shared")
@@ -164,18 +164,18 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Study(Generic[Item, Shared, Result]):
-    """The functions that compute each item of a study; they must be picklable."""
+    """Functions that compute the items of a study; they must be picklable."""
 
-    kind: type[Result]  # Type of a result, as :mod:`planopt.files.typed_json` reads it back
-    # Returns the data that a group shares, from its first item that is not finished
+    kind: type[Result]  # Type of a result, as :mod:`planopt.files.typed_json` decodes it
+    # Computes the data common to a group, from its first unfinished item
     prepare: Callable[[Item], Shared]
-    work: Callable[[Item, Shared], Result]  # Returns an item's result
-    key: Callable[[Item], Mapping[str, Any]]  # Determines an item's result, as JSON
+    work: Callable[[Item, Shared], Result]  # Computes an item's result
+    key: Callable[[Item], Mapping[str, Any]]  # Everything that determines an item's result, as JSON
 
 
 @dataclass(frozen=True)
 class Finished(Generic[Result]):
-    """A result, and whether the record had it already."""
+    """A result, and whether it was read from the record."""
 
     result: Result
     resumed: bool
@@ -189,7 +189,7 @@ def run_study(
     backend: str = "loky",
     record: FinishedRuns | None = None,
 ) -> Iterator[list[Finished[Result]]]:
-    """Compute all items; yield the results of each group, in order, when it is finished."""
+    """Compute all items; yield the results of each group, in order, as soon as it is finished."""
     if workers < 1:
         raise InputError(
             f"{workers} is less than 1",
@@ -213,7 +213,7 @@ def _recorded(
     *,
     elsewhere: bool,
 ) -> Generator[list[Finished[Result]]]:
-    """Yield results; keep those from machines with other folders, and no unfinished files."""
+    """Yield results, store those from machines with other folders, remove partial files."""
     record.tidy()
     try:
         for group, found in zip(groups, results, strict=True):
@@ -229,7 +229,7 @@ def _recorded(
 def _on_joblib(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int, **settings: Any
 ) -> Iterator[Any]:
-    """Yield results in order, from processes of joblib's current backend."""
+    """Yield results in order, computed by processes of joblib's current backend."""
     parallel = Parallel(n_jobs=workers, return_as="generator", **settings)
     task = cast("Callable[..., object]", delayed(work))
     return iter(cast("Any", parallel([task(*job) for job in jobs])))
@@ -238,7 +238,7 @@ def _on_joblib(
 def _on_loky(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
 ) -> Iterator[Any]:
-    # Workers watch from their start: one that never gets a job would wait for minutes.
+    # The watch starts with the process because an idle worker would survive for minutes.
     watch = {"initializer": _end_with_parent, "initargs": (os.getpid(),)}
     return _on_joblib(work, jobs, workers, backend="loky", **watch)
 
@@ -260,8 +260,8 @@ def _on_dask(
 def _on_ray(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
 ) -> Generator[Any]:
-    """Ray's own tasks: its backend of joblib gives no result before the last one."""
-    # No usage statistics are sent unless the user enables them.
+    """Yield results from Ray's own tasks; its joblib backend returns them only all at once."""
+    # Usage statistics are disabled unless the user enables them.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     ray = cast("Any", import_module("ray"))
     # Workers must find the same modules, which may contain registered terms.
@@ -276,7 +276,7 @@ def _on_ray(
     handler = signal.getsignal(signal.SIGTERM)
     with nullcontext() if running else ray.init(**local, **quiet):
         if threading.current_thread() is threading.main_thread():
-            # Ray replaces our handler, by which a comparison ends cleanly.
+            # Ray replaces the handler that ends a comparison cleanly.
             signal.signal(signal.SIGTERM, handler)
         task = ray.remote(num_cpus=1)(work)
         for result in [task.remote(*job) for job in jobs]:
@@ -291,14 +291,14 @@ BACKENDS: Mapping[str, Callable[..., Iterator[Any]]] = {
     "dask": _on_dask,
     "ray": _on_ray,
 }
-"""Backends by name: this machine, or a cluster of the package of that name."""
+"""Backends by name: this machine, or a cluster managed by the package of that name."""
 
 PACKAGES = {"dask": "distributed", "ray": "ray"}
-"""Package that a backend needs in addition to joblib."""
+"""Package that a backend requires in addition to joblib."""
 
 
 def require_backend(backend: str, key: str = "backend") -> None:
-    """Raise an InputError if there is no such backend, or what it needs is not installed."""
+    """Raise an InputError if a backend is unknown or its package is not installed."""
     if backend not in BACKENDS:
         raise InputError(f"{backend!r} is not there", key=key, remedy=f"use {', '.join(BACKENDS)}")
     if find_spec(PACKAGES.get(backend, "joblib")) is None:
@@ -316,7 +316,7 @@ def _group_results(
     rules: Sequence[type[Any]],
     parent: int,
 ) -> list[Finished[Result]]:
-    """Compute the items of a group that are not finished."""
+    """Compute the unfinished items of a group."""
     if os.getpid() != parent:
         for kind in planners:
             register_planner(kind)
@@ -340,7 +340,7 @@ def _group_results(
 
 
 def _end_with_parent(parent: int) -> None:
-    """End this process soon after the process `parent`, which may have been killed."""
+    """End this process soon after its parent process has ended."""
 
     def watch() -> None:
         while os.getppid() == parent:

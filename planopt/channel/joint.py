@@ -1,9 +1,9 @@
-"""Joint prediction of power at several places: moments, samples, longest outage, delivered data.
+"""Joint prediction of power at several positions: moments, samples, outage and delivered data.
 
-Errors of a prediction are correlated along a path, so that joint events need their covariance. The
-longest outage and the data delivered by a deadline have no closed form: they are sampled. Packets
-are sent at the given places, where multipath is drawn independently. A leg is connected if the
-place it ends at is, as in the metrics of the closed loop.
+Prediction errors are correlated along a path, so joint events depend on their covariance. The
+longest outage and the data delivered by a deadline have no closed form; they are sampled. Packets
+are sent at the positions of the path, with independent multipath. A leg is connected if its end
+position is, as in the metrics of the closed loop.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from planopt.short_repr import short_repr
 
 @dataclass(frozen=True, eq=False)
 class JointPrediction:
-    """Jointly Gaussian powers at h places.
+    """Jointly Gaussian powers at h positions.
 
     Attributes
     ----------
     mean_db
-        ``(h,)`` mu, dBm.
+        ``(h,)`` mean mu in dBm.
     covariance_db2
-        ``(h, h)`` S + B M B', symmetric.
+        ``(h, h)`` symmetric covariance S + B M B'.
 
     Raises
     ------
     InputError
-        There is no place, shapes differ, or a number is not finite.
+        There is no position, shapes differ, or a number is not finite.
     """
 
     mean_db: NDArray[np.float64]
@@ -71,7 +71,7 @@ class JointPrediction:
 
     @property
     def deviation_db(self) -> NDArray[np.float64]:
-        """``(h,)`` standard deviation at each place."""
+        """Standard deviation at each position, ``(h,)``."""
         return np.sqrt(np.diag(self.covariance_db2))
 
 
@@ -80,18 +80,18 @@ def joint_prediction(
 ) -> JointPrediction:
     """Return mean and covariance of the powers at `positions_m`, from all measurements.
 
-    mu, and S + B M B' with S = K + omega^2 I - Phi' U^-1 Phi and B = Gamma_h - Phi' U^-1 Gamma
-    (equations 1.11 and 1.12; M is zero where theta is known). The diagonal is what
-    :func:`planopt.channel.kriging.predict` gives. Memory grows with h (kappa + h).
+    The covariance is S + B M B' with S = K + omega^2 I - Phi' U^-1 Phi and
+    B = Gamma_h - Phi' U^-1 Gamma (equations 1.11 and 1.12; M is zero if theta is known). Its
+    diagonal agrees with :func:`planopt.channel.kriging.predict`. Memory grows with h (kappa + h).
 
     Parameters
     ----------
     posterior
-        The channel conditional on measurements.
+        Channel conditional on measurements.
     positions_m
-        ``(h, 2)`` metres. Multipath is independent, even at a repeated place.
+        ``(h, 2)`` positions in metres. Multipath is independent, even at a repeated position.
     latent
-        Path loss and shadowing without multipath.
+        True to leave multipath out.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def joint_prediction(
 
 @dataclass(frozen=True, eq=False)
 class JointTerms:
-    """The parts of a joint prediction that do not depend on theta."""
+    """Terms of a joint prediction that do not depend on theta."""
 
     data_db: NDArray[np.float64]  # (h,) Phi' U^-1 Y
     trend: NDArray[np.float64]  # (h, 2) B
@@ -123,7 +123,7 @@ def joint_terms(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> J
     across = whiten(posterior.factor, posterior.covariance_with_db2(places_m))
     covariance = shadow_covariance_db2(places_m, places_m, parameters) - across.T @ across
     own = np.diag_indices_from(covariance)
-    # Rounding can make the latent variance negative at a place that is known exactly.
+    # Rounding errors can make the latent variance negative at a noise-free measured position.
     covariance[own] = np.maximum(covariance[own], 0.0)
     return JointTerms(
         across.T @ posterior.whitened_values,
@@ -140,20 +140,20 @@ def sample_power(
     *,
     latent: bool = False,
 ) -> NDArray[np.float64]:
-    """Draw powers at `positions_m` from the posterior, dBm; ``(count, h)``.
+    """Draw powers at `positions_m` from the posterior, in dBm; ``(count, h)``.
 
     Parameters
     ----------
     posterior
-        The channel conditional on measurements.
+        Channel conditional on measurements.
     positions_m
-        ``(h, 2)`` metres.
+        ``(h, 2)`` positions in metres.
     count
         Number of draws.
     generator
-        Source of randomness.
+        Random number generator.
     latent
-        Without multipath.
+        True to leave multipath out.
 
     Raises
     ------
@@ -169,21 +169,21 @@ def sample_power(
 def predict_readings(
     posterior: ChannelPosterior | MarginalPosterior, readings: Measurements
 ) -> Prediction:
-    """Predict the values of further measurements.
+    """Predict the powers that further measurements would read.
 
     Parameters
     ----------
     posterior
-        The channel conditional on other measurements.
+        Channel conditional on other measurements.
     readings
-        n measurements: their times, receivers, resolution and position errors are used, their
-        powers are not.
+        n measurements. Their positions, times, receivers, resolution and position errors are used,
+        their powers are not.
 
     Returns
     -------
     Prediction
-        In their order; for plain measurements, and without forgetting, that of the posterior at
-        their positions.
+        Predicted readings in the same order. For exact, unrounded readings of receiver 0 in a
+        static channel it is the posterior's prediction at their positions.
     """
     if isinstance(posterior, MarginalPosterior):
         parts = [predict_readings(component, readings) for component in posterior.components]
@@ -196,7 +196,7 @@ def predict_readings(
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate and its 95 % confidence interval."""
+    """Estimate with its 95 % confidence interval."""
 
     value: float
     low: float
@@ -205,12 +205,12 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class SampledDistribution:
-    """Independent draws of one number.
+    """Distribution of one number, represented by independent draws.
 
     Attributes
     ----------
     draws
-        ``(count,)`` in the order drawn, count at least 2.
+        ``(count,)`` draws in the order drawn, at least 2.
     """
 
     draws: NDArray[np.float64]
@@ -231,13 +231,13 @@ class SampledDistribution:
         return len(self.draws)
 
     def mean(self) -> Interval:
-        """Return the mean with its interval by the central limit theorem."""
+        """Return the mean with its confidence interval from the central limit theorem."""
         value = float(self.draws.mean())
         half = _half_width() * float(self.draws.std(ddof=1)) / math.sqrt(self.count)
         return Interval(value, value - half, value + half)
 
     def quantile(self, share: float) -> Interval:
-        """Return the value not exceeded with probability `share`; the interval by ranks.
+        """Return the quantile at probability `share`, with its interval from order statistics.
 
         Raises
         ------
@@ -252,30 +252,30 @@ class SampledDistribution:
         return Interval(value, low, high)
 
     def exceedance(self, limit: float) -> Interval:
-        """Return P(more than `limit`) with Clopper and Pearson's interval."""
+        """Return P(value > `limit`) with its Clopper-Pearson interval."""
         above = float((self.draws > limit).sum())
         return Interval(above / self.count, *binomial_interval(above, self.count))
 
 
 def _half_width() -> float:
-    """Return half the width of a normal confidence interval in standard deviations."""
+    """Return the half-width of a normal confidence interval in standard deviations."""
     return bound_quantile(0.5 + 0.5 * CONFIDENCE)
 
 
 @dataclass(frozen=True)
 class Traffic:
-    """Data to be sent, as a fluid.
+    """Fluid model of the data to send: source, buffer and link.
 
     Attributes
     ----------
     link_bps
-        Rate while connected, above 0.
+        Link rate while connected, above 0.
     waiting_bits
         Initial content of the buffer.
     source_bps
         Arrival rate of new data.
     buffer_bits
-        Capacity of the buffer; arrivals beyond it are lost.
+        Capacity of the buffer; the excess is lost.
 
     Raises
     ------
@@ -311,14 +311,14 @@ class Traffic:
 
 @dataclass(frozen=True, eq=False)
 class LongestOutage:
-    """The longest stretch without connection; draw k of both belongs to the same channel.
+    """Longest outage along a path; draw k of both attributes is from the same sampled channel.
 
     Attributes
     ----------
     metres
-        Length of the stretch that is longest by length.
+        Length of the outage that is longest in metres.
     seconds
-        Duration of the stretch that is longest by duration.
+        Duration of the outage that is longest in seconds.
     """
 
     metres: SampledDistribution
@@ -329,16 +329,16 @@ class LongestOutage:
 
 @dataclass(frozen=True, eq=False)
 class DeliveredData:
-    """The data delivered by the deadline; draw k of all arrays belongs to the same channel.
+    """Data delivered by a deadline; draw k of all attributes is from the same sampled channel.
 
     Attributes
     ----------
     delivered_bits
-        Received.
+        Data received by the deadline.
     lost_bits
-        Arrived at a full buffer.
+        Data lost because the buffer was full.
     waiting_bits
-        Still in the buffer.
+        Data still in the buffer at the deadline.
     """
 
     delivered_bits: SampledDistribution
@@ -361,17 +361,18 @@ def longest_outage(
     Parameters
     ----------
     posterior
-        The channel conditional on measurements.
+        Channel conditional on measurements.
     positions_m
-        ``(h, 2)`` metres, h >= 2, where packets are sent; the robot starts at the first.
+        ``(h, 2)`` positions in metres, h >= 2, where packets are sent. The robot starts at the
+        first.
     times_s
         ``(h,)`` times at these positions, increasing.
     threshold_dbm
-        Least power of a connection.
+        Minimum power for a connection.
     count
-        Number of channels to draw, at least 2.
+        Number of sampled channels, at least 2.
     generator
-        Source of randomness.
+        Random number generator.
 
     Raises
     ------
@@ -405,7 +406,7 @@ def delivered_data(
     traffic
         Rates and buffer.
     deadline_s
-        On the clock of `times_s`, between its first and last.
+        Deadline between the first and the last of `times_s`.
 
     Raises
     ------
@@ -445,9 +446,9 @@ def sent_and_lost(
     connected: NDArray[np.bool_],  # (count, h)
     traffic: Traffic,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return bits delivered, lost, and left in the buffer, exact for a fluid; each ``(count,)``.
+    """Return the bits delivered, lost, and left in the buffer; each ``(count,)``.
 
-    Rates are constant on a leg, so the buffer fills or empties monotonically.
+    This is exact for a fluid: rates are constant on a leg, so its buffer level is monotonic.
     """
     waiting = np.full(len(connected), traffic.waiting_bits)
     delivered = np.zeros(len(connected))
@@ -487,6 +488,6 @@ def _connected(
     count: int,
     generator: np.random.Generator,
 ) -> NDArray[np.bool_]:
-    """Draw connections at places (h, 2); ``(count, h)``."""
+    """Draw connection states at positions (h, 2); ``(count, h)``."""
     threshold = require_finite(threshold_dbm, "threshold_dbm")
     return sample_power(posterior, places_m, count, generator) >= threshold

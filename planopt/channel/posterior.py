@@ -1,9 +1,9 @@
-"""The posterior of the channel: received power anywhere, conditional on measurements.
+"""Posterior of the channel: received power at any position, conditional on measurements.
 
 The Cholesky factor of the measurements' covariance is shared between successive posteriors and
-grows by rows, so that one more measurement costs O(n^2) and copies nothing. Beyond `EXACT_LIMIT`
-there is no factor: theta comes from Vecchia's approximation and a prediction from the nearest
-measurements, at a cost that does not depend on their number.
+grows by rows, so one more measurement costs O(n^2) without copying. Beyond `EXACT_LIMIT`
+measurements there is no factor: theta comes from Vecchia's approximation and predictions use the
+nearest measurements, at a cost independent of the total number.
 
 Path loss is estimated by generalised least squares from products of whitened columns, or by
 ordinary least squares, which does not depend on xi, beta and omega. A robot's :class:`Belief` is
@@ -49,28 +49,27 @@ from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
 FACTOR_BLOCK = 264
-"""Rows appended to a factor together; powers of two are slower because of cache conflicts."""
+"""Number of rows appended to a factor at once; powers of two cause cache conflicts."""
 
 AT_ONCE = 768
-"""Maximum number of rows for which a factor is computed in one piece."""
+"""Maximum number of rows of a factor that is computed in one block."""
 
 WEAK_THETA_DEVIATION = (20.0, 1.0)
 """Prior standard deviation of K_PL (dB) and n_PL, used if measurements do not identify theta."""
 
 MAX_INFORMATION_CONDITION = 1e10
-"""Theta is identified while the condition number of its information, in units of
-`WEAK_THETA_DEVIATION`, is below this."""
+"""Maximum condition number of theta's information matrix, in units of `WEAK_THETA_DEVIATION`; above
+it the measurements do not identify theta."""
 
 MOST_JOINT_SITES = 300
-"""Beyond this many censored or coarsely rounded measurements their sites are matched window by
-window (:mod:`planopt.channel.long_logs`): a joint sweep costs the cube of their number."""
+"""Maximum number of censored or coarsely rounded measurements with joint sites. More are matched
+window by window (:mod:`planopt.channel.long_logs`), as a joint sweep costs their number cubed."""
 
 EXACT_LIMIT = 5_000
-"""Maximum number of measurements with a factor, which takes 200 MB, and 450 MB with room to
-grow."""
+"""Maximum number of measurements with a factor. It takes 200 MB, or 450 MB with room to grow."""
 
 SHARED_NEIGHBOURS = 512
-"""Number of measurements that a path shares in joint laws without a factor of all."""
+"""Number of measurements used for the joint law along a path if there is no full factor."""
 
 ThetaRule = Literal["estimated", "known", "least_squares"]
 
@@ -79,7 +78,7 @@ class FactorBuffer:
     """Lower Cholesky factor that grows by rows; rows from `used` on are free."""
 
     def __init__(self, count: int) -> None:
-        # Zeroed pages cost nothing until they are written.
+        # Zeroed memory pages are free until written.
         capacity = count + count // 2 + 64
         self.lower: NDArray[np.float64] = np.zeros((capacity, capacity))
         self.used = 0
@@ -89,9 +88,9 @@ class FactorBuffer:
         parameters: ChannelParameters,
         origins: Origins,  # (n,) of all measurements
         noise_variance_db2: NDArray[np.float64],  # (n,)
-        columns: NDArray[np.float64],  # (n, c), whitened as far as the factor goes
+        columns: NDArray[np.float64],  # (n, c), the first `used` rows already whitened
     ) -> None:
-        """Add the rows from `used` on, and whiten those of `columns` in place."""
+        """Append the rows from `used` on, and whiten these rows of `columns` in place."""
         lower, count = self.lower, len(columns)
         block = AT_ONCE if count <= AT_ONCE else FACTOR_BLOCK
         for start in range(self.used, count, block):
@@ -111,9 +110,9 @@ class FactorBuffer:
 
 
 def with_room(buffer: FactorBuffer | None, used: int, count: int) -> FactorBuffer:
-    """Return a buffer for `count` rows whose first `used` are those of `buffer`.
+    """Return a buffer for `count` rows whose first `used` rows are those of `buffer`.
 
-    It is `buffer` itself if it has room and no other posterior has taken its free rows.
+    Returns `buffer` itself if it has room and no other posterior uses its free rows.
     """
     if buffer is not None and buffer.used == used and len(buffer.lower) >= count:
         return buffer
@@ -126,43 +125,42 @@ def with_room(buffer: FactorBuffer | None, used: int, count: int) -> FactorBuffe
 
 @dataclass(frozen=True, eq=False)
 class ChannelPosterior:
-    """The channel conditional on measurements (universal kriging, equations 1.6 to 1.8).
+    """Channel conditional on measurements (universal kriging, equations 1.6 to 1.8).
 
     Attributes
     ----------
     parameters
-        The channel's parameters; their theta is used if theta is known, and is the centre of the
-        weak prior.
+        Parameters of the channel. Their theta is used if theta is known; otherwise it is the mean
+        of the weak prior.
     measurements
         The kappa measurements.
     values_db
-        ``(kappa,)`` the values conditioned on: the measured power, or the site's value if it is
-        censored or coarsely rounded.
+        ``(kappa,)`` values conditioned on: the measured power, or the Gaussian site's value for a
+        censored or coarsely rounded measurement.
     noise_variance_db2
-        ``(kappa,)`` omega^2, plus r^2 / 12 if rounded, or the site's variance; plus the variance
-        of path loss due to a position error.
+        ``(kappa,)`` noise variance: omega^2, plus r^2 / 12 if rounded, or the site's variance. The
+        variance of path loss due to position errors is added.
     whitened_values
-        ``(kappa,)`` z_y = L^-1 y with U = R + diag(noise) = L L'.
+        ``(kappa,)`` z_y = L^-1 y with U = R + diag(noise) = L L'; empty without a factor.
     whitened_regressors
-        ``(kappa, 2)`` z_Gamma = L^-1 Gamma.
+        ``(kappa, 2)`` z_Gamma = L^-1 Gamma; empty without a factor.
     theta
-        ``(2,)`` (K_PL, n_PL) in use.
+        ``(2,)`` estimated or known (K_PL, n_PL).
     theta_covariance
-        ``(2, 2)`` M, its covariance; zero if theta is known.
+        ``(2, 2)`` covariance M of theta; zero if theta is known.
     theta_rule
-        The rule passed to :func:`condition`.
+        Rule for theta, as passed to :func:`condition`.
     now_s
-        Time of predictions in a channel that changes: that of the latest measurement, or the time
-        passed to :func:`at_time`.
+        Time of predictions in a time-varying channel: the time of the latest measurement, or the
+        time passed to :func:`at_time`.
     index
         Search tree of the measured positions.
     exact_limit
         Maximum number of measurements with a factor.
     buffer
-        Storage of the factor, shared with posteriors that extend this one; None without a factor,
-        and then the whitened columns are empty.
+        Storage of the factor, shared with posteriors that extend this one. None without a factor.
     information
-        Vecchia's approximation, if there is no factor.
+        Vecchia's approximation of theta's information; None with a factor.
     """
 
     parameters: ChannelParameters
@@ -189,12 +187,12 @@ class ChannelPosterior:
 
     @property
     def theta_known(self) -> bool:
-        """Return whether theta was given rather than estimated."""
+        """Return whether theta is known rather than estimated."""
         return self.theta_rule == "known"
 
     @property
     def factor(self) -> NDArray[np.float64]:
-        """Lower Cholesky factor L of U, ``(kappa, kappa)``; a view, not to be written to.
+        """Lower Cholesky factor L of U, ``(kappa, kappa)``, as a view; do not modify it.
 
         Raises
         ------
@@ -217,7 +215,7 @@ class ChannelPosterior:
         return measured_origins(self.measurements, self.parameters)
 
     def continues(self, earlier: ChannelPosterior) -> bool:
-        """Return whether this is `earlier`, possibly with later measurements; at any time."""
+        """Return whether this posterior equals or extends `earlier`, whatever their `now_s`."""
         if self is earlier:
             return True
         count = len(earlier.measurements)
@@ -233,16 +231,16 @@ class ChannelPosterior:
         return all(np.array_equal(mine[:count], former) for mine, former in pairs)
 
     def covariance_with_db2(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return covariances of all measurements with power at (n, 2) now; ``(kappa, n)``."""
+        """Return the measurements' covariance with power at (n, 2) at `now_s`; ``(kappa, n)``."""
         places = place_origins(positions_m, self.now_s, self.parameters)
         return covariance_db2(self.origins, places, self.parameters)
 
     def predict(self, positions_m: ArrayLike) -> Prediction:
-        """See :func:`planopt.channel.kriging.predict`."""
+        """Predict power at positions; see :func:`planopt.channel.kriging.predict`."""
         return predict(self, positions_m)
 
     def extend(self, more: Measurements | Table) -> ChannelPosterior:
-        """See :func:`extend`; tables are accepted as well."""
+        """Condition on more measurements or a table of them; see :func:`extend`."""
         return extend(self, as_measurements(more))
 
     def connectivity(self, positions_m: ArrayLike, threshold_dbm: float) -> NDArray[np.float64]:
@@ -265,27 +263,27 @@ def condition(
     Parameters
     ----------
     parameters
-        The channel's parameters.
+        Parameters of the channel.
     measurements
-        Any number, including none. Censored and rounded ones enter as Gaussian sites.
+        Measurements; may be empty. Censored and coarsely rounded ones become Gaussian sites.
     theta
         ``estimated``: path loss by generalised least squares, with its uncertainty (equation
-        1.8); ``known``: `parameters` has it exactly; ``least_squares``: by ordinary least squares
-        if that identifies it, with its uncertainty (equation 1.9). The kriging error is
-        uncorrelated with every theta that is linear in the measurements, so the variance is
-        s + varphi' M varphi with that theta's error covariance M.
+        1.8). ``known``: the path loss of `parameters` is exact. ``least_squares``: ordinary least
+        squares, if it identifies theta, with its uncertainty (equation 1.9). The kriging error is
+        uncorrelated with any estimate of theta that is linear in the measurements, so the variance
+        is s + varphi' M varphi with M the error covariance of that estimate.
     exact_limit
-        Beyond this many measurements predictions use the nearest ones, theta is from Vecchia's
-        approximation (accuracies: :data:`planopt.channel.neighbours.BLOCK_NEIGHBOURS`), and sites
-        are matched by neighbours.
+        Maximum number of measurements with a factor. Beyond it, predictions use the nearest
+        measurements, and theta comes from Vecchia's approximation (see
+        :data:`planopt.channel.neighbours.BLOCK_NEIGHBOURS` for its accuracy).
     similar
-        A posterior of the same measurements under similar parameters: initial sites for the
-        matching by neighbours.
+        Posterior of the same measurements under similar parameters; warm start of the sites of
+        long logs.
 
     Raises
     ------
     InputError
-        Theta by least squares, from more than `exact_limit` measurements.
+        `theta` is ``least_squares`` and there are more than `exact_limit` measurements.
     """
     measurements = as_measurements(measurements)
     exact = len(measurements) <= exact_limit
@@ -312,12 +310,11 @@ def condition(
 
 
 def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
-    """Condition on more measurements without refitting, O(kappa^2) for each with a factor.
+    """Condition on more measurements without refitting the parameters.
 
-    Without a factor the cost of each does not depend on their number. The first one beyond
-    `exact_limit` drops the factor. A censored or coarsely rounded measurement becomes a Gaussian
-    site with the first two moments of its own prediction, truncated to its interval. `posterior`
-    remains valid.
+    Each measurement costs O(kappa^2) with a factor, and O(1) without. The factor is dropped as soon
+    as `exact_limit` is exceeded. A censored or coarsely rounded measurement becomes a Gaussian site
+    that matches the moments of its prediction truncated to its interval. `posterior` remains valid.
     """
     alone = needs_site(more, posterior.parameters.multipath_std_db**2)
     start = 0
@@ -340,9 +337,9 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
 def with_expected(
     posterior: ChannelPosterior, positions_m: NDArray[np.float64]
 ) -> ChannelPosterior:
-    """Return the posterior as if the predicted power had been measured at places (n, 2)."""
+    """Return the posterior as if the predicted power had been measured at positions (n, 2)."""
     count = len(posterior.measurements) + len(positions_m)
-    # An existing factor is kept: its new rows take less time than conditioning on neighbours.
+    # Extending an existing factor is faster than conditioning on neighbours.
     limit = max(posterior.exact_limit, count) if posterior.has_factor else posterior.exact_limit
     power = posterior.predict(positions_m).mean_db
     times = np.full(len(positions_m), posterior.now_s)
@@ -351,7 +348,7 @@ def with_expected(
 
 
 def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> ChannelPosterior:
-    """Return `posterior` if it has a factor, else one of the measurements nearest to a path (h, 2).
+    """Return a posterior with a factor: `posterior`, or one of the measurements near a path (h, 2).
 
     Theta and its covariance remain those of all measurements.
     """
@@ -373,7 +370,7 @@ def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> C
 
 
 def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:
-    """Return the posterior with predictions for the time `now_s`; it shares the factor."""
+    """Return the posterior for predictions at time `now_s`; it shares the factor."""
     return replace(posterior, now_s=require_finite(now_s, "now_s"))
 
 
@@ -382,10 +379,10 @@ Estimator = Literal["ml", "ls"]
 
 @dataclass(frozen=True, eq=False)
 class ThetaEstimate:
-    """Path loss."""
+    """Estimate of the path loss parameters with its error covariance."""
 
     theta: NDArray[np.float64]  # (2,) (K_PL in dBm, n_PL)
-    covariance: NDArray[np.float64]  # (2, 2) of its error under the channel's xi, beta and omega
+    covariance: NDArray[np.float64]  # (2, 2) error covariance for the given xi, beta and omega
 
 
 def estimate_theta(
@@ -393,24 +390,24 @@ def estimate_theta(
 ) -> ThetaEstimate:
     """Estimate path loss for given xi, beta and omega (equations 1.7 and 1.9).
 
-    Maximum likelihood is generalised least squares, M_ML = (Gamma' U^-1 Gamma)^-1, the smallest
-    error of an unbiased estimate; ordinary least squares has (G'G)^-1 G'UG (G'G)^-1, which is never
-    smaller. If the measurements do not identify theta, a weak prior around the theta of
-    `parameters` is used (`WEAK_THETA_DEVIATION`).
+    Maximum likelihood is generalised least squares. Its error covariance (Gamma' U^-1 Gamma)^-1 is
+    the smallest of all linear unbiased estimates; that of ordinary least squares is
+    (G'G)^-1 G'UG (G'G)^-1. If the measurements do not identify theta, a weak prior around the theta
+    of `parameters` is used (`WEAK_THETA_DEVIATION`).
 
     Parameters
     ----------
     measurements
-        Any number. Censored ones are Gaussian sites for ``ml``; ``ls`` leaves them out.
+        Measurements. Censored ones become Gaussian sites for ``ml`` and are ignored by ``ls``.
     parameters
-        The channel; its theta is used for the weak prior only.
+        Parameters of the channel; their theta is only the mean of the weak prior.
     how
         ``ml``: generalised least squares. ``ls``: ordinary least squares.
 
     Raises
     ------
     InputError
-        There is no such estimator.
+        `how` is neither ``ml`` nor ``ls``.
     """
     measurements = as_measurements(measurements)
     if how not in get_args(Estimator):
@@ -421,7 +418,7 @@ def estimate_theta(
 
 
 def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> ChannelPosterior:
-    """Add measurements: rows of the factor and whitened columns, or terms of Vecchia's sums."""
+    """Append measurements to the factor and whitened columns, or add them to Vecchia's sums."""
     parameters = posterior.parameters
     noise = np.maximum(sites.noise_variance_db2, MIN_NOISE_VARIANCE_DB2)
     noise += measured_path_loss_variance_db2(more, parameters)
@@ -466,7 +463,7 @@ def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> Ch
 
 
 def _with_theta(posterior: ChannelPosterior, products: NDArray[np.float64]) -> ChannelPosterior:
-    """Estimate theta by its rule; `products` as for `theta_estimate`."""
+    """Estimate theta by the posterior's rule; `products` as in `theta_estimate`."""
     if posterior.theta_known:
         return posterior
     theta, covariance = theta_estimate(posterior.parameters, products)
@@ -480,7 +477,7 @@ def theta_estimate(
     products: NDArray[np.float64],  # (3, 3) of whitened [y - Gamma theta_0, Gamma]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Estimate theta and its covariance M (equation 1.7)."""
-    # In units of the weak prior.
+    # Scaled by the weak prior's standard deviations.
     unit = np.array(WEAK_THETA_DEVIATION)
     information = unit[:, None] * products[1:, 1:] * unit
     eigenvalues = np.linalg.eigvalsh(information)
@@ -497,8 +494,8 @@ def least_squares_theta(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Return theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None if not identified.
 
-    Censored measurements are left out: a limit has no residual. Receivers' offsets are estimated
-    with theta.
+    Censored measurements have no residual and are left out. Receivers' offsets are estimated
+    together with theta.
     """
     exact = ~posterior.measurements.censored
     known = posterior.measurements.take(exact)
@@ -512,7 +509,7 @@ def least_squares_theta(
 
 
 def _one_site(posterior: ChannelPosterior, one: Measurements) -> Sites:
-    """Return one new interval measurement as a Gaussian site: EP with one site."""
+    """Return the Gaussian site of one new interval measurement, by EP with one site."""
     noise = max(posterior.parameters.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
     prediction = predict_noiseless(posterior, one)
     prior = LatentPrior.known_mean(prediction.mean_db, np.diag(prediction.deviation_db**2))
@@ -521,7 +518,7 @@ def _one_site(posterior: ChannelPosterior, one: Measurements) -> Sites:
 
 @dataclass(frozen=True)
 class Belief:
-    """Knowledge of a station's channel, and of the channels of further stations.
+    """Fit and posterior of a station's channel, and those of further stations.
 
     Attributes
     ----------
@@ -530,7 +527,7 @@ class Belief:
     posterior
         Posterior of all measurements so far.
     further
-        Belief about each further station of the problem, in its order, without further ones.
+        Beliefs about the other stations, in the problem's order; their own `further` is empty.
     """
 
     fit: ChannelFit
@@ -546,7 +543,7 @@ class Belief:
 
 
 def update(belief: Belief, more: Measurements, *further: Measurements) -> Belief:
-    """Add measurements of the first and of further stations (Algorithm 1 of [GM11]); no refit."""
+    """Add measurements of each station without refitting (Algorithm 1 of [GM11])."""
     return replace(
         belief,
         posterior=extend(belief.posterior, more),

@@ -1,14 +1,14 @@
-"""The restricted likelihood of xi^2, omega^2 and beta with gradient, exact or by blocks.
+"""Restricted likelihood of xi^2, omega^2 and beta with its gradient, exact or by blocks.
 
-With V = xi^2 exp(-d / beta) + noise and the columns C = [y, X], all that is needed are log |V|,
-C' V^-1 C and their derivatives (equations 2.6 and 2.7). X has the columns of the mean, under a flat
-prior, and indicators of the receivers but number 0, whose coefficients have a normal one.
+With V = xi^2 exp(-d / beta) + noise and the columns C = [y, X], the likelihood is a function of
+log |V| and C' V^-1 C (equations 2.6 and 2.7). X has the columns of the mean, whose coefficients
+have a flat prior, and indicators of all receivers except number 0, with a normal prior.
 
-Few measurements are one window, whose inverse covariance gives everything. For many, Vecchia's
-approximation is the product over blocks of the density of a block given nearby measurements that
-come before it (:mod:`planopt.channel.neighbours`). With L the Cholesky factor of a window's
-covariance, the earlier ones first, A the last rows of L^-1, the block's, D = A dV L'^-1, split into
-the columns of the earlier ones and of the block's own, and z = L^-1 C split likewise,
+A short log is one window, and the inverse of its covariance gives everything. For long logs,
+Vecchia's approximation is the product over blocks of the density of a block given nearby earlier
+measurements (:mod:`planopt.channel.neighbours`). Let L be the Cholesky factor of a window's
+covariance with the earlier measurements first, A the block's rows of L^-1 (the last ones),
+D = A dV L'^-1 and z = L^-1 C, both split into the parts of the earlier measurements and the block:
 
     log |V| = sum 2 log diag(L)_own        C' V^-1 C = sum (A C)' (A C)
     dlog |V| = sum tr D_own    d(C' V^-1 C) = -sum (T + T'), T = z_own' (D_earlier z_earlier
@@ -18,12 +18,12 @@ and the expected information is ``sum (<D_own, D_own> / 2 + <D_earlier, D_earlie
 Statistics and Computing 31, 2021).
 
 Censored and coarsely rounded measurements are Gaussian sites of expectation propagation (EP). log L
-is then EP's log probability of the intervals together with the Gaussian measurements, less log r of
-each rounded one, so that it tends to the density of the exact power. At EP's fixed point the sites
-do not move the value to first order, so the gradient is that with sites as measurements, plus the
-direct effect of omega^2 on the intervals. In one window the sites are joint, theta integrated out;
-in several they are matched window by window (:mod:`planopt.channel.long_logs`) about the current
-mean.
+is then EP's log probability of the intervals and the Gaussian measurements. The log of the step r
+is subtracted for each rounded measurement, so that log L tends to the density of the exact power.
+At EP's fixed point log L does not depend on the sites to first order. Its gradient is therefore
+that with the sites as measurements, plus the direct effect of omega^2 on the intervals. One window
+has joint sites with theta integrated out; in several windows sites are matched window by window
+about the current mean (:mod:`planopt.channel.long_logs`).
 """
 
 from __future__ import annotations
@@ -82,39 +82,39 @@ Covariance = tuple[float, float, float]
 """xi^2 (dB^2), omega^2 (dB^2), beta (m)."""
 
 LEAST_FREEDOM = 3
-"""Profiled likelihoods leave offsets out where fewer measurements would be left over."""
+"""Minimum residual degrees of freedom with receivers' offsets in a profiled likelihood."""
 
 RANK_TOLERANCE = 1e-9
-"""Columns below this share of the largest singular value add nothing."""
+"""Singular values below this share of the largest count as zero."""
 
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodData:
-    """Measurements in windows: one of all, or blocks from coarse to fine with earlier ones."""
+    """Measurements in one window, or in blocks from coarse to fine with earlier neighbours."""
 
     known: ChannelParameters  # The forgetting time and the station, which are not estimated
     origins: Origins  # (n) of the measurements; receivers' offsets are coefficients here
-    # (n, q): the mean model's p columns, then the indicators of the receivers but number 0
+    # (n, q): p columns of the mean model, then indicators of all receivers except number 0
     columns: NDArray[np.float64]
-    prior_precision: NDArray[np.float64]  # (q,) of the coefficients: 0, flat, for the first p
-    line: NDArray[np.float64]  # (p,) coefficients that powers are counted from
+    prior_precision: NDArray[np.float64]  # (q,) of the coefficients; the first p are 0 (flat)
+    line: NDArray[np.float64]  # (p,) coefficients of the line subtracted from the powers
     values_db: NDArray[np.float64]  # (n,) powers less the mean model's offset and the line
-    # (n,) variance beyond omega^2: of rounding, and of path loss by errors of position
+    # (n,) variance of rounding, and of path loss due to position errors
     fixed_db2: NDArray[np.float64]
-    gaussian: NDArray[np.bool_]  # (n,) which are not intervals
-    measured: NDArray[np.bool_]  # (n,) which are not censored
+    gaussian: NDArray[np.bool_]  # (n,) false for intervals
+    measured: NDArray[np.bool_]  # (n,) false for censored measurements
     intervals: IntervalRows | None
-    log_steps: float  # Sum of the logarithms of the steps of coarsely rounded ones
+    log_steps: float  # Sum of log r over the coarsely rounded measurements
     windows: tuple[Window, ...]
     distances_m: tuple[NDArray[np.float64], ...]  # Within each window, position errors included
 
     @property
     def is_whole(self) -> bool:
-        """Return whether one window has all."""
+        """Return whether there is only one window."""
         return len(self.windows) == 1
 
     def part(self, taken: NDArray[np.bool_]) -> LikelihoodData:
-        """Return the data of some Gaussian measurements as one window."""
+        """Return a subset of the Gaussian measurements as one window."""
         origins, every = self.origins.at(np.flatnonzero(taken)), np.ones(int(taken.sum()), np.bool_)
         windows = (Window(np.zeros(0, dtype=np.intp), np.arange(len(every))),)
         return replace(
@@ -134,7 +134,7 @@ class LikelihoodData:
     def flat_columns(self) -> NDArray[np.float64]:
         """Return a basis of the columns, for offsets under a flat prior; ``(n, k)``.
 
-        If too few measurements would be left over, only the columns of the mean.
+        Only the mean's columns if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
         """
         mean = self.columns[:, : len(self.line)]
         if self.columns.shape[1] == len(self.line):
@@ -144,7 +144,7 @@ class LikelihoodData:
         return basis if len(basis) - basis.shape[1] >= LEAST_FREEDOM else mean
 
     def correlation(self, window: int, decorrelation_m: float) -> NDArray[np.float64]:
-        """Return exp(-d / beta) times the factor of age, within a window."""
+        """Return the correlation of shadowing in a window: exp(-d / beta) times the age factor."""
         correlation = np.exp(self.distances_m[window] * (-1.0 / decorrelation_m))
         if self.origins.time_s is not None:
             times = self.origins.time_s[self.windows[window].rows]
@@ -211,16 +211,16 @@ def _distances_m(origins: Origins, windows: tuple[Window, ...]) -> tuple[NDArray
 
 
 SITE_TOLERANCE = 1e-4
-"""Tolerance of the sites of intervals while climbing: its error of log L is far below the accuracy
-required of the optimum, and it saves half of the sweeps."""
+"""Tolerance of the interval sites during the search. It halves the number of sweeps; the error of
+log L is far below the accuracy required of the optimum."""
 
 MEAN_TOLERANCE = 0.2
-"""Sites are matched again where the mean of an interval moved by more standard errors than this."""
+"""Sites are matched again if the mean of an interval moves by more standard errors than this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """The inverse covariance of all measurements, and the projection off the mean."""
+    """Inverse covariance of all measurements, and the terms of the projection P."""
 
     half: NDArray[np.float64]  # (n, n) upper half of V^-1, zeros below
     weights: NDArray[np.float64]  # (n, q) V^-1 X
@@ -234,21 +234,21 @@ class Precision:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The restricted likelihood at a point."""
+    """Value and derivatives of the restricted likelihood at a point."""
 
     log_likelihood: float  # Log L, constants included
     gradient: NDArray[np.float64]  # (3,) by xi^2, omega^2, beta
-    # (3, 3) about minus the second derivatives, positive semidefinite, sites as measurements: the
-    # average of observed and expected information y' P dV_i P dV_j P y / 2 where one window has
-    # all, else the expected information
+    # (3, 3) approximate negative Hessian, positive semidefinite, with sites as measurements: the
+    # average of observed and expected information, y' P dV_i P dV_j P y / 2, for one window;
+    # the expected information for several
     information: NDArray[np.float64]
     coefficients: NDArray[np.float64]  # (p,) of the mean, by generalised least squares
-    coefficient_covariance: NDArray[np.float64]  # (p, p) theirs
+    coefficient_covariance: NDArray[np.float64]  # (p, p) covariance of `coefficients`
     precision: Precision | None  # None for several windows
 
 
 class RestrictedLikelihood:
-    """The likelihood of measurements; sites and mean start from those of the last point."""
+    """Restricted likelihood of measurements; sites and mean are warm-started."""
 
     def __init__(self, data: LikelihoodData) -> None:
         self.data = data
@@ -262,16 +262,16 @@ class RestrictedLikelihood:
         return self._blocks(covariance)
 
     def information(self, covariance: Covariance, at: Evaluation) -> NDArray[np.float64]:
-        """Return the expected information (3, 3), whose inverse has the squared standard errors.
+        """Return the expected information (3, 3), the inverse of the parameters' covariance.
 
-        `at` is the evaluation there.
+        `at` is the evaluation at the same point.
         """
         if at.precision is None:
             return at.information
         return _expected_information(self.data, covariance, at.precision.projection())
 
     def _whole(self, covariance: Covariance, site_tolerance: float) -> Evaluation:
-        """Evaluate one window of all, with joint sites."""
+        """Evaluate the likelihood of a single window, with joint sites."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
         correlation = data.correlation(0, beta)
@@ -304,7 +304,7 @@ class RestrictedLikelihood:
         sums = _Sums(
             determinant,
             columns.T @ weights,
-            # Traces of products of symmetric matrices, one of them by its half.
+            # Traces of products with V^-1, of which only the upper half is stored.
             np.array(
                 [
                     2.0 * np.vdot(half, correlation) - diagonal.sum(),
@@ -317,7 +317,7 @@ class RestrictedLikelihood:
             np.zeros((3, 3)),
         )
         coefficients, spread = sums.estimate(data.prior_precision)
-        # Rounded ones tell of omega^2 too: their sites' variances nearly grow as it does.
+        # Rounded measurements inform omega^2 too: their sites' variances grow nearly as omega^2.
         moved[1] = weights * data.measured[:, None]
         along = moved @ np.concatenate([[1.0], -coefficients])
         explained = along @ weights[:, 1:]
@@ -331,7 +331,7 @@ class RestrictedLikelihood:
         )
 
     def _blocks(self, covariance: Covariance) -> Evaluation:
-        """Evaluate windows, sites and mean in turn until neither moves."""
+        """Evaluate sites, windows and mean in turn until the mean has converged."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
         sites = self._sites if isinstance(self._sites, WindowSites) else None
@@ -383,7 +383,7 @@ class _Sums:
     def estimate(
         self, prior_precision: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the generalised least squares of the coefficients, and their covariance S."""
+        """Return the generalised least-squares coefficients and their covariance S."""
         spread = np.asarray(
             np.linalg.inv(self.products[1:, 1:] + np.diag(prior_precision)), dtype=np.float64
         )
@@ -393,13 +393,13 @@ class _Sums:
 def _evaluation(
     data: LikelihoodData,
     sums: _Sums,
-    estimate: tuple[NDArray[np.float64], NDArray[np.float64]],  # As of `_Sums.estimate`
-    nugget_slope: float,  # Of the intervals' probability, by omega^2 directly
-    log_likelihood: float | None,  # Where it is known otherwise
-    log_factor: float,  # Log of what turns sites as measurements into intervals
+    estimate: tuple[NDArray[np.float64], NDArray[np.float64]],  # From `_Sums.estimate`
+    nugget_slope: float,  # Direct derivative of the intervals' log probability by omega^2
+    log_likelihood: float | None,  # None: computed from the sums
+    log_factor: float,  # Log of the factor that turns sites as measurements into intervals
     precision: Precision | None,
 ) -> Evaluation:
-    """Return the likelihood that the sums give."""
+    """Return the likelihood and its derivatives from the sums over windows."""
     coefficients, spread = estimate
     count = len(data.line)
     value = log_likelihood
@@ -436,7 +436,7 @@ def _with_sites(
     noise: NDArray[np.float64],
     sites: Sites,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return values and noise (n,) with the sites in place of the intervals."""
+    """Return values and noise variances (n,), with sites for the intervals."""
     values, noise = values.copy(), noise.copy()
     values[rows.rows] = sites.values_db
     noise[rows.rows] = sites.noise_variance_db2 + rows.displaced_db2
@@ -448,10 +448,10 @@ def _interval_prior(
     latent_db2: NDArray[np.float64],  # (n, n) covariance of shadowing
     noise_db2: NDArray[np.float64],  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the prior of intervals and theta given the Gaussian measurements, and their log L.
+    """Return the intervals' prior given the Gaussian measurements, and the latter's log L.
 
-    If rounded intervals may be needed to determine theta, log L is at the line: the rest of its
-    integral over theta is in the prior's score and information.
+    If rounded intervals may be needed to determine theta, log L is taken at the line; the integral
+    over theta is left to the prior's score and information.
     """
     if data.intervals is None:
         raise AssertionError("there are intervals")
@@ -491,13 +491,13 @@ def _window_sums(
     columns: NDArray[np.float64],  # (n, q + 1) C
     noise_db2: NDArray[np.float64],  # (n,), sites as measurements
 ) -> _Sums:
-    """Return the sums over blocks, each given its earlier neighbours."""
+    """Return the sums over blocks, each conditional on its earlier neighbours."""
     shadow, _, beta = covariance
     size = columns.shape[1]
     sums = _Sums(
         0.0, np.zeros((size, size)), np.zeros(3), np.zeros((3, size, size)), np.zeros((3, 3))
     )
-    # A rounded one's site has a variance that grows as omega^2, or nearly.
+    # The variance of a rounded measurement's site grows nearly as omega^2.
     coarse = bool((data.measured & ~data.gaussian).any())
     for number, window in enumerate(data.windows):
         rows, own, near = window.rows, len(window.own), len(window.near)
@@ -515,7 +515,7 @@ def _window_sums(
         if coarse:
             parts.append(last * data.measured[rows])
         moved = (np.concatenate(parts) @ inverted.T).reshape(len(parts), own, -1)
-        # The whitened covariance itself is the identity.
+        # The whitened total covariance is the identity.
         moved[0] *= -1.0
         moved[0, np.arange(own), near + np.arange(own)] += 1.0
         moved[0] /= shadow
@@ -537,9 +537,9 @@ def _expected_information(
 ) -> NDArray[np.float64]:
     """Return the expected information of (xi^2, omega^2, beta), tr(P dV_i P dV_j) / 2; (3, 3).
 
-    Intervals count as their Gaussian sites. The variance of a rounded one is taken to grow as
-    omega^2; the information of censored ones on omega^2 is left out, so that its error is not
-    understated.
+    Intervals count as Gaussian sites. The variance of a rounded measurement is assumed to grow as
+    omega^2. Censored measurements carry no information on omega^2, so that its standard error is
+    not understated.
     """
     shadow, _, beta = covariance
     correlation = data.correlation(0, beta)
@@ -553,8 +553,8 @@ def profiled_log_likelihood(
 ) -> tuple[float, float]:
     """Return log L of Gaussian measurements with alpha profiled out, and alpha.
 
-    Offsets of receivers have a flat prior here, and errors of path loss are left out: a covariance
-    that does not scale with the total cannot be profiled.
+    Receivers' offsets have a flat prior and position errors are ignored: terms that do not scale
+    with alpha cannot be profiled.
     """
     count = len(data.values_db)
     correlation = correlated_share * data.correlation(0, decorrelation_m)

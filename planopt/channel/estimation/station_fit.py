@@ -1,26 +1,26 @@
-"""Fit the channel when the station's position is not known (equation 2.12).
+"""Fits of the channel and of an unknown station position (equation 2.12).
 
-``line`` takes the errors for independent: least squares of the path loss line over the position and
-theta. ``joint`` takes them for shadowing and multipath: maximum likelihood over the position, theta
-and the covariance, the last by REML at the position in turn. The likelihood has several optima, so
-both search a grid first and climb from its best minima with the exact gradient.
+``line`` assumes independent errors: least squares of the path loss line over position and theta.
+``joint`` models shadowing and multipath: maximum likelihood over position, theta and covariance,
+alternating between the position and REML for the covariance. The likelihood has several optima, so
+both evaluate a grid first and refine its best minima with the exact gradient.
 
-With y = Gamma(q) theta + e, e ~ N(0, V), and theta profiled out, minus the logarithm of the
-likelihood of position q is
+With y = Gamma(q) theta + e, e ~ N(0, V), and theta profiled out, the negative log-likelihood of
+position q is
 
     l(q) = (y - Gamma theta)' V^-1 (y - Gamma theta) / 2
     theta = (Gamma' V^-1 Gamma)^-1 Gamma' V^-1 y
 
-V does not depend on q, so that one factor serves every position. A prior of n_PL enters as one
-further measurement of n_PL.
+V does not depend on q, so one factor serves every position. A prior on n_PL enters as an additional
+measurement of n_PL.
 
-The covariance of the line's position is, to first order, the sandwich A J' W V W J A with
+The position covariance of ``line`` is, to first order, the sandwich A J' W V W J A with
 A = (J' W J)^-1, J the derivatives of the mean by (K_PL, n_PL, x, y), W the weights of the line and
-V the fitted covariance of the measurements: A alone takes correlated errors for independent ones,
-and is several times too small. That of the joint position is the likelihood's second moment about
-the estimate, over the positions that a likelihood-ratio test does not reject, the total variance
-integrated out as in :mod:`planopt.channel.parameter_uncertainty`; on a paraboloid it is the inverse
-of the expected (Fisher) information J' V^-1 J within 1 %.
+V the fitted covariance of the measurements. A alone would assume independent errors and be several
+times too small. The position covariance of ``joint`` is the likelihood's second moment about the
+estimate, over the positions that a likelihood-ratio test does not reject, with the total variance
+integrated out as in :mod:`planopt.channel.parameter_uncertainty`. On a paraboloid it equals the
+inverse of the expected (Fisher) information J' V^-1 J within 1 %.
 """
 
 from __future__ import annotations
@@ -60,52 +60,52 @@ Array = NDArray[np.float64]
 StationMethod = Literal["line", "joint"]
 
 DB_PER_NEPER = 10.0 / math.log(10.0)
-"""Change of 10 log10 d by that of ln d."""
+"""Derivative of 10 log10 d by ln d."""
 
 MIN_N_PL = 1e-3
-"""Positions from which the power grows with the distance, or does not fall, are no candidates."""
+"""Minimum n_PL of a candidate position: power must fall with the distance from it."""
 
 MIN_UNCENSORED = 8
-"""Minimum number of uncensored measurements, for two coordinates and five parameters."""
+"""Minimum number of uncensored measurements: two coordinates and five parameters are estimated."""
 
 GRID = 41
-"""Positions along each side of the grid."""
+"""Number of positions along each side of the search grid."""
 
 GRID_MARGIN = 0.5
-"""The grid reaches beyond the measurements by this share of their extent."""
+"""Margin of the grid around the measurements, as a share of their extent."""
 
 MARGIN = 2.0
-"""The climbs reach so far: from there all distances are the same within a factor of 2."""
+"""Margin of the refinement, in extents; from there all distances agree within a factor of 2."""
 
 STARTS = 4
-"""Minima of the grid that are climbed from."""
+"""Number of grid minima used as initial guesses."""
 
 TOLERANCE = 1e-6
-"""A climb ends when a step promises less than this, in units of log-likelihood."""
+"""A refinement ends when the predicted gain in log-likelihood of a step is below this."""
 
 SEARCH_MEASUREMENTS = 300
-"""The search uses at most this many measurements; its last step at most `MOST_DENSE`."""
+"""Maximum number of measurements in the search; the last step uses up to `MOST_DENSE`."""
 
 JOINT_ROUNDS, LINE_ROUNDS = 4, 40
-"""Maximum number of alternations between covariance and position, and of completions of censored
-powers."""
+"""Maximum number of alternations: covariance and position for ``joint``, line and position for
+``line``."""
 
 STILL = 0.1
-"""The position has converged when it moves by less than this share of its standard deviation."""
+"""The position has converged when its step is below this share of its standard deviation."""
 
 REJECTED = 6.9
-"""Positions less likely than the best by this many units of log-likelihood are left out: half the
-99.9 % point of chi-squared with two degrees of freedom. Far positions, each unlikely, would
-outweigh the rest by their number."""
+"""Positions whose log-likelihood is lower than the best by more than this are left out: half the
+99.9 % quantile of chi-squared with two degrees of freedom. Otherwise the many distant, unlikely
+positions would dominate the moments."""
 
 LATTICE = 41
-"""Positions along each side of the lattice that moments are summed over; odd."""
+"""Number of positions along each side of the lattice for the moments; odd."""
 
 EDGE_SHARE = 0.05
-"""More weight than this at the edge of the search: the measurements do not bound the position."""
+"""Maximum weight at the edge of the lattice; with more, the position is not determined."""
 
 SINGULAR = 1e12
-"""Condition beyond which an information counts as singular."""
+"""Condition number above which an information matrix counts as singular."""
 
 
 @one_blas_thread()
@@ -118,13 +118,13 @@ def fit_channel_and_station(
     station_method: StationMethod = "joint",
     loss: Loss = "squares",
 ) -> ChannelFit:
-    """Estimate the station's position with the channel.
+    """Estimate the station's position together with the channel.
 
     Parameters
     ----------
     measurements
-        At least `MIN_UNCENSORED` uncensored ones, not on one line (from a line the two sides
-        cannot be told apart).
+        Measurements, at least `MIN_UNCENSORED` of them uncensored and not all on one line (the
+        mirrored position would be equally likely).
     method
         Method of the final fit, as in :func:`planopt.channel.fit_channel`.
     height_m
@@ -133,25 +133,25 @@ def fit_channel_and_station(
         As in :func:`planopt.channel.fit_channel`.
     station_method
         ``joint``: maximum likelihood over position, theta and covariance. ``line``: the position
-        from which the path loss line fits best. Of more than `MOST_DENSE` a fixed draw
-        serves for the position.
+        with the best least-squares fit of the path loss line. A fixed random subset of
+        `MOST_DENSE` measurements is used for the position if there are more.
     loss
         Loss of the final fit, as in :func:`planopt.channel.fit_channel`.
 
     Returns
     -------
     ChannelFit
-        With the estimated station in its parameters, its covariance in `station_covariance_m2` and
-        a warning that says so. Covariance and standard errors of theta count its uncertainty. Where
-        the measurements do not bound the position, its variances and the standard errors of theta
-        are infinite, the status is ``degenerate``, and the covariance of theta takes the position
-        as exact.
+        Fit with the estimated station in its parameters, the covariance of its position in
+        `station_covariance_m2` and a warning that the position is estimated. Covariance and
+        standard errors of theta include that uncertainty. If the measurements do not determine the
+        position, its variances and theta's standard errors are infinite, the status is
+        ``degenerate``, and the covariance of theta is for a known position.
 
     Raises
     ------
     InputError
-        The measurements cannot tell where the station is; or the power grows with the distance
-        from every candidate position; or there is no such method.
+        The measurements cannot locate the station, power grows with the distance from every
+        candidate position, or the method does not exist.
     """
     measurements = as_measurements(measurements)
     if station_method not in get_args(StationMethod):
@@ -201,13 +201,13 @@ def fit_channel_and_station(
 
 @dataclass(frozen=True, eq=False)
 class StationSurface:
-    """Measurements, whitened by the factor of their covariance, at an antenna's height."""
+    """Whitened measurements that define the likelihood l(q) of the station's position."""
 
     positions_m: Array  # (n, 2)
-    height_m: float  # Of the station
+    height_m: float  # Antenna height of the station
     lower: Array  # (n, n) L with L L' = V
     whitened_db: Array  # (n,) L^-1 y
-    has_prior: bool  # Whether n_PL has its prior
+    has_prior: bool  # True if the prior on n_PL is used
 
     def station(self, position_m: Array) -> Station:
         """Return the station at `position_m` (2,)."""
@@ -219,7 +219,7 @@ class StationSurface:
         return float(np.hypot(*np.ptp(self.positions_m, axis=0)))
 
     def box_m(self, margin: float) -> tuple[Array, Array]:
-        """Return corners of the box around the measurements, `margin` extents larger."""
+        """Return the corners of the measurements' bounding box, `margin` extents larger."""
         low, high = self.positions_m.min(axis=0), self.positions_m.max(axis=0)
         return low - margin * self.extent_m, high + margin * self.extent_m
 
@@ -227,7 +227,7 @@ class StationSurface:
 def gaussian_covariance_db2(
     measurements: Measurements, parameters: ChannelParameters
 ) -> tuple[Array, Array]:
-    """Return measurements as Gaussian ones: values (n,) in dBm and their covariance V (n, n)."""
+    """Return values (n,) in dBm and covariance V (n, n), with Gaussian sites for intervals."""
     sites = gaussian_sites(parameters, measurements)
     covariance = own_covariance_db2(measured_origins(measurements, parameters), parameters)
     noise = sites.noise_variance_db2 + measured_path_loss_variance_db2(measurements, parameters)
@@ -238,7 +238,7 @@ def gaussian_covariance_db2(
 def station_surface(
     measurements: Measurements, parameters: ChannelParameters, *, has_prior: bool
 ) -> StationSurface:
-    """Return the surface under the covariance, and the sites about the mean, of `parameters`."""
+    """Return the likelihood surface with covariance and sites from `parameters`."""
     values, covariance = gaussian_covariance_db2(measurements, parameters)
     lower = lower_factor(covariance)
     whitened = solve_lower(lower, values)
@@ -247,9 +247,9 @@ def station_surface(
 
 
 def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
-    """Return l, inf where n_PL is less than `MIN_N_PL`, and theta at `places_m` (m, 2).
+    """Return l ``(m,)`` and theta ``(m, 2)`` for stations at `places_m` (m, 2).
 
-    ``(m,)`` and ``(m, 2)``.
+    l is infinite where n_PL is below `MIN_N_PL`.
     """
     dx = surface.positions_m[:, None, 0] - places_m[:, 0]
     dy = surface.positions_m[:, None, 1] - places_m[:, 1]
@@ -272,11 +272,11 @@ def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
 def _mean_jacobian(positions_m: Array, station: Station, n_pl: float) -> Array:
     """Return J, derivatives of the mean by K_PL, n_PL and the station's x and y; ``(n, 4)``.
 
-    By the position it is ``10 n_PL / ln 10 (p - q) / d^2`` for a measurement at p.
+    For a measurement at p the derivative by q is ``10 n_PL / ln 10 (p - q) / d^2``.
     """
     offset = positions_m - np.asarray(station.position_m)
     square = (offset**2).sum(axis=1) + station.height_m**2
-    # Where the distance is held at its least value the mean does not move.
+    # The mean is constant within the minimum distance.
     factor = np.where(
         square > MIN_DISTANCE_M**2, n_pl * DB_PER_NEPER / np.maximum(square, 1e-12), 0
     )
@@ -287,7 +287,7 @@ def gauss_newton(surface: StationSurface, position_m: Array) -> tuple[float, Arr
     """Return value, gradient (2,) and Gauss-Newton curvature (2, 2) of l at a position (2,).
 
     The gradient is exact. The curvature is the expected (Fisher) information of the position with
-    theta unknown: its inverse is the position's covariance where l is a paraboloid.
+    theta unknown; its inverse is the position's covariance if l is quadratic.
     """
     station = surface.station(position_m)
     (loss,), (theta,) = losses(surface, np.asarray(position_m, dtype=np.float64)[None])
@@ -304,7 +304,7 @@ def gauss_newton(surface: StationSurface, position_m: Array) -> tuple[float, Arr
 
 
 def _grid_starts(surface: StationSurface) -> list[Array]:
-    """Return the best minima of the likelihood on the grid."""
+    """Return the best local minima of l on the grid."""
     low, high = surface.box_m(GRID_MARGIN)
     iy, ix = np.divmod(np.arange(GRID**2), GRID)
     grid = low + np.column_stack([ix, iy]) / (GRID - 1) * (high - low)
@@ -321,8 +321,8 @@ def _grid_starts(surface: StationSurface) -> list[Array]:
 
 
 def _climbed(surface: StationSurface, starts: list[Array]) -> Array:
-    """Return the best optimum reached from `starts`."""
-    # Lengths in tenths of the extent, so that the minimiser's longest step is of the box's size.
+    """Return the best optimum reached from the initial guesses `starts`."""
+    # Scaled to tenths of the extent to suit the minimiser's maximum step.
     unit = 0.1 * surface.extent_m
     low, high = surface.box_m(MARGIN)
 
@@ -344,10 +344,10 @@ def locate(
     height_m: float,
     forgetting_s: float,
 ) -> Station:
-    """Return the most likely position."""
+    """Return the station at its most likely position."""
     sample = measurements.take(thinned(len(measurements), SEARCH_MEASUREMENTS))
     more = measurements.take(thinned(len(measurements), MOST_DENSE))
-    # Unit weights, and limits taken for powers: good enough to begin with.
+    # Initial guess: unit weights, with limits as if they were powers.
     x, y = (float(value) for value in measurements.positions_m.mean(axis=0))
     even = ChannelParameters(0.0, 0.0, 0.0, 1.0, 1.0, Station((x, y), height_m))
     first = replace(sample, censored=np.zeros(len(sample), dtype=np.bool_))
@@ -357,7 +357,7 @@ def locate(
     for _ in range(JOINT_ROUNDS if is_joint else LINE_ROUNDS):
         before = np.asarray(station.position_m)
         if is_joint:
-            # Other optima are looked at each time.
+            # Restarting from the grid each time allows a switch to another optimum.
             surface = _joint_surface(sample, station, forgetting_s)
             position = _climbed(surface, [before, *_grid_starts(surface)])
         else:
@@ -374,7 +374,7 @@ def locate(
 
 
 def _line_surface(measurements: Measurements, station: Station) -> StationSurface:
-    """Return the surface of independent errors, of the variance that the line leaves."""
+    """Return the surface of independent errors with the line's residual variance."""
     model = mean_model(measurements.positions_m, ~measurements.censored, station, True)
     line = least_squares(model, measurements)
     k_pl, n_pl = model.theta(line.coefficients)
@@ -386,9 +386,9 @@ def _line_surface(measurements: Measurements, station: Station) -> StationSurfac
 def _joint_surface(
     measurements: Measurements, station: Station, forgetting_s: float
 ) -> StationSurface:
-    """Return the surface of errors of the covariance that REML finds with the station there.
+    """Return the surface with the covariance that REML fits for `station`.
 
-    n_PL has its prior: from outside, a station farther off with a larger n_PL looks much the same.
+    The prior on n_PL is used: a farther station with a larger n_PL fits almost equally well.
     """
     station = _clear_of(measurements, station)
     fitted = fit_channel(measurements, station, forgetting_s=forgetting_s).parameters
@@ -414,14 +414,14 @@ def position_covariance_m2(
 
 
 def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Array | None:
-    """Return the sandwich for the line's position; ``(2, 2)``, None if it is not determined."""
+    """Return the sandwich covariance of the line's position; ``(2, 2)``, None if undetermined."""
     line = _line_surface(measurements, parameters.station)
     fitted = station_surface(measurements, parameters, has_prior=False)
     if _is_at_edge(line, parameters.station):
         return None
     whitened = _whitened_jacobian(line, parameters)
     information = whitened.T @ whitened
-    # Scaled, so that units do not matter.
+    # Scaled, so that the condition number does not depend on units.
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(np.float64).tiny))
     scaled = information * np.outer(scale, scale)
     if np.linalg.cond(scaled) > SINGULAR:
@@ -433,10 +433,10 @@ def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters
 
 
 def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Array | None:
-    """Return the likelihood's moments about the joint estimate; None if it is not determined.
+    """Return the likelihood's second moments about the joint estimate; None if undetermined.
 
-    They are sums over a lattice along the axes of the information, as far as `MARGIN` extents; its
-    spacing grows from a fraction of the standard deviation in proportion to the distance.
+    They are sums over a lattice along the principal axes of the information, up to `MARGIN`
+    extents. Its spacing grows from a fraction of the standard deviation with the distance.
     """
     surface = station_surface(measurements, parameters, has_prior=True)
     if _is_at_edge(surface, parameters.station):
@@ -451,8 +451,8 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
     area = np.prod(np.cosh(growth * shares), axis=1)
     off = (scale * np.sinh(growth * shares)) @ axes.T
     loss, _ = losses(surface, estimate + off)
-    # The middle of the lattice is the estimate. Student's t: at the fitted total variance its loss
-    # is half the freedom.
+    # The middle of the lattice is the estimate. The total variance is integrated out (Student's
+    # t): at its fitted value the loss is half the degrees of freedom.
     freedom = 0.5 * (len(surface.whitened_db) - 2)
     drop = freedom * np.log1p(np.maximum(loss - loss[len(loss) // 2], 0.0) / freedom)
     weights = np.where(drop < REJECTED, area * np.exp(-drop), 0.0)
@@ -463,10 +463,10 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
 
 
 def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Array:
-    """Return derivatives (2, 2) of the generalised least squares theta by the station's x and y.
+    """Return derivatives B (2, 2) of the generalised least-squares theta by the station's x and y.
 
-    With S the position's covariance, theta's grows by B S B': an estimate of the position that does
-    not depend on theta is not correlated with theta at the true position.
+    With S the position's covariance, theta's covariance grows by B S B', because the position's
+    error is uncorrelated with theta's error at the true position.
     """
     surface = station_surface(measurements, parameters, has_prior=False)
     whitened = _whitened_jacobian(surface, parameters)
@@ -481,7 +481,7 @@ def _whitened_jacobian(surface: StationSurface, parameters: ChannelParameters) -
 
 
 def _is_at_edge(surface: StationSurface, station: Station) -> bool:
-    """Return whether the search ended at its edge."""
+    """Return whether the search ended at the edge of its box."""
     low, high = surface.box_m(MARGIN)
     near, position = 1e-6 * surface.extent_m, np.asarray(station.position_m)
     return bool(((position - low < near) | (high - position < near)).any())

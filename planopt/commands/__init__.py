@@ -1,1 +1,1 @@
-"""The commands of ``planopt``, one file each; heavy imports happen when a command runs."""
+"""Commands of ``planopt``, one file each; heavy imports are deferred until a command runs."""

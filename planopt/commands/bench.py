@@ -1,4 +1,4 @@
-"""``planopt bench run|report|check``: the solver regression suite."""
+"""``planopt bench run|report|check``: regression suite of the solvers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 REPORT_FILE, PICTURE_FILE = "report.json", "report.png"
 
 REPORT = (REPORT_FILE, PICTURE_FILE)
-"""The files of a report with its picture."""
+"""Files of a report, including the figure."""
 
 REGRESSED, NOT_ANSWERED = 1, 3
 
@@ -58,7 +58,7 @@ def run(
     workers: WorkersOption = 1,
     json: JsonOption = False,
 ) -> int:
-    """Answer every case; run again, it goes on. Exit code 0, or 3 if an answer failed the check."""
+    """Solve all cases, or resume. Exit code 0, or 3 if the check rejects an answer."""
     from planopt.studies.bench.cases import ERROR, library_cases
     from planopt.studies.bench.folder import TABLE, run_into
 
@@ -99,7 +99,7 @@ def report(
     figures: Annotated[bool, option("--figures/--no-figures", None, "Draw a picture.")] = True,
     json: JsonOption = False,
 ) -> int:
-    """Print and draw how planners did. Exit code 0."""
+    """Print and plot the scores of the planners. Exit code 0."""
     from planopt.files.writing import strict_text, write_text
     from planopt.report import bench_text
     from planopt.studies.bench.folder import read_manifest, read_rows
@@ -132,7 +132,7 @@ def check(
     workers: WorkersOption = 2,
     json: JsonOption = False,
 ) -> int:
-    """Solve the fast share again. Exit code 0, or 1 if anything is worse than its reference."""
+    """Solve the fast subset again. Exit code 0, or 1 if anything is worse than its reference."""
     from time import perf_counter
 
     from planopt.studies.bench.folder import answers
@@ -164,7 +164,7 @@ def check(
 
 
 def report_json(manifest: Manifest, rows: list[Row], known: References) -> dict[str, Any]:
-    """Return the JSON keys of ``bench report``."""
+    """Return the JSON object of ``bench report``."""
     from planopt.studies.bench.references import assessed, best_known
     from planopt.studies.bench.scores import LIMIT_S, SHIFT_S, scores, time_profile
 
@@ -192,7 +192,7 @@ def report_json(manifest: Manifest, rows: list[Row], known: References) -> dict[
 
 
 def _freeze(rows: list[Row], manifest: Manifest, file: Path, replace: bool, json: bool) -> int:
-    """Add rows to a file of references; refuse where one changes, unless that is wanted."""
+    """Add rows to a file of references; refuse to change existing ones unless `replace` is set."""
     from planopt.studies.bench.references import frozen, read_references, write_references
 
     known = read_references(file) if file.exists() else {}

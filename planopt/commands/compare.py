@@ -1,4 +1,4 @@
-"""``planopt compare``: the same seeds under several settings of one or several problems."""
+"""``planopt compare``: several settings of one or more problems on the same seeds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from planopt.studies.comparison import Comparison
 
 FINISHED_FOLDER = "finished_runs"
-"""Folder of finished runs, with which an interrupted comparison resumes."""
+"""Folder of finished runs, from which an interrupted comparison resumes."""
 
 Value = TypeVar("Value")
 
@@ -109,7 +109,7 @@ def compare(
         if seeds is None and first_seed is None
         else seed_range(str(DEFAULT_SEEDS) if seeds is None else seeds, first_seed)
     )
-    # Settings that are not allowed are found before the first run.
+    # Invalid settings must be found before the first run.
     total = len(settings_of(loaded, **lists)) * len(chosen)
     figures = all(task_of(problem).has_figures(problem) for problem in loaded)
     with results_folder(out) as folder:
@@ -141,7 +141,7 @@ def compare(
 
 
 def _draw(comparison: Comparison, folder: Path) -> None:
-    """Draw the table as a chart, traces over time, and the reliability of connection."""
+    """Plot the table, the traces over time, and the reliability diagram of connection."""
     from planopt.report import draw_comparison, draw_reliability, draw_traces, save_figure
 
     save_figure(draw_comparison(comparison), folder / "comparison.png")
@@ -156,7 +156,7 @@ def _draw(comparison: Comparison, folder: Path) -> None:
 
 
 def _where_all_is(folder: Path | None) -> str:
-    """Return where all numbers and intervals are saved."""
+    """Return a line that says where all numbers and intervals are saved."""
     from planopt.studies.comparison import COMPARISON_FILE
 
     words = "all numbers with their intervals:"
@@ -166,7 +166,7 @@ def _where_all_is(folder: Path | None) -> str:
 
 
 def seed_range(text: str, first: int | None) -> range:
-    """Return the seeds of the options ``--seeds`` and ``--first-seed``."""
+    """Return the seeds selected by ``--seeds`` and ``--first-seed``."""
     from planopt.problems.settings import seeds_of
 
     chosen = seeds_of(text, "--seeds")
@@ -207,7 +207,7 @@ def listed(
     text: str | None, option: str, kind: Callable[[str], Value]
 ) -> tuple[Value, ...] | None: ...
 def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...] | None:
-    """Return the values of a list such as ``1,2,5``, each once; None for no list."""
+    """Return the distinct values of a list such as ``1,2,5``; None for no list."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]

@@ -1,6 +1,6 @@
 """``planopt fit``: channel parameters from a power log.
 
-``planopt fit --hold-out``: whole walks predicted from the others, against plain predictors.
+``planopt fit --hold-out``: cross-validation by walk, compared with simple baseline predictors.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ ThresholdOption = Annotated[
 ]
 
 MOST_FOLDS = 10
-"""Largest number of folds; a fold holds out one group or several."""
+"""Maximum number of folds; each fold holds out one or more groups."""
 
 SEED = 0
 """Random seed that assigns groups to folds."""
 
 NAME_WIDTH = 13
-"""Width of the column with the predictors' names."""
+"""Width of the column of predictor names."""
 
 SHOWN_LEVELS = (0.5, 0.8, 0.95)
-"""Intervals whose coverage is printed; JSON has all levels."""
+"""Levels of the intervals whose coverage is printed; JSON has all levels."""
 
 
 def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) -> HeldOutReport:
     """Predict each group of the columns in `text` from all others, and score the predictions.
 
-    Powers from `threshold_dbm` on count as connected; None stands for the median power.
+    Powers from `threshold_dbm` on count as connected; None selects the median power.
     """
     import numpy as np
 
@@ -82,7 +82,7 @@ def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) 
             fitted.measurements, groups, fold_of, predictors_of(fitted.fit), threshold_dbm
         )
     except InputError as error:
-        # Its row, if any, is one of a part of the log.
+        # A row number would refer to a subset of the log.
         raise InputError(
             f"without some of the groups: {error.message}",
             file=log,
@@ -92,7 +92,7 @@ def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) 
 
 
 def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
-    """Return ``held_out`` of the JSON."""
+    """Return the value of ``held_out`` in the JSON object."""
     return {
         "columns": text,
         "groups": report.groups,
@@ -108,7 +108,7 @@ def held_out_json(report: HeldOutReport, text: str) -> dict[str, Any]:
 
 
 def held_out_words(data: dict[str, Any]) -> list[str]:
-    """Return the scores of :func:`held_out_json` in lines of text."""
+    """Return the scores of :func:`held_out_json` as lines of text."""
     from planopt.channel.calibration import FEWEST_GROUPS
 
     header = f"  {'':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'of path loss':22}" + "".join(
@@ -136,7 +136,7 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
 
 
 def _draw_held_out(report: HeldOutReport, folder: Path) -> None:
-    """Draw coverage, PIT and reliability of the predictions."""
+    """Plot coverage, PIT histogram and reliability of the predictions."""
     from planopt.report import draw_calibration, draw_reliability, save_figure
 
     scores = {name.replace("_", " "): score for name, score in report.scores.items()}
@@ -168,7 +168,7 @@ def _ratio_json(ratio: GroupedRatio, groups: int) -> dict[str, float | None]:
 
 
 def _words(ratio: dict[str, Any], form: str) -> str:
-    """Return a number with its interval, if it has one."""
+    """Return a number as text, with its interval if it has one."""
     if ratio["low"] is None:
         return format(ratio["value"], form)
     low, high = format(ratio["low"], form).rstrip("%"), format(ratio["high"], form)
@@ -177,7 +177,7 @@ def _words(ratio: dict[str, Any], form: str) -> str:
 
 FIT_FILE = "fit.json"
 FIT = (FIT_FILE, "fit.png", "held_out.png", "reliability.png")
-"""The files of a fit with its pictures."""
+"""Files of a fit, including figures."""
 
 UNITS = {
     "k_pl_db": "dBm",
@@ -216,7 +216,7 @@ def fit(
 
             with replaced_results(folder, FIT) as new:
                 write_text(new / FIT_FILE, strict_text(data))
-        # Results come before pictures: whatever happens to these, the numbers are there.
+        # The numbers are printed before any figure can fail.
         lines = [_in_words(data)]
         if report is not None:
             from planopt.report import reliability_lines
@@ -240,7 +240,7 @@ def fit(
 
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
-    """Return the JSON keys of ``fit``; ``other_modes`` are parameters that are nearly as likely."""
+    """Return the JSON object of ``fit``; ``other_modes`` are nearly as likely parameters."""
     from planopt.files.typed_json import finite
 
     found, receivers = fitted.found, fitted.receivers
@@ -278,7 +278,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
 
 
 def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
-    """Return standard errors of the station's x and y; None if the station is given."""
+    """Return the standard errors of the station's x and y; None if the position is known."""
     from planopt.files.typed_json import finite
 
     covariance = found.station_covariance_m2
@@ -312,7 +312,7 @@ def _in_words(data: dict[str, Any]) -> str:
 
 
 def _errors_in_words(errors_m: list[float | None] | None) -> str:
-    """Return the errors of an estimated station in words."""
+    """Return the errors of an estimated station position as text."""
     if errors_m is None:
         return ""
     from planopt.short_repr import shown_number

@@ -1,4 +1,4 @@
-"""Read a power log and fit its channel, for ``planopt fit`` and ``planopt map``."""
+"""Reading and channel fit of a power log, for ``planopt fit`` and ``planopt map``."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ DEGENERATE = 3
 
 @dataclass(frozen=True)
 class LogFit:
-    """A log and the channel fitted to it."""
+    """A power log and the channel fitted to it."""
 
     measurements: Measurements
     found: ChannelFit
-    receivers: tuple[str, ...]  # Labels by the receivers' numbers; empty without --receiver
+    receivers: tuple[str, ...]  # Receiver labels by number; empty without --receiver
     fit: Callable[[Measurements], ChannelFit]  # Fits other measurements with the same options
     log_format: LogFormat
     warnings: tuple[str, ...]  # From the fit, and about implausible values
@@ -70,7 +70,7 @@ def read_and_fit(options: LogOptions) -> LogFit:
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
-    """Return the method by which the station is found."""
+    """Return the method by which the station is located."""
     from planopt.channel.estimation.station_fit import StationMethod
 
     names = get_args(StationMethod)
@@ -116,7 +116,7 @@ def _log_format(options: LogOptions) -> LogFormat:
 
 
 def _forgetting_s(options: LogOptions) -> float:
-    """Return the forgetting time; infinite if none is given."""
+    """Return the forgetting time; infinite by default."""
     value_s = math.inf if options.forgetting is None else options.forgetting
     require_option(value_s > 0.0, value_s, "--forgetting", "give more than 0 seconds")
     if options.forgetting is not None and options.time is None:
@@ -129,6 +129,6 @@ def _forgetting_s(options: LogOptions) -> float:
 
 
 def require_option(is_allowed: bool, value: object, key: str, remedy: str) -> None:
-    """Refuse the value of an option."""
+    """Raise an error for an option's value unless it is allowed."""
     if not is_allowed:
         raise InputError(f"{value!r} cannot be used", key=key, remedy=remedy)

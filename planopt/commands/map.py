@@ -1,4 +1,4 @@
-"""``planopt map``: a radio map on a grid, from a power log."""
+"""``planopt map``: radio map on a grid, from a power log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from planopt.channel.measurements import Measurements
 
 VARIABLES = ("mean_db", "deviation_db", "connectivity")
-"""The variables of a map."""
+"""Variables of a map."""
 
 
 @with_options(LogOptions)
@@ -85,7 +85,7 @@ def map_log(
 
 
 def parse_bounds(text: str) -> Bounds:
-    """Read ``X0,Y0,X1,Y1`` in metres."""
+    """Parse ``X0,Y0,X1,Y1`` in metres."""
     try:
         x_min, y_min, x_max, y_max = (float(part) for part in text.split(","))
     except ValueError:
@@ -96,7 +96,7 @@ def parse_bounds(text: str) -> Bounds:
 
 
 def map_json(maps: PosteriorMap, out: Path, picture: Path | None) -> dict[str, Any]:
-    """Return what ``planopt map`` prints about the map itself."""
+    """Return the JSON object of ``planopt map`` that describes the map."""
     raster = maps.mean_db
     return {
         "file": str(out),
@@ -123,7 +123,7 @@ def _threshold_dbm(
 
 @contextlib.contextmanager
 def _writable(out: Path, picture: Path | None) -> Generator[None]:
-    """Check that both files can be written before any work is done."""
+    """Check that both files are writable before any computation."""
     with contextlib.ExitStack() as stack:
         for file in (out, picture):
             if file is not None:
@@ -133,7 +133,7 @@ def _writable(out: Path, picture: Path | None) -> Generator[None]:
 
 @contextlib.contextmanager
 def _together(out: Path, picture: Path | None) -> Generator[tuple[Path, Path | None]]:
-    """Yield temporary names of map and picture; on leaving, both replace older files."""
+    """Yield temporary names of map and figure; on exit, move both into place."""
     files = [file for file in (out, picture) if file is not None]
     with contextlib.ExitStack() as stack:
         staged: dict[Path, Path] = {}

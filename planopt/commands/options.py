@@ -1,4 +1,4 @@
-"""Options that several commands share, each declared once."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class PlanningOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class LogOptions:
-    """Options of the commands on a power log."""
+    """Options of the commands that read a power log."""
 
     log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
     station: Annotated[

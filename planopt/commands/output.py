@@ -1,7 +1,7 @@
-"""Output of commands: results to stdout, progress to stderr, files to --out; and interrupts.
+"""Output of commands (results to stdout, progress to stderr, files to --out) and interrupts.
 
-Errors are raised; :func:`planopt.cli.main` prints them. SIGTERM, by which schedulers and containers
-end a process, does what Ctrl-C does.
+Errors are raised; :func:`planopt.cli.main` prints them. SIGTERM, which schedulers and containers
+send to end a process, is handled like Ctrl-C.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from planopt.errors import OutputError, escaped
 from planopt.files.writing import Patterns, replaced_results, strict_text, writable_folder
 
 NO_PLAN = 4
-"""Exit code where there is no plan, or a run did not arrive."""
+"""Exit code if there is no plan or a run did not arrive."""
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
@@ -29,26 +29,26 @@ def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
     if as_json:
         print_out(strict_text(data))
     else:
-        # Names and messages may come from any file and contain control codes of terminals.
+        # Names and messages may come from any file and contain terminal control codes.
         print_out("\n".join(escaped(line) for line in text.split("\n")) + "\n")
 
 
 def print_out(text: str) -> None:
-    """Write text to standard output at once."""
+    """Write text to standard output and flush it."""
     with standard_output():
         typer.echo(text, nl=False)
 
 
 @contextlib.contextmanager
 def standard_output() -> Generator[None]:
-    """Flush what the block prints; raise an OutputError if standard output is closed or full."""
+    """Flush the output of the block; raise an OutputError if standard output is closed or full."""
     try:
         yield
         sys.stdout.flush()
     except OSError as error:
         if error.filename is not None:
             raise
-        # Python flushes standard output again when it exits.
+        # Python flushes standard output again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise OutputError(
             f"standard output cannot be written: {error.strerror or error}"
@@ -56,16 +56,16 @@ def standard_output() -> Generator[None]:
 
 
 def say(text: str) -> None:
-    """Print a line to stderr while work is going on."""
+    """Print a progress line to stderr."""
     typer.echo(escaped(text), err=True)
 
 
 _active: list[list[int]] = []
-"""Signals received by each block that is running, the outermost first."""
+"""Signals received by each active block, the outermost first."""
 
 
 def _stop(number: int, _: object) -> None:
-    # A second SIGTERM does not disturb the cleanup after the first.
+    # A second SIGTERM must not interrupt the cleanup after the first.
     again = number == signal.SIGTERM and number in _active[-1]
     for received in _active:
         received.append(number)
@@ -77,7 +77,7 @@ def _stop(number: int, _: object) -> None:
 def stopping() -> Generator[list[int]]:
     """Raise KeyboardInterrupt on SIGINT and SIGTERM within the block; yield the signals received.
 
-    Only the main thread of a process has handlers; elsewhere nothing changes.
+    Only the main thread can install handlers; other threads are unaffected.
     """
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
@@ -97,7 +97,7 @@ def stopping() -> Generator[list[int]]:
 def progress(description: str, total: int | None = None) -> Generator[Callable[[], None]]:
     """Show progress on stderr if it is a terminal; yield a function to call after each part.
 
-    Interrupts that were swallowed, such as by a CasADi callback, are raised again.
+    Interrupts swallowed by callbacks, for instance of CasADi, are raised again.
     """
     if any(_active):
         raise KeyboardInterrupt
@@ -118,7 +118,7 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
 
 @contextlib.contextmanager
 def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
-    """Draw a bar on stderr while the block runs; yield the function that advances it."""
+    """Show a progress bar on stderr within the block; yield the function that advances it."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -144,7 +144,7 @@ def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def drawing(folder: Path | None, files: Patterns, *, wanted: bool) -> Generator[Path | None]:
-    """Yield a folder for pictures of saved results, which are written first; None without any."""
+    """Yield the folder for figures, after the results are saved; None if none are drawn."""
     if folder is None or not wanted:
         yield None
         return
@@ -154,18 +154,18 @@ def drawing(folder: Path | None, files: Patterns, *, wanted: bool) -> Generator[
 
 @contextlib.contextmanager
 def results_folder(out: Path | None) -> Generator[Path | None]:
-    """Yield the folder for results, writable before any work is done; remove it after a failure."""
+    """Yield the results folder after checking that it is writable; remove it after a failure."""
     if out is None:
         yield None
         return
     existed = out.exists()
     try:
-        # A signal may arrive at once after the folder was made.
+        # A signal may arrive right after the folder is created.
         writable_folder(out)
         yield out
     except BaseException:
         if not existed:
-            # Fails, rightly, where something was written.
+            # Removal fails, as intended, if the folder has content.
             with contextlib.suppress(OSError):
                 out.rmdir()
         raise

@@ -1,4 +1,4 @@
-"""``planopt solve``, ``simulate`` and ``check``: results of one problem of any task."""
+"""``planopt solve``, ``simulate`` and ``check``: planning of one problem of any task."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 
 @with_options(PlanningOptions)
 def solve(options: PlanningOptions) -> int:
-    """Plan once, from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
+    """Compute one plan from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
     return _perform("solve", options)
 
 
 @with_options(PlanningOptions)
 def simulate(options: PlanningOptions, animation: AnimationOption = False) -> int:
-    """Drive the closed loop in the ground truth. Exit code 0 verified, 3 not all, 4 not done."""
+    """Run the closed loop in the simulated channel. Exit code 0 verified, 3 not all, 4 not done."""
     return _perform("simulate", options, animation)
 
 
 def _perform(action: Action, options: PlanningOptions, animation: bool = False) -> int:
-    """Solve or simulate the problem, save, print and draw the result, and return the exit code."""
+    """Solve or simulate the problem, save, print and plot the result, and return the exit code."""
     from planopt.problems.load import load
     from planopt.problems.tasks import task_of
     from planopt.tasks.task import perform
@@ -65,7 +65,7 @@ def _perform(action: Action, options: PlanningOptions, animation: bool = False) 
                     action, problem, seed=options.seed, on_step=lambda *_: advance(), **settings
                 )
         except NoPlanError as error:
-            # The refusal comes at once; changes that would help are solved for, which takes longer.
+            # The reason is printed at once because finding helpful changes takes longer.
             refusal = f"{problem.name}: no plan: {error}"
             if not options.json:
                 show(False, {}, refusal)
@@ -96,7 +96,7 @@ def check(
     ],
     json: JsonOption = False,
 ) -> int:
-    """Audit saved results from their files alone. Exit code 0 agrees, 3 rejects."""
+    """Verify saved results from their files alone. Exit code 0 accepted, 3 rejected."""
     from planopt.files.typed_json import encoded
     from planopt.planning.certificate import excused_in_words, excused_steps
     from planopt.planning.files.result_json import certificate_json, no_certificate_json

@@ -64,7 +64,7 @@ def init(
     ] = "open_field",
     json: JsonOption = False,
 ) -> int:
-    """Begin a problem file: a copy of one of the library, with the maps that it names."""
+    """Create a problem file by copying a library problem and the maps that it refers to."""
     from planopt.files.reading import read_bytes
     from planopt.files.writing import write_whole
     from planopt.problems.library import library_folder, list_problems, named_files, read_toml
@@ -81,7 +81,7 @@ def init(
     contents = {file: read_bytes(library[source])}
     for name in named_files(read_toml(library[source])):
         contents[file.parent / name] = read_bytes(library_folder() / name)
-    # The same map may be there for another problem.
+    # Another problem may already have brought the same map.
     written = [path for path, content in contents.items() if not _has(path, content)]
     for path in written:
         if path.exists():
@@ -89,7 +89,7 @@ def init(
     with contextlib.ExitStack() as stack:
         for folder in sorted({path.parent for path in written}):
             stack.enter_context(results_folder(folder))
-        # The problem is written last, after the files that it names.
+        # The problem is written last, after the files that it refers to.
         for path in reversed(written):
             write_whole(path, lambda temporary, path=path: _write(temporary, contents[path]))
     data = {"problem": str(file), "files": [str(path) for path in contents]}
@@ -99,7 +99,7 @@ def init(
 
 
 def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
-    """Print what a problem file says; --json prints all of it, with every default."""
+    """Print the content of a problem file; --json prints all keys, including defaults."""
     from planopt.problems.load import load
     from planopt.problems.tasks import task_of
 
@@ -110,7 +110,7 @@ def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
 
 
 def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
-    """Check a problem file, its maps and logs, and that the channel can be fitted."""
+    """Check a problem file, its maps and logs, and whether the channel can be fitted."""
     from planopt.problems.load import load
     from planopt.problems.tasks import task_of
 

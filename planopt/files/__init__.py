@@ -1,1 +1,1 @@
-"""Files as such: bounded reading of input files, whole writing of results."""
+"""File access: size-limited reading of input files and atomic writing of results."""

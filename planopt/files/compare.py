@@ -1,8 +1,8 @@
-"""Compare a saved document with the same document computed again.
+"""Comparison of a saved document with the same document recomputed.
 
-A document is a tree of tables, lists, numbers and texts. One table of tolerances, by the name of a
-key or column, says how far numbers may be apart: another machine rounds differently. Values that
-nothing else determines are covered by a digest, or listed in `ACCEPTED`.
+A document is a tree of tables, lists, numbers and texts. Numbers may differ by a tolerance, given
+by the name of their key or column, because other machines round differently. Values that cannot be
+recomputed are covered by a digest or listed in `ACCEPTED`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import NamedTuple, cast
 
 
 class Tolerance(NamedTuple):
-    """Largest difference of two numbers that count as equal."""
+    """Maximum difference of two numbers that count as equal."""
 
     absolute: float
     relative: float
@@ -25,8 +25,8 @@ class Tolerance(NamedTuple):
 
 EXACT = Tolerance(1e-6, 1e-9)  # Computed from saved numbers; the default
 PREDICTION = Tolerance(1e-3, 1e-9)  # dB or probability: large logs are predicted in groups
-FIT = Tolerance(1e-6, 1e-3)  # From an iteration
-SITE = Tolerance(1e-5, 1e-5)  # From an iteration that stops at 1e-7
+FIT = Tolerance(1e-6, 1e-3)  # Iterative fit
+SITE = Tolerance(1e-5, 1e-5)  # Iteration with a tolerance of 1e-7
 
 TOLERANCES = {
     **dict.fromkeys(
@@ -41,10 +41,10 @@ TOLERANCES = {
     **dict.fromkeys(("parameters", "standard_errors", "theta", "theta_covariance"), FIT),
     **dict.fromkeys(("precision", "precision_mean"), SITE),
 }
-"""Tolerances of keys and columns that are not `EXACT`."""
+"""Tolerances of keys and columns other than `EXACT`."""
 
 ACCEPTED = frozenset(("iterations", "rung", "solve_s", "step_s", "termination", "wall_s"))
-"""Wall times, effort, and names of fallbacks and solver states: planning alone determines them."""
+"""Wall times, iteration counts, fallbacks and solver states, which cannot be recomputed."""
 
 TAKEN = frozenset(
     (
@@ -52,12 +52,12 @@ TAKEN = frozenset(
         *("lattice_objective", "pivot", "route", "seed", "x_m", "y_m"),
     )
 )
-"""Results of planning that a replay starts from; the digest covers all that is below these keys."""
+"""Planning results from which a replay starts; the digest covers all values below these keys."""
 
 DIGEST = "digest"
 
 SHOWN_ALIKE = 3
-"""Number of differences reported one by one where only an index differs."""
+"""Maximum number of reported differences that differ only in an index."""
 
 _NUMBER = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
 _INDEX = re.compile(r"\[\d+\]")
@@ -65,9 +65,9 @@ _INDEX = re.compile(r"\[\d+\]")
 
 @dataclass(frozen=True)
 class Difference:
-    """One value that is not as computed again."""
+    """A saved value that differs from the recomputed one."""
 
-    key: str  # Such as robots[0].x_m[3]
+    key: str  # For example robots[0].x_m[3]
     saved: str  # As printed
     found: str
 
@@ -106,7 +106,7 @@ def differences(
 
 
 def in_words(file: str, found: Iterable[Difference], source: str = "found") -> list[str]:
-    """Return a line for each difference, with few of those that differ only in an index."""
+    """Return a line for each difference; those that differ only in an index are abbreviated."""
     by_kind: dict[str, list[Difference]] = {}
     for one in found:
         by_kind.setdefault(_INDEX.sub("[]", one.key), []).append(one)
@@ -119,7 +119,7 @@ def in_words(file: str, found: Iterable[Difference], source: str = "found") -> l
 
 
 def _at(file: str, key: str) -> str:
-    """Return the place of a difference; in a CSV table the row counts from the header."""
+    """Return the location of a difference; rows of a CSV table are counted from the header."""
     column, _, index = key.rstrip("]").rpartition("[")
     if file.endswith(".csv") and index.isdecimal():
         return f"row {int(index) + 2}, key {column}"
@@ -127,7 +127,7 @@ def _at(file: str, key: str) -> str:
 
 
 def digest(data: Mapping[str, object]) -> str:
-    """Return a digest of the values below the keys of `TAKEN`, but for those of the problem."""
+    """Return a digest of the values below the keys of `TAKEN`, except for those of the problem."""
     taken = list(_taken({key: part for key, part in data.items() if key != "problem_file"}))
     return digest_of(json.dumps(taken))
 
@@ -150,9 +150,9 @@ def _taken(data: object) -> Iterator[tuple[str, object]]:
 
 
 def same_words(saved: str, found: str) -> bool:
-    """Return whether two texts are equal but for the last shown digit of decimal numbers."""
+    """Return whether two texts are equal up to the last shown digit of decimal numbers."""
     these, those = _NUMBER.split(saved), _NUMBER.split(found)
-    # The separators of the split, at odd indices, are numbers.
+    # The separators of the split, at odd indices, are the numbers.
     return len(these) == len(those) and all(
         one == other or (index % 2 == 1 and _same_shown(one, other))
         for index, (one, other) in enumerate(zip(these, those, strict=True))
@@ -160,7 +160,7 @@ def same_words(saved: str, found: str) -> bool:
 
 
 def _same_shown(saved: str, found: str) -> bool:
-    """Return whether two printed numbers differ by no more than rounding the last digit."""
+    """Return whether two printed numbers agree up to rounding of the last digit."""
     if "e" in saved + found:
         return math.isclose(float(saved), float(found), rel_tol=0.1)
     digits = max(len(number.partition(".")[2]) for number in (saved, found))
@@ -175,13 +175,13 @@ def _same(saved: object, found: object, name: str) -> bool:
             return True
         try:
             one, other = float(saved), float(found)
-        except OverflowError:  # A whole number of hundreds of digits
+        except OverflowError:  # An integer with hundreds of digits
             return False
         absolute, relative = TOLERANCES.get(name, EXACT)
         both_none = math.isnan(one) and math.isnan(other)
         return both_none or math.isclose(one, other, rel_tol=relative, abs_tol=absolute)
     if isinstance(saved, str) and isinstance(found, str):
-        # Labels are exact; numbers in sentences were rounded.
+        # Labels must match exactly; numbers in sentences are rounded.
         return saved == found or (" " in saved and same_words(saved, found))
     return saved is None and found is None
 

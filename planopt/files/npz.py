@@ -1,6 +1,6 @@
-"""Arrays of an npz file, whose declared sizes are checked first.
+"""Arrays of an npz file, read after a check of their declared sizes.
 
-NumPy's own reader allocates what a header declares and unpacks whatever a zip archive holds.
+NumPy's own reader allocates the size declared in a header and unpacks any zip archive.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planopt.files.reading import (
 )
 
 MOST_ENTRIES = 10_000
-"""Limit of the number of arrays in one file: each entry becomes an object."""
+"""Maximum number of arrays in one file: each entry becomes an object."""
 
 
 def npz_names(path: Path) -> tuple[str, ...]:
@@ -35,7 +35,7 @@ def npz_names(path: Path) -> tuple[str, ...]:
 
 
 def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Read arrays of an npz file; pickled objects are refused."""
+    """Read arrays of an npz file; pickled objects are rejected."""
     archive, members = _members(path)
     names = [name for name in members if wanted is None or name in wanted]
     unpacked = sum(members[name].file_size for name in names)
@@ -44,7 +44,7 @@ def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, NDA
 
 
 def _members(path: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
-    """Return the archive and its members by the names of arrays."""
+    """Return the archive and its members by array name."""
     content = read_bytes(path)
     if not content.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         raise InputError("is not an npz archive", file=path)
@@ -58,7 +58,7 @@ def _members(path: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
 def _array(
     path: Path, archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo
 ) -> NDArray[Any]:
-    """Return one array; NumPy allocates what a header declares, which is checked first."""
+    """Return one array after checking the size declared in its header, which NumPy allocates."""
     with foreign_reader(path, "an npz", name), archive.open(member) as stream:
         first = npy.read_magic(stream) == (1, 0)
         read_header = npy.read_array_header_1_0 if first else npy.read_array_header_2_0
@@ -67,12 +67,12 @@ def _array(
             raise InputError("holds Python objects, which are never unpickled")
         require_array_size(path, name, *shape)
         content = stream.read(math.prod(shape) * dtype.itemsize)
-        # Reading to the end compares the checksum.
+        # The checksum is compared at the end of the stream.
         if stream.read(1):
             raise InputError("has another size than its header says")
         flat = np.frombuffer(content, dtype=dtype)
         if dtype.kind == "U":
-            # Python fails much later on numbers that are no characters of Unicode.
+            # Code points that are not Unicode would make Python fail much later.
             codes = flat.view(np.dtype(np.uint32).newbyteorder(dtype.byteorder))
             if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes <= 0xDFFF))).any():
                 raise InputError("has texts with characters that are none")

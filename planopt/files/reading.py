@@ -1,7 +1,7 @@
-"""Read input files that may be anything: devices, pipes, endless, huge or damaged files.
+"""Reading of untrusted input files: devices, pipes, endless, huge or damaged files.
 
-No other file than the named one is read, and sizes are checked before memory is used: those of the
-file first, then those that arrays declare.
+Only the named file is read, and sizes are checked before memory is used: first the file size, then
+the sizes declared by arrays.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ LARGEST_BINARY_BYTES = 512 * MEGABYTE
 """Size limit of binary files, and of all arrays unpacked from one npz file."""
 
 LARGEST_ARRAY_VALUES = 25_000_000
-"""Number of values that one array of a file may declare: a map of 5000 x 5000 cells."""
+"""Maximum number of values in one array of a file, such as a map of 5000 x 5000 cells."""
 
 
 def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
     """Return the content of a regular file."""
     try:
-        # Checked before opening, since opening a pipe waits and opening a device may do anything.
+        # The check precedes opening because opening a pipe blocks and a device may react.
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             kind = "a folder, not a file" if path.is_dir() else "not a regular file"
             raise InputError(f"is {kind}", file=path, remedy="name a file")
         with path.open("rb") as stream:
-            # Files of /proc have the size 0 and any content.
+            # Files in /proc report size 0 and have content nevertheless.
             content = b"" if status.st_size > largest else stream.read(largest + 1)
     except FileNotFoundError as error:
         raise InputError("there is no such file", file=path, remedy="check the path") from error
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+    except (OSError, ValueError) as error:  # ValueError: NUL in the name
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read: {reason}", file=path, remedy="check the path") from error
     require_size("has", max(status.st_size, len(content)), largest, path)
@@ -51,7 +51,7 @@ def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
 
 
 def require_size(verb: str, size: int, largest: int, path: Path) -> None:
-    """Refuse a file that has or declares too many bytes."""
+    """Raise an error for a file with too many bytes, actual or declared."""
     if size > largest:
         found, limit = f"{size / MEGABYTE:.0f} MB", f"{largest / MEGABYTE:.0f} MB"
         remedy = "give a smaller file, with fewer rows or larger cells"
@@ -75,7 +75,7 @@ def read_text(path: Path, largest: int = LARGEST_TEXT_BYTES) -> str:
 
 
 def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and cells of every row of a CSV file that is not empty."""
+    """Yield line number and cells of every non-empty row of a CSV file."""
     rows = csv.reader(io.StringIO(read_text(path), newline=None), strict=True)
     try:
         for cells in rows:
@@ -88,9 +88,9 @@ def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 @contextlib.contextmanager
 def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[None]:
-    """Turn any exception of a library into an error about the file, and silence its warnings.
+    """Convert exceptions of a library to an error about the file, and suppress its warnings.
 
-    Errors in destructors and callbacks, which Python would print, are silenced as well.
+    Errors in destructors and callbacks, which Python would print, are suppressed as well.
     """
     hooks = sys.excepthook, sys.unraisablehook
     sys.excepthook = sys.unraisablehook = _ignore
@@ -109,11 +109,11 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
 
 
 def _ignore(*_: object) -> None:
-    """Print nothing."""
+    """Ignore all arguments."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:
-    """Refuse an array that declares too many values, before it is read."""
+    """Raise an error for an array that declares too many values, before it is read."""
     if min(lengths, default=0) < 0 or math.prod(map(int, lengths)) > LARGEST_ARRAY_VALUES:
         shape = " x ".join(str(int(length)) for length in lengths)
         fault = f"declares {shape} values, more than the limit of {LARGEST_ARRAY_VALUES}"

@@ -1,6 +1,6 @@
 """Tables of results: columns declared once, for CSV files, DataFrames, documentation and checks.
 
-Numbers are written to the last digit; an empty cell says that there is no value.
+Numbers are written with full precision; an empty cell means no value.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from planopt.files.reading import read_text
 from planopt.files.writing import write_text
 
 LARGEST = 1e9
-"""Positions, times, powers and parameters beyond this in a saved file are a fault."""
+"""Maximum magnitude of positions, times, powers and parameters in a saved file."""
 
 REMEDY = "save the result again"
 
 LARGEST_BYTES = 512 * 2**20
-"""Size limit of a table."""
+"""Size limit of a table in bytes."""
 
 Data = Mapping[str, NDArray[Any]]
-"""Columns of equal length by name; NaN and empty text where there is no value."""
+"""Columns of equal length by name; NaN and empty text represent missing values."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Column:
     name: str
     meaning: str
     unit: str = ""
-    # A flag is saved as 1 or 0
+    # Flags are saved as 1 or 0
     kind: Literal["number", "count", "text", "flag"] = "number"
-    required: bool = False  # Whether no cell may be empty
-    largest: float = LARGEST  # Of the magnitude of a number
-    # From a log to the values; without one, its attribute of that name
+    required: bool = False  # Whether every cell must have a value
+    largest: float = LARGEST  # Maximum magnitude of a number
+    # Function from a log to the values; by default its attribute of the same name
     source: Callable[[Any], NDArray[Any]] | None = None
 
 
@@ -62,7 +62,7 @@ def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
 
 
 def table_of(columns: Iterable[Column], log: object, **values: NDArray[Any]) -> Data:
-    """Return the table of a log; `values` go before its own."""
+    """Return the table of a log; `values` take precedence over the log's own."""
     return {
         column.name: values[column.name]
         if column.name in values
@@ -83,7 +83,7 @@ def table_text(columns: Sequence[Column], data: Data) -> str:
 
 
 def write_tables(folder: Path, tables: Mapping[str, tuple[Sequence[Column], Data]]) -> None:
-    """Write tables into a folder, by file name."""
+    """Write tables, given by file name, into a folder."""
     for name, (columns, data) in tables.items():
         write_text(folder / name, table_text(columns, data))
 
@@ -95,7 +95,7 @@ def _cells(values: NDArray[Any]) -> list[Any]:
 
 
 def read_table(path: Path, columns: Sequence[Column]) -> dict[str, NDArray[Any]]:
-    """Read a table of exactly these columns."""
+    """Read a table that has exactly these columns."""
     cells: dict[str, list[Any]] = {column.name: [] for column in columns}
     for line, row in read_rows(path, names_of(columns)):
         for column, cell in zip(columns, row, strict=True):
@@ -127,7 +127,7 @@ def read_rows(path: Path, header: Sequence[str]) -> Iterable[tuple[int, list[str
 
 
 def _value(column: Column, cell: str) -> float | int | str:
-    """Return a cell's value; raise a ValueError with the fault."""
+    """Return a cell's value; raise a ValueError that describes the fault."""
     if column.kind == "text":
         return cell
     if not cell and not column.required:
@@ -155,7 +155,7 @@ def comparable(data: Data) -> dict[str, list[Any]]:
 
 
 def require_pandas() -> Any:
-    """Return the module pandas, or raise an InputError that says what to install."""
+    """Return the module pandas, or raise an InputError with an installation hint."""
     try:
         return import_module("pandas")
     except ImportError:

@@ -1,7 +1,7 @@
-"""Plain data as JSON and back by its types: dataclasses, arrays, enumerations, tuples and numbers.
+"""Typed conversion to and from JSON: dataclasses, arrays, enumerations, tuples and numbers.
 
-Values are checked against their types when they are read, so that damaged files are found; nothing
-is unpickled. JSON has neither NaN nor infinity: null stands for both, and is read as NaN.
+Values are checked against their types on reading, so that damaged files are detected; nothing is
+unpickled. JSON has neither NaN nor infinity: both are written as null, which is read as NaN.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from planopt.errors import InputError
 Value = TypeVar("Value")
 
 NOT_FINITE = ("nan", "inf", "-inf")
-"""Texts that earlier versions wrote."""
+"""Non-finite numbers as written by earlier versions."""
 
 
 def encoded(value: object) -> Any:
@@ -48,12 +48,12 @@ def encoded(value: object) -> Any:
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number; None if it is missing or not finite."""
+    """Return a number, or None if it is missing or not finite."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def decoded(kind: type[Value], data: object) -> Value:
-    """Return what :func:`encoded` made `data` of, a value of type `kind`."""
+    """Return the value of type `kind` that :func:`encoded` converted to `data`."""
     return cast("Value", _decoded(kind, data))
 
 
@@ -110,7 +110,7 @@ def _first_that_fits(kinds: Sequence[Any], data: Any) -> Any:
 
 
 def _numbers(dtype: np.dtype[Any], data: Any) -> Any:
-    """Nested lists of what an array of `dtype` has."""
+    """Return nested lists with the values of an array of `dtype`."""
     if isinstance(data, list):
         return [_numbers(dtype, part) for part in cast("list[Any]", data)]
     if dtype.kind == "f":
@@ -129,14 +129,14 @@ def _float(data: Any) -> float:
 
 
 def _of_type(data: Any, kind: type[Any]) -> Any:
-    # A bool is an int for Python, but not for us.
+    # In Python bool is a subclass of int; here it is not accepted as one.
     if type(data) is not kind:
         raise ValueError(f"{type(data).__name__} where {kind.__name__} should be")
     return data
 
 
 def whole_number(file: Path, data: Mapping[str, object], key: str) -> int:
-    """Return a whole number of a saved JSON object."""
+    """Return an integer of a saved JSON object."""
     value = cast("object", data.get(key))
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(

@@ -1,8 +1,8 @@
-"""Write files and folders of results atomically, and JSON strictly.
+"""Atomic writing of result files and folders, and strict JSON.
 
-New files are written under hidden names and moved into place when they are complete. JSON files of
-a folder, without which no result is read, are removed first and moved last: a process that is
-killed between these leaves no result rather than a mixture of two.
+New files are written under hidden names and moved into place when complete. The JSON files of a
+folder, which every reader requires, are removed first and moved last: if the process is killed in
+between, no result is left rather than a mixture of two.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from typing import Any
 from planopt.errors import OutputError
 
 STAGING = ".planopt-new-"
-"""Prefix of hidden files and folders that are being written."""
+"""Prefix of hidden files and folders that are still being written."""
 
 Patterns = tuple[str, ...]
-"""Names of all files of a kind of result, with * for any text."""
+"""Names of all files of one kind of result, with * as wildcard."""
 
 
 def hidden_name(suffix: str = "") -> str:
-    """Return a new hidden name that identifies the process that writes."""
+    """Return a new hidden name that identifies the writing process."""
     return f"{STAGING}{platform.node()}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary neighbour of `path`, then move it into place."""
-    # The name is known before the file exists, so that an interrupt cannot leave the file.
+    """Call `write` on a temporary file next to `path`, then move the file into place."""
+    # The name is fixed before the file exists, so that an interrupt cannot leave the file behind.
     temporary = path.parent / hidden_name(path.suffix)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -51,7 +51,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` to `path` as UTF-8, whole or not at all."""
+    """Write `text` to `path` as UTF-8, atomically."""
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
@@ -62,9 +62,9 @@ def strict_text(data: Mapping[str, Any]) -> str:
 
 @contextlib.contextmanager
 def replaced_results(folder: Path, files: Patterns, *, keep: bool = False) -> Generator[Path]:
-    """Yield a folder for new results, which replace those of `folder` unless an error occurs.
+    """Yield a folder for new results, which replace those in `folder` unless an error occurs.
 
-    With `keep` they are added to the results that are there.
+    With `keep`, they are added to the existing results.
     """
     staging = folder / hidden_name()
     try:
@@ -100,7 +100,7 @@ def _is_head(name: str) -> bool:
 
 @contextlib.contextmanager
 def _uninterrupted() -> Generator[None]:
-    """Delay interrupts while files are moved, where the system can."""
+    """Delay interrupts while files are moved, if the system supports it."""
     if os.name != "posix":
         yield
         return
@@ -112,7 +112,7 @@ def _uninterrupted() -> Generator[None]:
 
 
 def remove_remains(folder: Path) -> None:
-    """Remove hidden files and folders of processes of this machine that were killed."""
+    """Remove hidden files and folders left by killed processes of this machine."""
     own = f"{STAGING}{platform.node()}-"
     for path in folder.glob(f"{STAGING}*"):
         writer = path.name.removeprefix(own).partition("-")[0]
@@ -126,7 +126,7 @@ def remove_remains(folder: Path) -> None:
 
 def _is_running(pid: int) -> bool:
     try:
-        # On Windows the signal 0 would end the process.
+        # On Windows, signal 0 would end the process.
         return os.name != "posix" or os.kill(pid, 0) is None
     except (ProcessLookupError, OverflowError):
         return False
@@ -135,7 +135,7 @@ def _is_running(pid: int) -> bool:
 
 
 def writable_folder(path: Path) -> Path:
-    """Make `path` a folder that can be written into, before any work is spent on results."""
+    """Create the folder `path` if necessary and check that it is writable."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path):

@@ -1,1 +1,1 @@
-"""The solver regression suite: every library problem against committed references."""
+"""Regression suite of the solvers: every library problem against committed references."""

@@ -1,4 +1,4 @@
-"""Cases of the regression suite and their rows: each answered, and verified from its files."""
+"""Cases of the regression suite, and their result rows, each verified from its files."""
 
 from __future__ import annotations
 
@@ -37,36 +37,36 @@ PLAN, RUN = "plan", "run"
 """Kinds of cases: one plan from the start, or the first steps of a closed loop."""
 
 States = tuple[tuple[tuple[float, ...], ...], ...]
-"""States by step and robot."""
+"""States, by step and robot."""
 
 HORIZONS = (5, 20)
-"""Steps ahead that every problem is solved with, besides its own."""
+"""Horizons in steps that every problem is solved with, in addition to its own."""
 
 RUN_PLANNER = "auto"
 """Planner of closed-loop cases, which take longer than a single plan."""
 
 COSTS_TO_GO = ("connected", "geodesic")
-"""Settings of problems with a goal."""
+"""Cost-to-go settings of problems with a goal."""
 
 PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
 """Outcomes of cases."""
 
 RUN_STEPS = 20
-"""Steps of a closed loop that are planned."""
+"""Number of planned steps of a closed loop."""
 
 
 @dataclass(frozen=True, order=True)
 class Question:
-    """A question to planners, whose answers are compared with each other."""
+    """A planning task that several planners solve, so that their answers can be compared."""
 
     problem: str  # Name in the library, or path of a problem file
     kind: str  # plan or run
-    cost_to_go: str  # Empty where there is no goal
-    horizon: int  # Steps ahead
-    seed: int  # Of everything drawn
+    cost_to_go: str  # Empty if there is no goal
+    horizon: int  # Planning horizon in steps
+    seed: int  # Random seed
 
     def __str__(self) -> str:
-        """Return the question in words."""
+        """Return the question as text."""
         cost = f"{self.cost_to_go} cost-to-go, " if self.cost_to_go else ""
         return f"{self.problem}, {self.kind}, {cost}horizon {self.horizon}, seed {self.seed}"
 
@@ -77,11 +77,11 @@ class Case:
 
     question: Question
     planner: str
-    # States that robots of a closed loop are moved to; empty if they follow their plans
+    # States imposed on the robots of a closed loop; empty if they follow their plans
     states: States = field(default=(), compare=False)
 
     def __str__(self) -> str:
-        """Return the case in words."""
+        """Return the case as text."""
         return f"{self.question}, planner {self.planner}"
 
 
@@ -93,7 +93,7 @@ def library_cases(
     seeds: Iterable[int] = range(3),
     run_seeds: Iterable[int] = range(1),
 ) -> list[Case]:
-    """Return every combination that the problems allow, problem by problem and seed by seed."""
+    """Return every valid combination, ordered by problem and then by seed."""
     known = planner_names()
     for name in planners or ():
         if name not in known:
@@ -134,12 +134,12 @@ def library_cases(
 
 
 def library_names() -> list[str]:
-    """Return the library problems of motion planning, which planners answer."""
+    """Return the names of the motion planning problems in the library."""
     return [entry.name for entry in list_problems() if entry.task in MOTION]
 
 
 def problem_of(case: Case) -> Problem:
-    """Load the problem of a case, with its settings."""
+    """Load the problem of a case and apply its settings."""
     question = case.question
     asked = with_overrides(
         load_motion(question.problem),
@@ -151,7 +151,7 @@ def problem_of(case: Case) -> Problem:
 
 
 def _allows(problem: Problem, planner: str) -> bool:
-    """Return whether a planner can plan for a problem, without knowing the ground truth."""
+    """Return whether a planner can solve a problem without knowing the ground truth."""
     kind = planner_kind(planner)
     if kind.foresees or (kind.tracks and not problem.targets):
         return False
@@ -164,7 +164,7 @@ def _allows(problem: Problem, planner: str) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """The answer to a case, as rows and references share it. Several robots: sums, or the worst."""
+    """Result of a case in rows and references; with several robots, the sum or the worst."""
 
     problem: str
     kind: str
@@ -172,50 +172,50 @@ class Answer:
     horizon: int
     seed: int
     planner: str
-    sense: str  # max or min: whether more or less of the objective is better
+    sense: str  # max or min: whether the objective is maximised or minimised
     # Objective of a plan, or the mean over the plans of a run
     objective: float | None = None
-    verdict: str = Verdict.NONE.value  # As the planner says; of a run the worst
+    verdict: str = Verdict.NONE.value  # Verdict reported by the planner; for a run the worst
     outcome: str = ""  # planned, no_plan or error
-    rungs: dict[str, int] = field(default_factory=dict[str, int])  # Steps by fallback
-    # Processor time of the case, without drawing the channel, fitting it and building the scene
+    rungs: dict[str, int] = field(default_factory=dict[str, int])  # Number of steps by fallback
+    # CPU time of the case, excluding channel simulation, channel fit and scene construction
     cpu_s: float = 0.0
-    # States of the robots of a run after each step; the check plans from them again, so that
+    # States of the robots of a run after each step; the check plans from the same states, so that
     # rounding differences between processors do not accumulate
     states: States = ()
 
     @property
     def question(self) -> Question:
-        """Return the question."""
+        """Return the question of the case."""
         return Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
 
     @property
     def case(self) -> Case:
-        """Return the question with its planner."""
+        """Return the case."""
         return Case(self.question, self.planner, self.states)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row(Answer):
-    """One answered case."""
+    """Result row of one case."""
 
     termination: str = ""
-    # Whether planopt check agrees, from the files alone; None if nothing was saved
+    # Whether planopt check accepts the saved files; None if nothing was saved
     accepted: bool | None = None
     reasons: tuple[str, ...] = ()  # Objections of the check, or the error
-    iterations: int = 0  # Of the solver
+    iterations: int = 0  # Solver iterations
     solve_s: float = 0.0
     wall_s: float = 0.0
-    steps: int = 0  # Number of plans, one a step and robot
-    path_digest: str = ""  # Digest of all places to the millimetre
-    kkt_residual: float | None = None  # Of the certificate; of a run None
+    steps: int = 0  # Number of plans, one per step and robot
+    path_digest: str = ""  # Digest of all positions, rounded to 1 mm
+    kkt_residual: float | None = None  # From the certificate; None for a run
     min_clearance_m: float | None = None
     min_connectivity: float | None = None
 
 
 @dataclass(frozen=True)
 class Start:
-    """The first belief, and scenes with goals, of all cases of one problem and seed."""
+    """Initial belief and scenes that all cases of one problem and seed have in common."""
 
     prepared: Prepared
     scenes: tuple[Scene, ...] | None
@@ -223,7 +223,7 @@ class Start:
 
 
 def start_of(case: Case) -> Start:
-    """Draw the channel, fit it and build the scene for the cases of one problem and seed."""
+    """Draw the channel, fit it and build the scenes for the cases of one problem and seed."""
     problem = problem_of(case)
     prepared = prepare(problem, case.question.seed)
     try:
@@ -233,7 +233,7 @@ def start_of(case: Case) -> Start:
 
 
 def key_of(case: Case) -> dict[str, Any]:
-    """Return all that decides a row."""
+    """Return everything that determines a row."""
     return {
         **run_key(problem_of(case), case.question.seed),
         "planner_version": planner_kind(case.planner).version,
@@ -245,7 +245,7 @@ def key_of(case: Case) -> dict[str, Any]:
 
 @one_blas_thread()
 def answer(case: Case, start: Start) -> Row:
-    """Answer a case and check the answer from its files; errors of any kind become rows."""
+    """Solve a case and check the result from its files; every error becomes a row."""
     problem = problem_of(case)
     nothing = _nothing(case, problem)
     if start.no_plan:
@@ -263,7 +263,7 @@ def answer(case: Case, start: Start) -> Row:
 
 
 def _nothing(case: Case, problem: Problem) -> Row:
-    """Return the row of a case without an answer."""
+    """Return the row of a case without a result."""
     no_path = "" if case.question.kind == RUN else Termination.NO_PATH.value
     question = asdict(case.question)
     return Row(**question, planner=case.planner, sense=problem.sense, termination=no_path)
@@ -327,7 +327,7 @@ def _run_row(problem: Problem, nothing: Row, start: Start, recorded: States) -> 
 
 
 def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
-    """Return the entries of a row that are sums over plans."""
+    """Return the entries of a row that are totals over plans."""
     return {
         "rungs": dict(Counter(plan.rung.value for plan in plans)),
         "iterations": sum(plan.iterations for plan in plans),
@@ -338,13 +338,13 @@ def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
 
 
 def _worst(labels: type[Verdict] | type[Termination] | type[Rung], named: Iterable[str]) -> str:
-    """Return the worst label: each kind names its members from good to bad."""
+    """Return the worst label; the members of each type are ordered from good to bad."""
     order = [label.value for label in labels]
     return max(named, key=order.index, default=order[-1])
 
 
 def _digest(paths_m: Iterable[NDArray[np.float64]]) -> str:
-    """Return a digest of paths to the millimetre."""
-    # Adding zero makes one of the two zeros that rounding has.
+    """Return a digest of paths, rounded to 1 mm."""
+    # Adding zero turns negative zeros into positive ones.
     rounded = b"".join((np.round(path_m, 3) + 0.0).astype("<f8").tobytes() for path_m in paths_m)
     return hashlib.sha256(rounded).hexdigest()[:16]

@@ -1,7 +1,7 @@
-"""A folder of the regression suite: a manifest, and a file for each row.
+"""Folder of the regression suite: a manifest and one file per row.
 
-``bench.json`` names program and problems; a folder of another program or of changed problems is
-refused, because its rows are not comparable.
+The manifest ``bench.json`` identifies program and problems. A folder made by another program or
+with changed problems is rejected because its rows are not comparable.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ from planopt.studies.study import FinishedRuns, Study, cpu_name, program, run_ke
 MANIFEST, ROWS, TABLE = "bench.json", "rows", "rows.csv"
 
 STUDY = Study(kind=Row, prepare=start_of, work=answer, key=key_of)
-"""How a case is answered."""
+"""Functions that compute the rows."""
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """The versions, machine and settings that made the rows of a folder."""
+    """Versions, machine and settings that produced the rows of a folder."""
 
-    # Versions of planopt and of the libraries that decide a result, and a digest of the source
+    # Versions of planopt and of the libraries that affect results, and a digest of the source
     program: dict[str, str]
-    python: str  # The interpreter and the machine
+    python: str  # Python version
     cpu: str
     cores: int
-    # Tolerances of planner and verifier, and the least relative difference of objectives
+    # Tolerances of planner and verifier, and the smallest significant change of an objective
     tolerances: dict[str, float]
-    problems: dict[str, str]  # Digest of every problem with the files that it names, by name
+    problems: dict[str, str]  # Digest of every problem and of the files that it refers to, by name
 
     @property
     def made_by(self) -> str:
-        """Return the program in words, for references."""
+        """Return the program as text, for references."""
         return f"planopt {self.program['planopt']}, source {self.program['source'][:12]}"
 
 
 def manifest_of(problems: Sequence[str]) -> Manifest:
-    """Return what would make rows of some problems here and now."""
+    """Return the manifest for some problems on this machine."""
     known = {
         name.lower(): float(value)
         for name, value in vars(tolerances).items()
@@ -78,7 +78,7 @@ def answers(
     record: FinishedRuns | None = None,
     on_row: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Answer cases, those of one problem and seed on the same belief; rows in their order."""
+    """Solve cases and return their rows in order; one belief serves each problem and seed."""
     groups = [
         list(group)
         for _, group in groupby(cases, lambda case: (case.question.problem, case.question.seed))
@@ -99,7 +99,7 @@ def run_into(
     workers: int = 1,
     on_row: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Answer cases into a folder; those that it has already are taken from it."""
+    """Solve cases and store their rows in a folder; rows that are already there are reused."""
     now = manifest_of(list(dict.fromkeys(case.question.problem for case in cases)))
     if (folder / MANIFEST).exists():
         before = read_manifest(folder)
@@ -112,7 +112,7 @@ def run_into(
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read what made a folder."""
+    """Read the manifest of a folder."""
     file = folder / MANIFEST
     try:
         return decoded(Manifest, json.loads(read_text(file)))
@@ -123,13 +123,13 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """Return all rows of a folder, sorted by case; those with impossible numbers are left out."""
+    """Return all rows of a folder, sorted by case; rows with invalid numbers are skipped."""
     rows = FinishedRuns(folder / ROWS).all(Row)
     return sorted((row for row in rows if _is_possible(row)), key=lambda row: row.case)
 
 
 def _is_possible(row: Row) -> bool:
-    """Tell whether every number of a row can be."""
+    """Return whether every number of a row is valid."""
     least_zero = (row.iterations, row.solve_s, row.wall_s, row.cpu_s, row.steps)
     counts = all(count >= 0 for count in row.rungs.values())
     known = (row.objective, row.kkt_residual, row.min_clearance_m, row.min_connectivity)
@@ -138,7 +138,7 @@ def _is_possible(row: Row) -> bool:
 
 
 def rows_csv(rows: Sequence[Row]) -> str:
-    """Return rows as a CSV table; lists and tables in cells are JSON."""
+    """Return rows as a CSV table; lists and tables are JSON in their cells."""
     text = io.StringIO()
     names = [part.name for part in fields(Row) if part.name != "states"]
     table = csv.writer(text, lineterminator="\n")
@@ -150,7 +150,7 @@ def rows_csv(rows: Sequence[Row]) -> str:
 
 
 def _require_same(before: Manifest, now: Manifest, folder: Path) -> None:
-    """Refuse a folder whose rows could not be compared with new ones."""
+    """Reject a folder whose rows are not comparable with new ones."""
     remedy = "choose another --out, or remove this folder"
     changed = [
         f"{name} {old}, this is {now.program.get(name)}"

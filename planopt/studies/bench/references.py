@@ -1,6 +1,6 @@
-"""References of the regression suite: the best known result of each planner, case by case.
+"""References of the regression suite: the best known result of each planner for every case.
 
-They change in commits of their own that list each number and the reason.
+Each change of references is a separate commit that lists every number and the reason.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from planopt.problems.load import load_motion
 from planopt.studies.bench.cases import PLAN, RUN, Answer, Case, Question, Row, library_names
 
 OBJECTIVE_SHARE = 0.01
-"""An objective is worse than another if it is by more than this share of it."""
+"""Relative difference above which one objective counts as worse than another."""
 
 DIGITS = 9
-"""Significant digits of frozen objectives."""
+"""Significant digits of stored objectives."""
 
 FAST_SEED = 0
-"""Seed of the fast share."""
+"""Seed of the fast subset."""
 
 FAST_PLANNERS = ("auto", "scp", "lattice")
-"""Planners of the fast share."""
+"""Planners of the fast subset."""
 
 FAST_RUN_CPU_S = 3.0
-"""Closed loops of the fast share took at most this long when they were frozen."""
+"""Maximum CPU time in seconds of closed loops in the fast subset when they were stored."""
 
 _ABOUT = (
     "Best known results of the solver regression suite, one a line: planopt bench report DIR "
@@ -44,21 +44,21 @@ _ABOUT = (
 
 @dataclass(frozen=True, kw_only=True)
 class Reference(Answer):
-    """The best that a planner is known to reach in a case."""
+    """Best known result of a planner for a case."""
 
-    made_by: str  # The program that made it
+    made_by: str  # Program that produced it
 
 
 References = Mapping[Case, Reference]
 
 
 def references_file() -> Path:
-    """Return the file of the library's references."""
+    """Return the path of the library's references."""
     return library_folder() / "references.json"
 
 
 def read_references(file: Path | None = None) -> dict[Case, Reference]:
-    """Read references; the library's if no file is given."""
+    """Read references from a file, by default the library's."""
     path = references_file() if file is None else file
     try:
         listed = json.loads(read_text(path))["references"]
@@ -78,7 +78,7 @@ def read_references(file: Path | None = None) -> dict[Case, Reference]:
 
 
 def write_references(references: References, file: Path) -> None:
-    """Write references sorted by case, one a line, whole or not at all."""
+    """Write references atomically, sorted by case, one per line."""
     lines = [
         json.dumps(encoded(references[case]), allow_nan=False, ensure_ascii=False)
         for case in sorted(references)
@@ -100,7 +100,7 @@ def reference_of(row: Row, made_by: str) -> Reference:
 def frozen(
     known: References, rows: Iterable[Row], made_by: str
 ) -> tuple[dict[Case, Reference], list[str]]:
-    """Return references updated by rows, and each change in words; failed rows are left out."""
+    """Return references updated by rows, and a list of the changes; failed rows are skipped."""
     references = dict(known)
     changes: list[str] = []
     for row in rows:
@@ -122,13 +122,13 @@ def frozen(
 
 
 def worse_share(objective: float, best: float, sense: str) -> float:
-    """Return by what share of `best` an objective is worse than it; negative if it is better."""
+    """Return the relative amount by which an objective is worse than `best`; negative if better."""
     worse = objective - best if sense == "min" else best - objective
     return worse / max(abs(best), 1e-12)
 
 
 def best_known(references: References, rows: Iterable[Row] = ()) -> dict[Question, float]:
-    """Return the best objective of each question, by verified answers that no check rejects."""
+    """Return the best objective of each question among verified answers not rejected by a check."""
     best: dict[Question, float] = {}
     accepted = [one for one in rows if one.accepted is not False]
     for one in (*references.values(), *accepted):
@@ -142,7 +142,7 @@ def best_known(references: References, rows: Iterable[Row] = ()) -> dict[Questio
 
 
 def regressions(row: Row, reference: Reference) -> list[str]:
-    """Return in words how a row is worse than its reference; empty if it is not."""
+    """Return the respects in which a row is worse than its reference, as text."""
     found: list[str] = []
     order = [verdict.value for verdict in Verdict]
     if row.outcome != reference.outcome:
@@ -166,7 +166,7 @@ def regressions(row: Row, reference: Reference) -> list[str]:
 
 
 def improvement(row: Row, reference: Reference) -> str | None:
-    """Return in words by how much a row is better than its reference; None if it is not clearly."""
+    """Return the improvement of a row over its reference as text; None if it is not significant."""
     if row.objective is None or reference.objective is None or row.accepted is False:
         return None
     share = -worse_share(row.objective, reference.objective, row.sense)
@@ -181,9 +181,9 @@ def improvement(row: Row, reference: Reference) -> str | None:
 def fast_cases(
     references: References, problems: Sequence[str] | None = None
 ) -> tuple[list[Case], list[str]]:
-    """Return the fast share, and missing references in words.
+    """Return the cases of the fast subset, and a list of missing references.
 
-    These are library problems with their own settings: plans of `FAST_PLANNERS`, and quick runs.
+    It has plans of `FAST_PLANNERS` and quick runs for library problems with their own settings.
     """
     cases: list[Case] = []
     missing: list[str] = []
@@ -214,7 +214,7 @@ def fast_cases(
 def assessed(
     rows: Sequence[Row], references: References, on_unknown: Callable[[Row], str]
 ) -> tuple[list[str], list[str]]:
-    """Return all regressions of rows, and all improvements, in words."""
+    """Return all regressions and all improvements of rows, as text."""
     worse: list[str] = []
     better: list[str] = []
     for row in rows:

@@ -1,4 +1,4 @@
-"""Scores of planners over the rows of the regression suite."""
+"""Scores of planners, computed from the rows of the regression suite."""
 
 from __future__ import annotations
 
@@ -13,41 +13,40 @@ from planopt.studies.bench.cases import ERROR, NO_PLAN, Question, Row
 from planopt.studies.bench.references import OBJECTIVE_SHARE, worse_share
 
 SHIFT_S = 0.01
-"""Shift of the geometric mean of times: differences far below a hundredth of a second are none."""
+"""Shift of the geometric mean of times; differences far below it are negligible."""
 
 LIMIT_S = 10.0
-"""Time that an unsolved case counts as, a step."""
+"""Time in seconds per step that is assigned to unsolved cases."""
 
 CONVERGED = (Termination.CONVERGED.value, Termination.ACCEPTABLE.value)
-"""Terminations by which a solver says that it has an optimum."""
+"""Solver terminations that claim an optimum."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """The scores of one planner."""
+    """Scores of one planner."""
 
     planner: str
     cases: int
-    success_rate: float  # Share that it solved (:func:`is_solved`)
-    # Share of the cases with a claim whose claim holds (:func:`claims`, :func:`is_wrong`); None
-    # without any claim
+    success_rate: float  # Share of solved cases (:func:`is_solved`)
+    # Share of correct claims (:func:`claims`, :func:`is_wrong`); None if the planner claims nothing
     correct_rate: float | None
-    verified_rate: float  # Share with the verdict verified
-    rejected: int  # Verified answers that the check rejects
-    errors: int  # Cases that ended with an error
-    fallback_share: float  # Share of the released plans that came from another fallback than plan
-    # Relative excess of objectives over the best known; None without any
+    verified_rate: float  # Share of cases with the verdict verified
+    rejected: int  # Number of verified plans that the check rejects
+    errors: int  # Number of cases that ended with an error
+    fallback_share: float  # Share of released plans from a fallback other than plan
+    # Relative excess of objectives over the best known; None if none is known
     median_excess: float | None
     largest_excess: float | None
-    iterations: float  # Mean of solver iterations a plan
-    # Shifted geometric mean and median of the processor time a plan, in seconds; unsolved cases
-    # count `LIMIT_S` in the first and are left out of the second
+    iterations: float  # Mean number of solver iterations per plan
+    # Shifted geometric mean and median of the CPU time per plan, in seconds; unsolved cases count
+    # as `LIMIT_S` in the mean and are excluded from the median
     mean_s: float
     median_s: float | None
 
 
 def excess(row: Row, best: Mapping[Question, float]) -> float | None:
-    """Return by what share a row's objective is worse than the best known; None without either."""
+    """Return the relative excess of a row's objective over the best known; None if unknown."""
     known = best.get(row.question)
     if known is None or row.objective is None:
         return None
@@ -57,7 +56,7 @@ def excess(row: Row, best: Mapping[Question, float]) -> float | None:
 def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
     """Return whether an answer is verified, accepted and near the best known objective.
 
-    Without a plan, whether none is known.
+    The answer "no plan" is correct if no plan is known.
     """
     if row.outcome == NO_PLAN:
         return row.question not in best
@@ -68,7 +67,7 @@ def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
 
 
 def claims(row: Row) -> bool:
-    """Tell whether a planner claims something: a verified plan, an optimum, or that none exists."""
+    """Return whether a planner claims a verified plan, an optimum, or that no plan exists."""
     verified = row.verdict == Verdict.VERIFIED.value
     return verified or row.termination in CONVERGED or row.outcome == NO_PLAN
 
@@ -84,7 +83,7 @@ def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
 
 
 def scores(rows: Sequence[Row], best: Mapping[Question, float]) -> list[Score]:
-    """Return the score of every planner, in the order in which planners occur."""
+    """Return the score of every planner, in order of first occurrence."""
     planners = dict.fromkeys(row.planner for row in rows)
     return [_score(name, [row for row in rows if row.planner == name], best) for name in planners]
 
@@ -116,27 +115,27 @@ def _score(planner: str, rows: Sequence[Row], best: Mapping[Question, float]) ->
 
 
 def step_s(row: Row) -> float:
-    """Return the processor time of a row a plan, in seconds."""
+    """Return the CPU time of a row per plan, in seconds."""
     return row.cpu_s / max(row.steps, 1)
 
 
 def shifted_geometric_mean(times_s: NDArray[np.float64], shift_s: float) -> float:
-    """Return exp(mean(log(t + s))) - s, which very short times cannot dominate, in seconds."""
+    """Return exp(mean(log(t + s))) - s in seconds, which is insensitive to very short times."""
     return float(np.exp(np.log(np.asarray(times_s) + shift_s).mean()) - shift_s)
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A performance profile (Dolan and More, 2002)."""
+    """Performance profile (Dolan and More, 2002)."""
 
-    planners: tuple[str, ...]  # Names
-    ratios: NDArray[np.float64]  # (k,) sorted ratios to the best time of a question, from 1 on
-    # (planners, k) share of the questions that a planner solves within each ratio
+    planners: tuple[str, ...]  # Names of the planners
+    ratios: NDArray[np.float64]  # (k,) sorted ratios, from 1 on, to the best time of a question
+    # (planners, k) share of questions solved by each planner within each ratio
     shares: NDArray[np.float64]
 
 
 def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile:
-    """Return the profile of the times of solved cases, over the questions of each planner."""
+    """Return the profile of the times of solved cases over the questions."""
     planners = tuple(dict.fromkeys(row.planner for row in rows))
     questions = {question: n for n, question in enumerate(dict.fromkeys(r.question for r in rows))}
     times_s = np.full((len(questions), len(planners)), np.nan)
@@ -151,11 +150,11 @@ def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile
 def performance_profile(
     times_s: NDArray[np.float64],  # (q, s)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ratios (k,) and the share of questions that each solver solves within them (s, k)."""
+    """Return ratios (k,) and the share of questions solved by each solver within them (s, k)."""
     finite = np.where(np.isfinite(times_s), times_s, np.inf)
     fastest = finite.min(axis=1, keepdims=True) if finite.size else finite[:, :1]
     some = np.isfinite(fastest)
-    # A time of zero is the fastest; equal times have the ratio 1.
+    # A zero time is the fastest; equal times have the ratio 1.
     least = np.where(some, np.maximum(fastest, np.finfo(float).tiny), 1.0)
     ratio = np.where(np.isfinite(finite), np.maximum(finite, least) / least, np.inf)
     ratios = np.unique(np.append(ratio[np.isfinite(ratio)], 1.0))

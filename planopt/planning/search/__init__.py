@@ -1,1 +1,1 @@
-"""Global search: where a refinement starts from."""
+"""Global searches for the initial guesses of the refinement."""

@@ -1,9 +1,9 @@
-"""Improve many paths at once: each climbs with its own inverse Hessian (BFGS).
+"""Batched BFGS ascent: many paths climb at once, each with its own inverse Hessian.
 
-Objectives that couple the positions of a path have several maxima, and the value of a path before a
-refinement says little of its value after. In headings and speeds the limits of motion are bounds of
-single variables; at a blocked step the path turns aside as when it was first driven, and the step
-counts if it gains.
+Objectives that couple the positions of a path have several maxima, and the value of an initial
+guess hardly predicts its value after refinement. The variables are headings and speeds, so that the
+motion limits are bounds of single variables. At a blocked step the path turns aside, as in the fan
+of guesses; the step is accepted if the value increases.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from numpy.typing import NDArray
 from planopt.planning.candidates import UNLIMITED, Budget
 
 APART_STEPS = 0.5
-"""Paths that are nowhere farther apart than this many longest steps count as one."""
+"""Two paths count as one if they differ by at most this many longest steps at every position."""
 
 Drive = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-"""From turns and speeds (N, c) to paths (c, N, 2)."""
+"""Function from turns and speeds (N, c) to paths (c, N, 2)."""
 
 FIRST_STEP, LONGEST_STEP = 0.3, 0.8
-"""Largest change of a heading (rad) or of a speed (as a share) in a first step, and in any."""
+"""Largest change of a heading (rad) or a relative speed in the first step, and in later steps."""
 
 SHORTER = 0.35
-"""A step that does not gain is repeated at this share of its length."""
+"""Factor of the step length after a step without gain."""
 
 CURVED_SHARE = 1e-8
-"""Least cosine between a step and the change of slope along it that updates the Hessian."""
+"""Least cosine between a step and the change of the gradient that updates the Hessian."""
 
 Slope = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
-"""From paths (c, N, 2) to their values (c,) and derivatives (c, N, 2)."""
+"""Function from paths (c, N, 2) to their values (c,) and gradients (c, N, 2)."""
 
 
 def distinct(
     paths_m: NDArray[np.float64], values: NDArray[np.float64], apart_m: float, count: int
 ) -> NDArray[np.intp]:
-    """Return the numbers of up to `count` paths, best first, none within `apart_m` of a better."""
+    """Return indices of up to `count` paths, best first, more than `apart_m` from each other."""
     kept: list[int] = []
     left = np.argsort(-values, kind="stable")
     while len(left) and len(kept) < count:
@@ -52,7 +52,7 @@ def distinct(
 
 @dataclass(frozen=True, eq=False)
 class _Climbers:
-    """The state of c climbing paths; x are N headings, then N speeds."""
+    """State of c climbing paths; a row of x has N headings, then N speeds."""
 
     paths_m: NDArray[np.float64]
     x: NDArray[np.float64]
@@ -67,7 +67,7 @@ class _Climbers:
 
 
 def climb_paths(
-    start_m: NDArray[np.float64],  # (2,) where all begin
+    start_m: NDArray[np.float64],  # (2,) common start position
     paths_m: NDArray[np.float64],
     longest_m: float,
     drive: Drive,
@@ -101,7 +101,7 @@ def climb_paths(
 def _stepped(
     at: _Climbers, start_m: NDArray[np.float64], longest_m: float, drive: Drive, slope: Slope
 ) -> _Climbers:
-    """Return the state after one step of every path, taken where it gains."""
+    """Return the state after one step of every path, accepted where the value increases."""
     half = at.x.shape[1] // 2
     probed = at.x + _direction(at)
     speed = np.clip(probed[:, half:], 0.0, 1.0)
@@ -109,7 +109,7 @@ def _stepped(
     paths = drive(turn.T.copy(), speed.T.copy())
     value, by_place = slope(paths)
     x = _headings_and_speeds(start_m, paths, longest_m)
-    # The headings may differ by full turns.
+    # Headings of the same direction may differ by full turns.
     x[:, :half] += 2.0 * math.pi * np.round((probed[:, :1] - x[:, :1]) / (2.0 * math.pi))
     new = replace(at, paths_m=paths, x=x, value=value, slope=_by_command(by_place, x, longest_m))
     gained = value > at.value
@@ -127,7 +127,7 @@ def _stepped(
 
 
 def _direction(at: _Climbers) -> NDArray[np.float64]:
-    """Return steps uphill; speeds at a bound that would leave it stay there."""
+    """Return ascent steps; a speed at its bound does not move beyond it."""
     half = at.x.shape[1] // 2
     speed, slope = at.x[:, half:], at.slope.copy()
     held = np.zeros(slope.shape, dtype=np.bool_)
@@ -140,7 +140,7 @@ def _direction(at: _Climbers) -> NDArray[np.float64]:
     downhill = (step * slope).sum(axis=1) <= 0.0
     step[downhill] = slope[downhill]
     size = np.maximum(np.abs(step).max(axis=1), np.finfo(float).tiny)
-    # Without curvature yet, a step has no length of its own.
+    # Without a curvature estimate, the gradient does not determine a step length.
     length = np.where(at.untouched, FIRST_STEP, np.minimum(size, LONGEST_STEP))
     return step * (at.share * length / size)[:, None]
 
@@ -169,12 +169,12 @@ def _updated(at: _Climbers, new: _Climbers, gained: NDArray[np.bool_]) -> _Climb
 def _headings_and_speeds(
     start_m: NDArray[np.float64], paths_m: NDArray[np.float64], longest_m: float
 ) -> NDArray[np.float64]:
-    """Return headings, continuous along a path, and speeds as shares of the largest; (c, 2 N)."""
+    """Return headings, continuous along a path, and relative speeds; (c, 2 N)."""
     begin = np.broadcast_to(start_m, (len(paths_m), 1, 2))
     legs = np.diff(np.concatenate([begin, paths_m], axis=1), axis=1)
     length = np.hypot(legs[:, :, 0], legs[:, :, 1])
     heading = np.arctan2(legs[:, :, 1], legs[:, :, 0])
-    # A step that stands still goes on in the last direction.
+    # A step of zero length keeps the last heading.
     moved = (length > 0.0) * np.arange(int(paths_m.shape[1]))
     heading = np.take_along_axis(heading, np.maximum.accumulate(moved, axis=1), axis=1)
     turn = np.diff(heading, axis=1, prepend=0.0)
@@ -185,7 +185,7 @@ def _headings_and_speeds(
 def _by_command(
     by_place: NDArray[np.float64], x: NDArray[np.float64], longest_m: float
 ) -> NDArray[np.float64]:
-    """Return derivatives (c, 2 N) by headings and speeds: a step moves all positions after it."""
+    """Return gradients (c, 2 N) by headings and speeds; a step moves all later positions."""
     half = x.shape[1] // 2
     heading, speed = x[:, :half], x[:, half:]
     after = longest_m * np.cumsum(by_place[:, ::-1], axis=1)[:, ::-1]

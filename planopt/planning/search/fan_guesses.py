@@ -1,11 +1,11 @@
 """Initial guesses for objectives that couple the positions of a path: a fan of paths that climb.
 
-All paths are driven at once. If the next step of one would leave the free space, it turns aside as
-little as needed and goes on from there. A raster of distances decides while paths are driven; every
-segment is checked exactly afterwards, and a path stops before the first that is not clear.
+All paths are driven at once. If the next step of a path would leave free space, the path turns
+aside by the smallest sufficient angle. While driving, a raster of clearances decides; afterwards
+every segment is checked exactly, and a path stops before its first blocked segment.
 
-Paths to the station are added while path loss is uncertain: a measurement next to the station is
-most informative about it, and no path of the fan may pass near it.
+Paths to the base station are added while path loss is uncertain: a measurement next to the station
+is the most informative one, and the fan may have no path near it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from planopt.world.clearance import ObstacleIndex, clearance_m, inside_bounds, s
 from planopt.world.moving_discs import paths_gap_m
 
 CELLS_PER_STEP = 4.0
-"""Cells of the raster per longest step."""
+"""Number of raster cells per longest step."""
 
 MAX_CELLS = 250_000
 """Maximum number of cells; a larger workspace gets a coarser raster."""
@@ -37,15 +37,15 @@ MAX_CELLS = 250_000
 
 @dataclass(frozen=True, eq=False)
 class RoughClearance:
-    """Distances at the corners of square cells over the workspace."""
+    """Clearances at the corners of square cells over the workspace."""
 
     origin_m: NDArray[np.float64]  # (2,) of corner [0, 0]
-    cell_m: float  # Side of a cell
-    distance_m: NDArray[np.float64]  # (ny, nx) to the nearest obstacle
+    cell_m: float  # Side length of a cell
+    distance_m: NDArray[np.float64]  # (ny, nx) distance to the nearest obstacle
     bounds_m: tuple[float, float, float, float]  # (x_min, y_min, x_max, y_max)
 
     def is_free(self, places_m: NDArray[np.float64], clearance: float) -> NDArray[np.bool_]:
-        """Return whether places (..., 2) are in bounds and about `clearance` from obstacles."""
+        """Return whether positions (..., 2) are in bounds and have about this clearance."""
         x_min, y_min, x_max, y_max = self.bounds_m
         x, y = places_m[..., 0], places_m[..., 1]
         inside = (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
@@ -61,7 +61,7 @@ class RoughClearance:
 
 
 def rough_clearance(problem: Problem, index: ObstacleIndex) -> RoughClearance:
-    """Return the distances at the corners of all cells."""
+    """Return the clearances at the corners of all cells."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     width, height = x_max - x_min, y_max - y_min
     cell = max(problem.step_length_m / CELLS_PER_STEP, math.sqrt(width * height / MAX_CELLS))
@@ -78,15 +78,15 @@ HEADINGS = 16
 """Number of directions of the fan."""
 
 TURNS_RAD = (0.0, 0.5, -0.5, 1.0, -1.0)
-"""Total turns of the paths, in units of pi, spread evenly over the steps."""
+"""Total turns of the paths as multiples of pi, spread evenly over the steps."""
 
 ASIDE_RAD = tuple(
     side * turn for turn in (0.0, 0.4, 0.8, 1.2, 1.6, 2.2, 2.8) for side in (1.0, -1.0)
 )[1:]
-"""Turns to probe at a blocked step, the smallest first."""
+"""Turns probed at a blocked step, smallest first."""
 
 SAMPLES = (0.5, 1.0)
-"""Positions on a step at which the raster is read, as shares of it."""
+"""Positions along a step at which the raster is read, as fractions of the step."""
 
 
 def fan_paths(
@@ -109,8 +109,8 @@ def driven_paths(
     context: StepContext,
     index: ObstacleIndex,
     rough: RoughClearance,
-    turn_rad: NDArray[np.float64],  # (N, c) before each step, the first one from the x axis
-    speed: NDArray[np.float64],  # (N, c) as a share of the largest
+    turn_rad: NDArray[np.float64],  # (N, c) before each step; the first is a heading
+    speed: NDArray[np.float64],  # (N, c) relative to the maximum speed
 ) -> NDArray[np.float64]:
     """Drive c paths at once and return them; ``(c, N, 2)``."""
     problem = context.problem
@@ -144,7 +144,7 @@ def _turned_aside(
     speed: NDArray[np.float64],  # (N, c) commanded
     first: int,
 ) -> NDArray[np.float64]:
-    """Return the paths (c, N + 1, 2), turned aside where they are blocked, from step `first` on."""
+    """Return the paths (c, N + 1, 2), turned aside at blocked steps, from step `first` on."""
     problem = context.problem
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     longest = problem.step_length_m - STEP_PAD_M
@@ -181,16 +181,16 @@ def _stopped(
     paths_m: NDArray[np.float64],
     clear_m: float,
 ) -> NDArray[np.float64]:
-    """Return the paths (c, N, 2) after the start, each stopped before its first blocked step."""
+    """Return the paths (c, N, 2) without the start, each stopped before its first blocked step."""
     count, places = len(paths_m), int(paths_m.shape[1])
     starts, ends = paths_m[:, :-1].reshape(-1, 2), paths_m[:, 1:].reshape(-1, 2)
     free = inside_bounds(context.problem.workspace, ends)
-    # Half a step lies on each side of its middle; the raster's error is below a cell.
+    # Half a step to each side of the midpoint; the raster's error is below one cell.
     far = clear_m + 0.5 * context.problem.step_length_m + rough.cell_m
     near = free & ~rough.is_free(0.5 * (starts + ends), far)
     free[near] = segments_clear(index, starts[near], ends[near], clear_m)
     free = free.reshape(count, places - 1)
-    # Number of free steps before the first blocked one.
+    # Number of free steps before the first blocked step.
     reached = np.logical_and.accumulate(free, axis=1).sum(axis=1, dtype=np.intp)
     until = np.minimum(np.arange(1, places, dtype=np.intp), reached[:, None])
     return paths_m[np.arange(count)[:, None], until]
@@ -201,13 +201,13 @@ def _direction(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 ONWARD = 8
-"""Directions in which paths continue from the station."""
+"""Number of directions in which paths continue from the station."""
 
 DETOURS = 2
-"""Additional steps of the arcs to the station, at most."""
+"""Maximum number of additional steps of the arcs to the station."""
 
 HALVINGS = 40
-"""Bisections of the bend of an arc."""
+"""Number of bisections for the curvature of an arc."""
 
 Commands = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Turns and speeds ``(N, c)``."""
@@ -216,9 +216,9 @@ Commands = tuple[NDArray[np.float64], NDArray[np.float64]]
 def commands_via(
     start_m: NDArray[np.float64], place_m: NDArray[np.float64], horizon: int, longest_m: float
 ) -> Commands | None:
-    """Return commands to a position, straight or in an arc, and on in all directions or waiting.
+    """Return commands to a position, straight or in an arc, then on in all directions or waiting.
 
-    None if it is out of reach.
+    None if the position is unreachable within the horizon.
     """
     # Shapes: start_m, place_m (2,).
     offset = (place_m - start_m) / longest_m
@@ -235,10 +235,10 @@ def commands_via(
 
 
 def arc_turn(chord: float, steps: int) -> float:
-    """Return the turn a between `steps` unit steps whose ends are `chord` apart.
+    """Return the turn a of `steps` unit steps whose ends are `chord` apart.
 
-    ``chord = sin(steps a / 2) / sin(a / 2)`` falls from `steps` to 0 as a grows from 0 to
-    2 pi / steps.
+    ``chord = sin(steps a / 2) / sin(a / 2)`` decreases from `steps` to 0 for a in
+    (0, 2 pi / steps).
     """
     low, high = 0.0, 2.0 * math.pi / steps
     for _ in range(HALVINGS):
@@ -249,7 +249,7 @@ def arc_turn(chord: float, steps: int) -> float:
 
 
 def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int) -> Commands:
-    """Return commands along a chord in `steps` steps of a speed; then on, or waiting."""
+    """Return commands of an arc in `steps` steps at constant speed, then onward or waiting."""
     paths = ONWARD + 1 if steps < horizon else 1
     turn, speeds = np.zeros((horizon, paths)), np.ones((horizon, paths))
     turn[0] = heading - 0.5 * bend * (steps - 1)
@@ -262,19 +262,19 @@ def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int)
 
 
 ELITE, ROUNDS_BENT, NARROWING = 8, 3, 0.6
-"""Paths that are varied in a round, number of rounds, and factor of the widths of each round."""
+"""Number of paths varied per round, number of rounds, factor of the deviations per round."""
 
 BENT, NUDGED, NUDGED_PLACES = 8, 6, 3.0
-"""Bent and nudged copies of each path, and positions that are nudged in one, on average."""
+"""Number of bent and of nudged copies of each path; mean number of nudged positions in a copy."""
 
 BEND_RAD, NUDGE_SHARE = 0.8, 0.4
-"""Standard deviations of a bend, and of a nudge as a share of the longest step, at first."""
+"""Initial standard deviations of a bend, and of a nudge relative to the longest step."""
 
 FIRST_SHARE, EVEN_SHARE, SPEED_SHARE = 0.5, 2.0, 0.5
-"""Standard deviations of first heading, even turn and speed, relative to a bend."""
+"""Standard deviations of first heading, uniform turn and speed, relative to that of a bend."""
 
 SEED, RANKED = 0, 4
-"""Seed of the random variations, the same at every step; number of paths returned."""
+"""Seed of the random variations, the same at every step; number of returned paths."""
 
 
 def varied_paths(
@@ -285,9 +285,9 @@ def varied_paths(
     value: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     budget: Budget = UNLIMITED,
 ) -> NDArray[np.float64]:
-    """Bend and nudge the best paths at random in a few rounds; return the best, pairwise distinct.
+    """Bend and nudge the best paths at random in a few rounds; return the best distinct ones.
 
-    Terms without slopes of many paths at once have maxima that the fan misses, shorter steps first.
+    For terms without gradients this finds maxima that the fan misses, such as short first steps.
     """
     generator = np.random.default_rng(SEED)
     horizon, apart = int(paths_m.shape[1]), APART_STEPS * longest_m
@@ -319,7 +319,7 @@ def _nudged(
     width: float,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Return paths (c, N, 2) with some positions moved, and others only as steps require."""
+    """Return paths (c, N, 2) with some positions moved; the step limit may move others."""
     count, horizon = len(paths_m), int(paths_m.shape[1])
     nudge = NUDGE_SHARE * width * longest_m * generator.normal(size=paths_m.shape)
     moves = generator.random((count, horizon, 1)) < NUDGED_PLACES / horizon
@@ -337,7 +337,7 @@ def _nudged(
 def _bends(
     horizon: int, count: int, width_rad: float, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return turns (N, c): of the whole path, evenly, and at one step of it."""
+    """Return turns (N, c): of the first heading, uniform over all steps, and at one random step."""
     turn = np.zeros((horizon, count))
     turn[0] = FIRST_SHARE * width_rad * generator.normal(size=count)
     if horizon > 1:
@@ -350,12 +350,12 @@ def _bends(
 def _commands_of(
     start_m: NDArray[np.float64], paths_m: NDArray[np.float64], longest_m: float
 ) -> Commands:
-    """Return turns and speeds ``(N, c)`` that drive the paths (c, N, 2)."""
+    """Return turns and speeds ``(N, c)`` that reproduce the paths (c, N, 2)."""
     begin = np.broadcast_to(start_m, (len(paths_m), 1, 2))
     legs = np.diff(np.concatenate([begin, paths_m], axis=1), axis=1)
     length = np.hypot(legs[:, :, 0], legs[:, :, 1])
     heading = np.arctan2(legs[:, :, 1], legs[:, :, 0])
-    # A step that stands still keeps the last heading.
+    # A step of zero length keeps the last heading.
     moved = (length > 0.0) * np.arange(int(paths_m.shape[1]))
     last = np.maximum.accumulate(moved, axis=1)
     heading = np.take_along_axis(heading, last, axis=1)
@@ -365,14 +365,14 @@ def _commands_of(
 
 
 CLIMBING = 12
-"""Number of paths that climb at first."""
+"""Number of paths that climb initially."""
 
 ROUNDS, FOLLOWED = (3, 3, 4), (6, 3, 3)
-"""After each number of climbing steps, the number of paths that are followed on."""
+"""Numbers of climbing steps per round, and of paths kept after each round."""
 
 
 class FanGuesses:
-    """Finds initial guesses for one robot; keeps its raster of distances."""
+    """Search for initial guesses of one robot; caches the raster of clearances."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -385,7 +385,7 @@ class FanGuesses:
         known_m: list[NDArray[np.float64]],
         budget: Budget = UNLIMITED,
     ) -> list[NDArray[np.float64]]:
-        """Return the best paths (N, 2), pairwise distinct, best first by the local ranking."""
+        """Return the best distinct paths (N, 2), best first by the local ranking."""
         fan = fan_paths(context, self._index, self._rough, self._problem.planner.horizon)
         longest = self._problem.step_length_m - STEP_PAD_M
         climbs = can_climb(self._problem)

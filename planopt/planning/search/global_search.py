@@ -1,11 +1,11 @@
-"""The initial guess of a plan to a goal: the cheapest lattice path at the outage price.
+"""Initial guess of a plan to a goal: the cheapest lattice path at the outage price.
 
-The cost-to-go is the length of the cheapest path to the goal, a metre counting
-``1 + outage_price (1 - P)`` metres; dynamic programming finds the path of N steps with the same
-costs. A rule of connectivity over several steps is searched under guides
-(:class:`planopt.planning.values.rule_rows.Guide`); the cheapest path that keeps it is taken, unless
-it comes less than half as near to the goal as the cheapest path of all: a robot that keeps its rule
-by standing still would never arrive.
+The cost-to-go is the length of the cheapest path to the goal; each metre is weighted by
+``1 + outage_price (1 - P)``. Dynamic programming finds the path of N steps with the same costs. A
+connectivity rule over several steps is searched under guides
+(:class:`planopt.planning.values.rule_rows.Guide`). The search returns the cheapest path that
+satisfies the rule, unless its progress is less than half of the cheapest path's: a robot that
+satisfies the rule by waiting would never arrive.
 """
 
 from __future__ import annotations
@@ -38,43 +38,43 @@ from planopt.world.lattice import CostToGo, lattice_paths, route_from
 from planopt.world.moving_discs import MovingDiscs
 
 FORBIDDEN = 1e6
-"""Cost of a metre below a hard bound: more than any path."""
+"""Cost of a metre that violates a hard bound; it exceeds the cost of any path."""
 STAGNANT_STEPS = 0.75
 """A path that stays within this many longest steps of the robot makes no progress."""
 LEAST_PROGRESS = 0.5
-"""Least progress of a path that keeps a rule, as a share of the cheapest path's."""
+"""Least progress of a path that satisfies a rule, relative to the cheapest path."""
 OUT_OF_BOUND_STEP_S = 1e5
-"""Penalty of a step below a guide's level, more than any saving of time."""
+"""Penalty of a step below a guide's level; it exceeds any time that can be saved."""
 MISSING_DB_S = 1e3
-"""Penalty of a missing dB, which decides among as many steps below the level."""
+"""Penalty per missing dB; it ranks paths with equally many steps below the level."""
 BACK_STEPS = 10
 """A plan ends at a node whose cost-to-go exceeds the robot's by at most this many longest steps,
 unless other robots or a rule require it; other nodes need no cost-to-go."""
 CORRECTION_ROUNDS = 8
-"""Maximum number of searches with better predictions along the path."""
+"""Maximum number of searches, each with corrected predictions along the last path."""
 
 
 @dataclass(frozen=True)
 class GlobalStart:
-    """The initial guess of a plan to a goal."""
+    """Initial guess of a plan to a goal, with its route and costs."""
 
     nodes: NDArray[np.intp]  # (N,) lattice nodes
     path_m: NDArray[np.float64]  # (N, 2) their positions
     margin_db: NDArray[np.float64]  # (N,) their connectivity margins
-    route_m: NDArray[np.float64]  # (r, 2) the path beyond its end, to the goal
-    # (b, 2) its first part, as far as it keeps the bound and is reachable in N steps
+    route_m: NDArray[np.float64]  # (r, 2) route from its end to the goal
+    # (b, 2) first part of the route: connected and reachable in N steps
     beyond_m: NDArray[np.float64]
     # Cost-to-go of the nodes, in metres; infinite where it was not computed
     ways: CostToGo
     metre_cost: NDArray[np.float64]  # (n,) cost of a metre at every node
     is_blocked: bool  # Whether path or route violate a hard bound
-    is_direct: bool = False  # Whether it is released as it is, after detours
-    # Whether it is released as it is, clear of other robots' paths
+    is_direct: bool = False  # Whether it is released unchanged, after detours
+    # Whether it is released unchanged, clear of other robots' paths
     gives_way: bool = False
 
 
 class GlobalSearch:
-    """Finds initial guesses; keeps its map of the channel."""
+    """Search for initial guesses of plans to a goal; caches the map of the channel."""
 
     def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self._problem = problem
@@ -101,7 +101,7 @@ class GlobalSearch:
         self._table = move_table(scene.road_map.lattice)
 
     def find_start(self, context: StepContext) -> GlobalStart | None:
-        """Return the guess from the robot's position; None if no node is in reach."""
+        """Return the guess from the robot's position; None if no node is reachable."""
         problem, scene = self._problem, self._scene
         self.margins.refresh(context.law, context.power)
         ways = scene.ways
@@ -152,7 +152,7 @@ class GlobalSearch:
         others_m: NDArray[np.float64],
         steps: int,
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Return a path off all positions (k, 2) that others drive through; as :meth:`beside`."""
+        """Return a path off the others' positions (k, 2); the result is that of :meth:`beside`."""
         problem, scene = self._problem, self._scene
         found = search_room(
             scene.road_map,
@@ -166,7 +166,7 @@ class GlobalSearch:
     def _given(
         self, position_m: NDArray[np.float64], start: GlobalStart, found: TimedPath, steps: int
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath]:
-        """Return the first steps of a path among others, and its positions over all `steps`."""
+        """Return the first steps of a timed path, its positions over all `steps`, and the path."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
@@ -185,10 +185,10 @@ class GlobalSearch:
         return given, timed_places(way, places[found.route], step_m, steps), found
 
     def _has_wandered(self, history: History) -> bool:
-        """Return whether a run has gone in circles, or longer than the most expensive direct path.
+        """Return whether a run has circled or exceeds the cost bound of the direct path.
 
         The shortest path, out of contact throughout, costs ``1 + outage_price`` times its length. A
-        robot that has driven as long then drives the shortest path, so that its run is at most
+        robot that has driven this far takes the shortest path, so that its run is at most
         ``3 + 2 outage_price`` times as long as the shortest path.
         """
         if self._forbids:
@@ -197,10 +197,10 @@ class GlobalSearch:
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
     def _ways_from(self, position_m: NDArray[np.float64]) -> CostToGo:
-        """Return the cheapest paths to the goal from the robot and from where its plan may end.
+        """Return the cost-to-go to the goal near the robot and near the end of its plan.
 
-        The search radius follows from the cost-to-go a step ago; if it is too small, all paths are
-        found.
+        The search radius follows from the cost-to-go one step ago; if it is too small, the search
+        covers all nodes.
         """
         scene, metre_cost = self._scene, self._metre_cost()
         node = node_at(scene.road_map, position_m)
@@ -215,16 +215,16 @@ class GlobalSearch:
         return ways
 
     def _metre_cost(self) -> NDArray[np.float64]:
-        """Return the cost of a metre at every node, in metres."""
+        """Return the cost per metre at every node, in metres."""
         charged = 1.0 + self._problem.reach.outage_price * self.margins.outage_share
         return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
     def _within_rule(
         self, context: StepContext, ways: CostToGo, cheapest: NDArray[np.intp]
     ) -> NDArray[np.intp]:
-        """Return the cheapest path that keeps the rule and makes enough progress, else less.
+        """Return the cheapest path that satisfies the rule and makes enough progress.
 
-        With a limit of slack the rule comes before progress.
+        The fallback is `cheapest`. With a slack limit the rule has priority over progress.
         """
         found: dict[bytes, NDArray[np.intp]] = {}
         places = self._scene.road_map.nodes_m
@@ -258,7 +258,7 @@ class GlobalSearch:
         return float((lengths + ways.cost_m[nodes]).min())
 
     def _cost_s(self, context: StepContext, ways: CostToGo, nodes: NDArray[np.intp]) -> float:
-        """Return the cost of a path and of the route from its end."""
+        """Return the total cost of a path and of the route from its end."""
         problem, road_map = self._problem, self._scene.road_map
         places = np.vstack([context.position_m, road_map.nodes_m[nodes]])
         cost = path_cost_s(
@@ -275,7 +275,7 @@ class GlobalSearch:
         return cost + self._rate * (charged + float(ways.cost_m[nodes[-1]]))
 
     def _shortest(self, context: StepContext, ways: CostToGo) -> NDArray[np.intp] | None:
-        """Return the nodes (N,) of the fastest path, or of a shortest one if that is shorter."""
+        """Return the nodes (N,) of the fastest path, or of the shortest path if that is shorter."""
         places, position = self._scene.road_map.nodes_m, context.position_m
         fastest = self._cheapest(context, ways, None, priced=False, effort_s2_m2=0.0)
         if fastest is None:
@@ -293,7 +293,7 @@ class GlobalSearch:
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
     def _gets_nowhere(self, context: StepContext, nodes: NDArray[np.intp]) -> bool:
-        """Return whether a path makes no progress, short of the goal."""
+        """Return whether a path ends short of the goal without progress."""
         places = self._scene.road_map.nodes_m[nodes]
         farthest = np.linalg.norm(places - context.position_m, axis=1).max()
         at_goal = int(nodes[-1]) == self._scene.goal_node
@@ -308,9 +308,9 @@ class GlobalSearch:
         priced: bool,
         effort_s2_m2: float | None = None,
     ) -> NDArray[np.intp] | None:
-        """Return the nodes (N,) of the cheapest path, with better predictions along it.
+        """Return the nodes (N,) of the cheapest path, with corrected predictions along it.
 
-        `effort_s2_m2` replaces the problem's weight of effort.
+        `effort_s2_m2` replaces the problem's effort weight.
         """
         if effort_s2_m2 is None:
             effort_s2_m2 = self._problem.reach.effort_weight_s2_m2
@@ -348,7 +348,7 @@ class GlobalSearch:
         return nodes
 
     def _penalty_s(self, guide: Guide) -> NDArray[np.float64]:
-        """Return the penalties (N, n) of ending steps at nodes; negative for credits."""
+        """Return the penalties (N, n) of ending steps at nodes; credits are negative."""
         margins, threshold = self.margins, self._problem.stations[0].threshold_dbm
         penalty = np.zeros((len(guide.asked), len(margins.mean_db)))
         if guide.asked.any():
@@ -370,7 +370,7 @@ class GlobalSearch:
         *,
         direct: bool = False,
     ) -> GlobalStart:
-        """Return the initial guess of a path."""
+        """Return the initial guess that consists of these nodes."""
         problem, road_map = self._problem, self._scene.road_map
         route = route_from(road_map, ways, int(nodes[-1]), np.inf)
         soon = route_from(

@@ -1,8 +1,8 @@
-"""Initial guesses for the refinement of a sum of terms: the best distinct paths found by search.
+"""Initial guesses for sums of terms: the best distinct paths found by search.
 
 The lattice is searched stage by stage. The reward of ending a step at a node is exact for terms
-that add up over steps. Terms that couple the positions of a path are replaced by the value of each
-position alone, and the path that comes out is only a guess.
+that are additive over steps. Terms that couple the positions of a path are approximated by the
+value of each position alone.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from planopt.robots.dynamics import Drive
 from planopt.world.moving_discs import paths_gap_m
 
 Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
-"""Rows and columns of single nodes."""
+"""Rows and columns of individual nodes."""
 
 MISSING_DB_SHARE = 10.0
-"""Cost of a missing dB, in units of the largest reward of a step. A step below the bound costs as
-much as all steps can gain."""
+"""Cost of a missing dB relative to the largest reward of a step: a violated bound outweighs the
+reward of all steps."""
 
 
 class StageRewards:
-    """Rewards of the steps in one context."""
+    """Rewards of the steps in one step context."""
 
     def __init__(self, context: StepContext, field: NodeField, guide: Guide) -> None:
         self._context = context
@@ -67,7 +67,7 @@ class StageRewards:
         self._largest = self._largest_reward()
         # Blocked or unreachable nodes keep these values.
         self._chance, self._fixed = np.zeros(shape), np.full(shape, -np.inf)
-        # Rewards of steps without a bound.
+        # Rewards of unconstrained steps.
         self._unbounded = self._fixed if guide.asked.all() else self._fixed.copy()
         self._credit = self._largest * guide.credit
         self._look_at(field.window)
@@ -77,11 +77,11 @@ class StageRewards:
         return self._rewards(window, stage - 1)
 
     def along(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the reward of ending step k at the k-th of `nodes` (N, 2) as (iy, ix)."""
+        """Return the reward of ending step k at the k-th of `nodes` (N, 2), rows (iy, ix)."""
         return self._rewards((nodes[:, 0], nodes[:, 1]), np.arange(len(nodes)))
 
     def corrected(self, nodes: NDArray[np.intp]) -> None:
-        """Read new predictions of the field at `nodes` (n, 2)."""
+        """Update the rewards to new predictions of the field at `nodes` (n, 2)."""
         self._look_at((nodes[:, 0], nodes[:, 1]))
 
     def _rewards(self, where: Window | Nodes, stage: int | NDArray[np.intp]) -> NDArray[np.float64]:
@@ -99,7 +99,7 @@ class StageRewards:
         return reward
 
     def _look_at(self, where: Window | Nodes) -> None:
-        """Compute the part of the rewards that does not depend on the stage."""
+        """Compute the stage-independent part of the rewards."""
         problem = self._context.problem
         radio = problem.stations[0]
         mean, deviation = self._field.mean_db[where], self._field.deviation_db[where]
@@ -116,7 +116,7 @@ class StageRewards:
         self._fixed[where] = np.where(known, fixed, -np.inf)
 
     def _largest_reward(self) -> float:
-        """Return the largest reward of a step."""
+        """Return the largest reward of a single step."""
         largest = 0.0 if self._alone is None else float(np.nanmax(np.abs(self._alone), initial=0.0))
         for term in self._context.problem.terms:
             with calling(term, "largest_stage_reward", key="objective.terms"):
@@ -125,9 +125,9 @@ class StageRewards:
 
 
 def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the value of moves of these lengths by themselves: minus their energy.
+    """Return the value of moves of these lengths: minus their energy.
 
-    If measurements at one position repeat each other, standing still is not a move.
+    Waiting is excluded if repeated measurements at one position are redundant.
     """
     value = np.zeros(len(lengths_m))
     for term in problem.terms:
@@ -139,39 +139,39 @@ def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.
 
 
 GUESSES = 2
-"""Maximum number of guesses that are returned."""
+"""Maximum number of returned guesses."""
 
 COUPLED_GUESSES = 3
-"""The same for terms that couple positions, whose value has more maxima."""
+"""Maximum number for terms that couple positions, whose objective has more maxima."""
 
 CORRECTIONS = 6
-"""Maximum number of repeated searches after the nodes of a path got better predictions."""
+"""Maximum number of repeated searches with corrected predictions along the path."""
 
 SETTLED_SHARE = 1e-3
-"""A smaller relative loss of the path's value causes no further search."""
+"""Least relative loss of a path's value that triggers another search."""
 
 EQUAL_M = 1e-6
-"""Paths that are nowhere farther apart than this count as one."""
+"""Paths that differ by at most this distance at every position count as one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """A path that a refinement may begin with."""
+    """Initial guess of a refinement."""
 
     path_m: NDArray[np.float64]  # (N, 2)
-    value: float  # Objective value, of all terms
-    missing_db: float  # Violation of the rule of connectivity, as `rule_missing` counts it
-    drive: Drive | None = None  # Of a robot with dynamics
-    clear: bool = True  # Whether the robot can drive it as it is, clear of obstacles
-    charge: GoalCharge | None = None  # Cost of the goal in a refinement; None without
+    value: float  # Objective value
+    missing_db: float  # Violation of the connectivity rule by `rule_missing`
+    drive: Drive | None = None  # Drive of a robot with dynamics
+    clear: bool = True  # Whether the unrefined path is feasible and collision-free
+    charge: GoalCharge | None = None  # Goal cost in a refinement; None without a goal
 
 
 def without_waiting(
     position_m: NDArray[np.float64], path_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return a path (N, 2) that waits at its end for as long as this one does at its beginning.
+    """Return a path (N, 2) with the initial waiting steps moved to its end.
 
-    No refinement turns one into the other: a waiting plan would be postponed at every step.
+    Refinement cannot do this, and a plan that waits first would be postponed at every step.
     """
     away = np.linalg.norm(path_m - position_m, axis=1) > STANDSTILL_M
     waits = int(away.argmax())
@@ -179,7 +179,7 @@ def without_waiting(
 
 
 class GuessSearch:
-    """Finds initial guesses for one robot; keeps its map of the channel."""
+    """Search for initial guesses of one robot; caches the map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -187,10 +187,10 @@ class GuessSearch:
         self._field = NodeField(ground.road_map.lattice)
         self._table = move_table(ground.road_map.lattice)
         self._move_values = move_values(problem, ground.road_map.lengths_m)
-        # One step ahead the fan compares all directions.
+        # For N = 1 the fan compares all directions.
         self._bends = bends_guesses(problem) or problem.planner.horizon == 1
         self._may_bend = bends_guesses(problem, steered=False)
-        # Built on first use: its raster of distances is expensive.
+        # Built on first use because its raster of clearances is expensive.
         self._fan: FanGuesses | None = None
         tries = any(term.probes_end for term in problem.terms)
         self._probed = ProbedPlaces(problem, ground) if tries else None
@@ -198,10 +198,10 @@ class GuessSearch:
     def find_guesses(
         self,
         context: StepContext,
-        shifted_m: NDArray[np.float64] | None,  # (N, 2) the last plan, one step later, or None
+        shifted_m: NDArray[np.float64] | None,  # (N, 2) the last plan shifted by one step, or None
         budget: Budget = UNLIMITED,
     ) -> list[Guess]:
-        """Return the best guesses, best first; those that keep the bound come before others."""
+        """Return guesses, best first; those that satisfy the rule precede the others."""
         problem = self._problem
         reach = problem.step_length_m * problem.planner.horizon
         self._field.refresh(context, reach)
@@ -251,9 +251,9 @@ class GuessSearch:
         return kept or paths
 
     def _lattice_paths(self, context: StepContext, budget: Budget) -> list[NDArray[np.float64]]:
-        """Return the best paths on the lattice, one for each guide of the rule of connectivity.
+        """Return the best lattice paths, one for each guide of the connectivity rule.
 
-        Once there is one, further guides are followed until the search budget ends.
+        After the first path, further guides are searched until the search budget is spent.
         """
         found = False
 
@@ -270,7 +270,7 @@ class GuessSearch:
     def _guided_paths(
         self, context: StepContext, guide: Guide, budget: Budget
     ) -> list[NDArray[np.float64]]:
-        """Return the best path under a guide, with better predictions where it depends on them."""
+        """Return the best path under a guide, with corrected predictions along it."""
         nodes, lengths = first_moves(self._ground, self._problem, context.position_m)
         road_map = self._ground.road_map
         moving = context.moving
@@ -292,7 +292,7 @@ class GuessSearch:
         return [] if path is None else [self._field.places_m(path)]
 
     def _loses(self, rewards: StageRewards, path: NDArray[np.intp], guide: Guide) -> bool:
-        """Return whether the path loses value once its nodes are predicted better."""
+        """Return whether the path loses value after its nodes are predicted more accurately."""
         if not (guide.asked.any() or guide.credit.any()):
             return False
         before = float(rewards.along(path).sum())

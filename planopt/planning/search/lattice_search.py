@@ -1,11 +1,11 @@
-"""Dynamic programming over N steps on the lattice: the path of the largest sum of rewards.
+"""Dynamic programming over N steps on the lattice: maximise the sum of rewards.
 
-Exact for rewards that add up over steps. The first move leads from the robot's position to any node
-within a step, every later one is one of the lattice's 21 moves. A move has a value, less a
-surcharge that depends on its two ends; moving obstacles close moves in single steps. Stage by stage
-the best value of every node in the reachable window is computed from shifted slices of the previous
+The search is exact for rewards that are additive over steps. The first move leads from the robot's
+position to any node within a step; later moves are the lattice's 21 moves. A move has a value minus
+a surcharge that depends on its two ends; moving obstacles block moves in single steps. Each stage
+computes the best value of every node in the reachable window from shifted slices of the previous
 stage's values; paths are traced back from these values. A window is a part of the lattice with a
-margin of closed nodes around it.
+margin of blocked nodes around it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from planopt.world.workspace import LONGEST_MOVE
 
 @dataclass(frozen=True)
 class MoveTable:
-    """The moves of a lattice as a table."""
+    """Moves of a lattice as a table."""
 
     lattice: Lattice
-    # (21, ny + 2 REACH, nx + 2 REACH): 0 where a move from the node is open, else minus infinity;
-    # with a margin of closed nodes around the lattice
+    # (21, ny + 2 REACH, nx + 2 REACH): 0 for an open move from the node, else minus infinity; has a
+    # margin of blocked nodes around the lattice
     closed: NDArray[np.float64]
-    # (ny, nx) free nodes that some move from a free node does not lead to
+    # (ny, nx) free nodes that at least one move from a free node cannot reach
     hindered: NDArray[np.bool_]
-    # (ny + 2 REACH, nx + 2 REACH) numbers of the free nodes in reading order, -1 elsewhere
+    # (ny + 2 REACH, nx + 2 REACH) indices of the free nodes in row-major order, -1 elsewhere
     number: NDArray[np.intp]
 
 
@@ -61,7 +61,7 @@ Window = tuple[slice, slice]
 """Rows and columns of a part of the lattice."""
 
 REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
-"""Largest number of nodes along an axis that a move spans, and the width of the margin."""
+"""Largest number of nodes that a move spans along an axis; also the width of the margin."""
 
 
 def window_around(
@@ -79,7 +79,7 @@ def window_around(
 
 
 def without_margin(window: Window) -> Window:
-    """Return a window in the lattice without its margin."""
+    """Return a window's coordinates in the lattice without its margin."""
     rows, columns = window
     return (
         slice(rows.start - REACH, rows.stop - REACH),
@@ -93,7 +93,7 @@ def window_shape(window: Window) -> tuple[int, int]:
 
 
 TINY_M2 = 1e-30
-"""A relative move of less than this squared length is a standstill."""
+"""A relative move of less than this squared length counts as standstill."""
 
 
 def first_steps_apart(
@@ -106,9 +106,9 @@ def first_steps_apart(
 def steps_apart(
     discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return whether straight motions (..., 2) in one step, 0 the first, keep clear of discs.
+    """Return whether straight motions (..., 2) during `step` (0-based) keep clear of discs.
 
-    A first step that begins too near to a disc may lead away from it.
+    A first step that begins too close to a disc is allowed if it moves away.
     """
     if not len(discs):
         return np.ones(starts_m.shape[:-1], dtype=np.bool_)
@@ -120,10 +120,10 @@ def steps_apart(
 
 
 class MovingMoves:
-    """The moves of a lattice among moving discs.
+    """Moves of a lattice that are blocked by moving discs.
 
-    Relative to a disc a move along (dx, dy) is the same vector wherever it ends, so that one
-    formula applies to all nodes.
+    Relative to a disc, a move along (dx, dy) is the same vector at every node, so that one formula
+    applies to all nodes.
     """
 
     def __init__(self, lattice: Lattice, discs: MovingDiscs) -> None:
@@ -133,7 +133,7 @@ class MovingMoves:
     def hindered(
         self, step: int, rows: slice, columns: slice
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the nodes of a window that some one-step move cannot reach, and these moves."""
+        """Return the nodes of a window with at least one blocked incoming move, and these moves."""
         nodes: list[NDArray[np.intp]] = []
         moves: list[NDArray[np.bool_]] = []
         for number in range(len(self._discs)):
@@ -154,7 +154,7 @@ class MovingMoves:
     def blocked(
         self, step: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Return whether each move to nodes (n,) in one step comes too near; ``(21, n)``."""
+        """Return whether each move to nodes (n,) in a step is too close to a disc; ``(21, n)``."""
         found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
         for number in range(len(self._discs)):
             found |= self._blocked_by(step, number, rows, columns)
@@ -163,7 +163,7 @@ class MovingMoves:
     def _about(
         self, step: int, number: int, rows: slice, columns: slice
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows and columns of a window where a move could come too near to a disc."""
+        """Return the rows and columns of a window where a move may be too close to a disc."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         reach = (
@@ -191,7 +191,7 @@ class MovingMoves:
     def _blocked_by(
         self, step: int, number: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Return whether moves to nodes, by rows and columns that broadcast, meet one disc."""
+        """Return whether moves to nodes hit one disc; `rows` and `columns` broadcast."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         x = lattice.origin_m[0] + lattice.spacing_m * columns - centre[0]
@@ -204,14 +204,14 @@ class MovingMoves:
             across[:, 1].reshape(shape),
             square.reshape(shape),
         )
-        # Backwards from the end: the way is nearest to the disc at this share of it.
+        # Measured backwards from its end, the move is closest to the disc at this fraction.
         share = np.clip((dx * x + dy * y) / square, 0.0, 1.0)
         limit = float(discs.apart_m[number, step]) + CLEARANCE_PAD_M
         return np.asarray((x - share * dx) ** 2 + (y - share * dy) ** 2 < limit**2)
 
 
 StageReward = Callable[[int, Window], NDArray[np.float64]]
-"""From stage k = 1..N and a window to the reward of ending step k at each of its nodes."""
+"""Function from stage k = 1..N and a window to the reward of ending step k at each node."""
 
 Node = tuple[int, int]
 """A node (iy, ix)."""
@@ -220,19 +220,19 @@ MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
 """(dx, dy) of each move."""
 
 STANDING = 0
-"""Number of the move that stays at its node."""
+"""Index of the move that stays at its node."""
 
 
 @dataclass(frozen=True, eq=False)
 class MoveValues:
-    """The value of every move, and where moves are open."""
+    """Value of every move, and the set of open moves."""
 
-    table: MoveTable  # Which moves are open
+    table: MoveTable  # Open moves
     value: NDArray[np.float64]  # (21,)
-    # In addition a move costs its factor, (21,), times the sum of the charges of both nodes, (n,)
+    # Additional cost of a move: its factor, (21,), times the sum of the charges of both nodes, (n,)
     factor: NDArray[np.float64] | None = None
     charge: NDArray[np.float64] | None = None
-    rest: Node | None = None  # Where standing still costs nothing
+    rest: Node | None = None  # Node where waiting is free
     moving: MovingMoves | None = None  # Closes moves for single steps
 
     @property
@@ -241,7 +241,7 @@ class MoveValues:
         return not self.value.any() and self.charge is None
 
     def surcharge(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the surcharge of each move to nodes (n,), margin counted; (21, n)."""
+        """Return the surcharge of each move to nodes (n,), indexed with margin; (21, n)."""
         width, places = self.table.number.shape[1], self.table.number.size
         end = rows * width + columns
         source = np.asarray(end - (MOVES[:, 1:] * width + MOVES[:, :1]), dtype=np.intp)
@@ -256,7 +256,7 @@ class MoveValues:
         return both
 
     def rests(self, step: int) -> bool:
-        """Return whether the robot may stand at `rest` during a step."""
+        """Return whether the robot may wait at `rest` during a step."""
         if self.rest is None:
             return False
         row, column = (np.array([part]) for part in self.rest)
@@ -264,10 +264,10 @@ class MoveValues:
 
 
 class StageFrame:
-    """The previous stage's values, around all nodes that any stage looks at.
+    """Values of the previous stage on all nodes that any stage reads.
 
     If moves are free and unblocked, the maximisation over a node's 21 predecessors is a disc-shaped
-    max filter: five maxima along rows and columns. Other nodes look at their sources one by one.
+    max filter: five maxima along rows and columns. Other nodes compare predecessors singly.
     """
 
     def __init__(self, moves: MoveValues, windows: list[Window]) -> None:
@@ -288,7 +288,7 @@ class StageFrame:
         self._value[self._at(window)] = value
 
     def arriving(self, stage: int) -> NDArray[np.float64]:
-        """Return the best value that any move brings to each node of the window of `stage`."""
+        """Return the best value over all moves to each node of the window of `stage`."""
         window = self._windows[stage]
         rows, columns = self._at(window)
         around = self._value[
@@ -317,7 +317,7 @@ class StageFrame:
         return best
 
     def _pass_by(self, moving: MovingMoves, stage: int, best: NDArray[np.float64]) -> None:
-        """Correct the values of nodes that some move cannot reach because of a moving disc."""
+        """Correct the values of nodes with moves that a moving disc blocks."""
         window = self._windows[stage]
         rows, columns, blocked = moving.hindered(stage, *without_margin(window))
         rows, columns = rows + REACH, columns + REACH
@@ -328,7 +328,7 @@ class StageFrame:
         best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
     def _list_nodes(self) -> None:
-        """List the nodes that look at their sources, by the stage that first looks at them."""
+        """List the nodes that compare predecessors, ordered by the first stage that needs them."""
         widest, first, table = self._windows[-1], self._windows[0], self._moves.table
         listed = table.hindered if self._moves.are_free else table.lattice.free
         rows, columns = np.nonzero(listed[without_margin(widest)])
@@ -345,13 +345,13 @@ class StageFrame:
         self._sources = self._sources_of(rows, columns)
 
     def _sources_of(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return where in the frame each move to nodes (n,) begins; (21, n)."""
+        """Return the frame index at which each move to nodes (n,) begins; (21, n)."""
         width = self._value.shape[1]
         end = (rows - self._top) * width + columns - self._left
         return end - (MOVES[:, 1:] * width + MOVES[:, :1])
 
     def surcharge(self, row: int, column: int) -> list[float]:
-        """Return the surcharge of each move to a node, margin counted."""
+        """Return the surcharge of each move to a node, indexed with margin."""
         if self._moves.are_free:
             return self._moves.surcharge(np.array([row]), np.array([column]))[:, 0].tolist()
         if self._listed is None:
@@ -361,7 +361,7 @@ class StageFrame:
         return self._surcharge[:, self._listed[row - self._top, column - self._left]].tolist()
 
     def _at(self, window: Window) -> Window:
-        """Return a window of the lattice with its margin, in the frame."""
+        """Return the frame's slices of a window given with margin."""
         rows, columns = window
         return (
             slice(rows.start - self._top, rows.stop - self._top),
@@ -370,9 +370,9 @@ class StageFrame:
 
 
 def _largest_in_disc(around: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest of the 21 values (dx, dy), dx^2 + dy^2 <= 5, about each node.
+    """Return the maximum over the 21 offsets (dx, dy), dx^2 + dy^2 <= 5, about each node.
 
-    `around` (h + 4, w + 4) is two nodes wider to each side than the result (h, w).
+    `around` (h + 4, w + 4) is two nodes wider on each side than the result (h, w).
     """
     height, width = around.shape[0] - 2 * REACH, around.shape[1] - 2 * REACH
     three = np.maximum(around[:, 1 : width + 1], around[:, 2 : width + 2])
@@ -389,15 +389,15 @@ def _largest_in_disc(around: NDArray[np.float64]) -> NDArray[np.float64]:
 class LatticeValues:
     """Best value of every node at every stage."""
 
-    moves: MoveValues  # The moves that it was found with
-    # For each stage its window's values; the windows grow by `REACH` nodes to each side
+    moves: MoveValues  # Moves of the search
+    # Values of each stage's window; windows grow by `REACH` nodes on each side per stage
     values: tuple[NDArray[np.float64], ...]
-    windows: tuple[Window, ...]  # The windows, in the lattice with its margin
-    # Surcharge of each move to a node of the last window, margin counted
+    windows: tuple[Window, ...]  # Windows in the lattice with its margin
+    # Surcharge of each move to a node of the last window, indexed with margin
     surcharge: Callable[[int, int], list[float]]
 
     def best_path(self, cost: NDArray[np.float64] | float = 0.0) -> NDArray[np.intp] | None:
-        """Return the nodes (N, 2) of the best path, less the `cost` of its end; None without."""
+        """Return the nodes (N, 2) of the best path, end `cost` deducted; None if there is none."""
         total = self.values[-1] - cost
         row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
         if not np.isfinite(total[row, column]):
@@ -413,8 +413,8 @@ class LatticeValues:
         return np.array(nodes[::-1], dtype=np.intp)
 
     def _best_source(self, stage: int, node: Node) -> Node:
-        """Return which of the 21 nodes (iy, ix) its best value came from."""
-        # One by one: for so few, arrays cost several times as much.
+        """Return the predecessor (iy, ix) that gave a node its best value."""
+        # A scalar loop: for 21 entries, arrays cost several times as much.
         moves, (rows, columns), value = self.moves, self.windows[stage], self.values[stage]
         row, column = node[0] + REACH, node[1] + REACH
         values, blocked = moves.value.tolist(), np.zeros(len(MOVES), dtype=np.bool_)
@@ -435,13 +435,13 @@ class LatticeValues:
 
 
 class LatticeSearch:
-    """Searches from one position, for one reward after another."""
+    """Lattice search from one position, reusable for several reward functions."""
 
     def __init__(
         self,
         moves: MoveValues,
-        first: NDArray[np.intp],  # (n, 2) nodes (iy, ix), n > 0, that the first step may end at
-        first_value: NDArray[np.float64],  # (n,) value of these first steps in themselves
+        first: NDArray[np.intp],  # (n, 2) nodes (iy, ix), n > 0, where the first step may end
+        first_value: NDArray[np.float64],  # (n,) value of the first step to each node
         horizon: int,
     ) -> None:
         shape = moves.table.lattice.shape
@@ -451,7 +451,7 @@ class LatticeSearch:
         self._frame = StageFrame(moves, self._windows)
 
     def __call__(self, reward: StageReward) -> LatticeValues:
-        """Find the best value of every node that N steps can lead to."""
+        """Return the best value of every node that is reachable within N steps."""
         windows, frame = self._windows, self._frame
         frame.clear()
         window = windows[0]
@@ -476,11 +476,11 @@ def search_cheapest(
     effort_weight_s2_m2: float,
     goal_node: int,
     node_penalty_s: NDArray[np.float64],  # (n,) or (N, n)
-    terminal_cost_s: NDArray[np.float64],  # (n,) added for the last node
-    surcharge_s_m: NDArray[np.float64] | None = None,  # (n + 1,) of a metre at nodes, and here
+    terminal_cost_s: NDArray[np.float64],  # (n,) cost of the last node
+    surcharge_s_m: NDArray[np.float64] | None = None,  # (n + 1,) per metre at nodes and robot
     moving: MovingDiscs | None = None,
 ) -> NDArray[np.intp] | None:
-    """Return the nodes (N,) of the cheapest path, or None; standing at the goal costs nothing."""
+    """Return the nodes (N,) of the cheapest path, or None; waiting at the goal is free."""
     if first_nodes.size == 0:
         return None
     rows, columns, number = road_map.rows, road_map.columns, road_map.number
@@ -496,7 +496,7 @@ def search_cheapest(
         (int(rows[goal_node]), int(columns[goal_node])) if goal_node >= 0 else None,
         MovingMoves(road_map.lattice, moving) if moving is not None and len(moving) else None,
     )
-    # Values of nodes that are not free are minus infinity, whatever the last node's numbers are.
+    # Blocked nodes have the value minus infinity, regardless of the unused last entries.
     penalties = np.atleast_2d(node_penalty_s)
     first = np.stack([rows[first_nodes], columns[first_nodes]], axis=1)
     found = LatticeSearch(moves, first, -cost, horizon)(

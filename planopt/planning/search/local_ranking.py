@@ -1,7 +1,7 @@
-"""Rank many paths at once by the terms of the objective, from the measurements near all of them.
+"""Ranking of many paths by the objective, with a shared set of measurements near all of them.
 
-One set of measurements serves all paths, so that the cost hardly depends on their number. If it
-contains all measurements, ranking and objective value differ by the rounding of single precision.
+The shared set makes the cost almost independent of the number of paths. If the set contains all
+measurements, ranking and objective value differ only by single-precision rounding.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from planopt.planning.values.rule_rows import missing, missing_slope
 from planopt.problems.problem import Problem
 
 ANCHORS, REGION_ANCHORS = 24, 64
-"""Number of path positions, and of map positions, that measurements are chosen near to."""
+"""Numbers of path positions and map positions near which measurements are selected."""
 
 LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
-"""Number of measurements shared by all paths: at least, more for each step, and at most."""
+"""Number of measurements shared by all paths: minimum, increment per step, maximum."""
 
 MAPPED_NEIGHBOURS = 384
-"""The same where a map is averaged: with 256 the best paths of 20 steps seemed to be those at the
-edge of the measured area."""
+"""Number of shared measurements for map averages: with 256, 20-step paths along the edge of the
+measured area were overrated."""
 
 RANKED_PLACES, CLIMBED_PLACES = 300, 1000
-"""About how many positions of the map are evaluated when paths are ranked, and when they climb."""
+"""Approximate number of map positions evaluated for ranking, and for climbing."""
 
 MISSING_DB_SHARE = 10.0
-"""Cost of a missing dB, in units of the largest value of the paths ranked first."""
+"""Cost of a missing dB relative to the largest value in the first batch of ranked paths."""
 
 
 def can_climb(problem: Problem) -> bool:
-    """Return whether :meth:`LocalRanking.slopes` knows all terms of a problem."""
+    """Return whether :meth:`LocalRanking.slopes` supports all terms of a problem."""
     return all(type(term).slope is not Term.slope for term in problem.terms)
 
 
 @dataclass(frozen=True, eq=False)
 class _Station:
-    """One station's channel near the paths, and its map: for climbing, and for ranking."""
+    """Local channel model of one station, with map grids for climbing and for ranking."""
 
     channel: LocalChannel
     precision: NDArray[np.float32]
@@ -57,7 +57,7 @@ class _Station:
 
 
 class LocalRanking:
-    """Ranks paths in one context."""
+    """Ranking of paths in one step context."""
 
     def __init__(self, context: StepContext, about_m: NDArray[np.float64]) -> None:
         self._context = context
@@ -74,7 +74,7 @@ class LocalRanking:
             return _Station(channel, channel.precision.astype(np.float32), fine, coarse)
 
         self._expected = [near(posterior) for posterior in context.anticipated]
-        # Power is predicted without the other robots' future measurements.
+        # The predicted power excludes the other robots' future measurements.
         same = context.anticipated == context.stations
         self._stations = self._expected if same else [near(each) for each in context.stations]
 
@@ -88,7 +88,7 @@ class LocalRanking:
         return LocalGrid.of(channel, region.grid_m[::every], every * region.weight[::every])
 
     def __call__(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sums of the terms of paths (c, N, 2), less the price of a missed bound."""
+        """Return the objective values of paths (c, N, 2), less the price of a missed bound."""
         gate = None
         if self._measures:
             taken = self._context.near_measuring.takes(paths_m)
@@ -99,7 +99,7 @@ class LocalRanking:
     def slopes(
         self, paths_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return values with smooth gates, and their derivatives by the positions ``(c, N, 2)``."""
+        """Return values with smooth gates, and their gradients by the positions ``(c, N, 2)``."""
         at = self._context
         gates = at.near_measuring.gates(paths_m) if self._measures else None
         measured = self._along(self._expected, paths_m, climbed=True)
@@ -110,11 +110,11 @@ class LocalRanking:
             pull = Pull()
             for term in at.problem.terms:
                 if number and not term.is_measured:
-                    continue  # It was counted with the first station.
+                    continue  # Already counted with the first station.
                 with calling(term, "slope", key="objective.terms"):
                     pull = pull.plus(term.slope(paths, number), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:
-                # With several stations the slope of the bound is left out.
+                # With several stations the gradient of the connectivity bound is omitted.
                 own = paths.stations[0]
                 lacking = Pull().plus(missing_slope(at, own), -self._missing_db_cost)
                 if own is along:
@@ -127,7 +127,7 @@ class LocalRanking:
     def _along(
         self, stations: Sequence[_Station], paths_m: NDArray[np.float64], *, climbed: bool
     ) -> list[LocalPaths]:
-        """Return each station's power along the paths."""
+        """Return each station's predicted power along the paths."""
         return [
             LocalPaths(own.channel, own.precision, paths_m, own.fine if climbed else own.coarse)
             for own in stations
@@ -158,12 +158,12 @@ class LocalRanking:
 
 
 def _averages_map(problem: Problem) -> bool:
-    """Return whether a term is the spatial average of the map."""
+    """Return whether any term is a spatial average of the map."""
     return any(term.averages_map for term in problem.terms)
 
 
 def _thinned(grid: LocalGrid) -> LocalGrid:
-    """Return about `RANKED_PLACES` of a grid, evenly among them."""
+    """Return every k-th position of a grid, about `RANKED_PLACES` in total."""
     every = max(1, round(len(grid.root_weight) / RANKED_PLACES))
     return LocalGrid(
         grid.positions_m[::every],
@@ -174,6 +174,6 @@ def _thinned(grid: LocalGrid) -> LocalGrid:
 
 
 def _anchors(paths_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return up to `count` of the paths' positions, evenly among them; (a, 2)."""
+    """Return up to `count` evenly selected positions of the paths; (a, 2)."""
     places = paths_m.reshape(-1, 2)
     return places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(np.intp)]

@@ -1,7 +1,7 @@
 """Predictions at the nodes of a lattice, corrected where paths depend on them.
 
-The map conditions each tile on the measurements nearest to it, which is fast and approximate. A
-prediction of more measurements replaces the value of a node that a path depends on.
+The map conditions each tile on its nearest measurements, which is fast but approximate. Nodes that
+a path depends on are predicted again from more measurements.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from planopt.world.lattice import Lattice, RoadMap, node_positions
 
 
 class LatticeMap:
-    """A tile map for each station, and their combination."""
+    """Tile maps of all stations, and their combination."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
@@ -67,7 +67,7 @@ class LatticeMap:
 
 
 class NodeMargins:
-    """Margins in dB and shares of outage at the nodes of a road map."""
+    """Margins in dB and outage shares at the nodes of a road map."""
 
     def __init__(
         self, road_map: RoadMap, threshold_dbm: float, p_min: float, everywhere: bool = False
@@ -86,7 +86,7 @@ class NodeMargins:
 
     @property
     def outside(self) -> NDArray[np.bool_]:
-        """Return which nodes (n,) violate the bound, or keep it by less than the planners' pad."""
+        """Return which nodes (n,) violate the bound plus the planners' pad."""
         return self.margin_db < MARGIN_PAD_DB
 
     def refresh(
@@ -105,11 +105,11 @@ class NodeMargins:
         self._exact[:] = False
 
     def at(self, places_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return margins and shares of outage at any positions (n, 2)."""
+        """Return margins and outage shares at arbitrary positions (n, 2)."""
         return self._values(self._predicted(places_m))
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
-        """Predict these nodes better; return whether any had not been corrected."""
+        """Predict these nodes more accurately; return whether any was uncorrected before."""
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
             return False
@@ -167,7 +167,7 @@ class NodeField:
         return self.grid_m[nodes[:, 0], nodes[:, 1]]
 
     def nearest(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the power at the window's node nearest to each position; NaN if it is blocked."""
+        """Return the power at the window's nearest node of each position; NaN if it is blocked."""
         lattice, (rows, columns) = self._lattice, self.window
         first = np.array([columns.start, rows.start])
         last = np.array([columns.stop, rows.stop]) - 1
@@ -176,7 +176,7 @@ class NodeField:
         return Prediction(self.mean_db[row, column], self.deviation_db[row, column])
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
-        """Predict `nodes` (n, 2) better; return whether any had not been corrected."""
+        """Predict `nodes` (n, 2) more accurately; return whether any was uncorrected before."""
         if self._context is None:
             raise AssertionError("refresh first")
         rows, columns = nodes[:, 0], nodes[:, 1]
@@ -191,5 +191,5 @@ class NodeField:
 
     @property
     def stations(self) -> list[TileMap]:
-        """Return each station's own predictions; those of several are not corrected."""
+        """Return each station's own predictions; with several stations they are uncorrected."""
         return self._map.stations

@@ -1,9 +1,9 @@
-"""The route beyond a path's end as one point: the pivot of the cost-to-go.
+"""The pivot: one waypoint that represents the route beyond a path's end in the cost-to-go.
 
-Around obstacles the shortest route from q is straight up to some corner: its length is the distance
-to any visible point of the route plus the length from there. The farthest visible point is the
-pivot, unless the path could reach it and go beyond: then it is a farther point, visible or not.
-Distance plus length never overestimates the route.
+The shortest route around obstacles from q is straight up to some corner. Its length is the distance
+to any visible point of the route plus the remaining length from there. The pivot is the farthest
+visible point, unless it is within the path's reach; then a farther point is chosen, visible or not.
+Distance plus remaining length never overestimates the route.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from planopt.world.clearance import is_clear, swept_clearance_m
 from planopt.world.lattice import lattice_paths, route_from
 
 LOOKAHEAD_STEPS = 5.0
-"""Length of the route on which a pivot is sought, in longest steps."""
+"""Length of the route that is searched for a pivot, in longest steps."""
 LATTICE_DETOUR = 0.03
-"""Largest relative detour of a lattice path (16 headings: 2.7 %). The pivot lies farther ahead, out
-of reach of a refined path."""
+"""Largest relative detour of a lattice path (16 headings: 2.7 %); it keeps the pivot out of reach
+of a refined path."""
 
 
 class Ahead:
-    """The route from the end of any path, as a pivot."""
+    """Route from the end of any path, represented by a pivot."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class Ahead:
         self._pivots: dict[bytes, Pivot] = {}
 
     def __call__(self, end_m: NDArray[np.float64]) -> Pivot:
-        """Return the cheaper of the pivot, if `end_m` (2,) sees it, and the nodes within a step."""
+        """Return the pivot if visible from `end_m` (2,) and cheapest, else a node within a step."""
         key = end_m.tobytes()
         if key not in self._pivots:
             self._pivots[key] = self._cheaper(end_m)
@@ -74,15 +74,15 @@ class Ahead:
         return Pivot(place, float(self._start.ways.cost_m[node]), metre)
 
     def leading(self, end_m: NDArray[np.float64]) -> Pivot:
-        """Return the pivot of the route from `end_m` (2,), beyond the reach of a path.
+        """Return a pivot of the route from `end_m` (2,) that a path of N steps cannot reach.
 
-        A solver with a pivot within reach could postpone setting out.
+        A solver with a reachable pivot could postpone the departure.
         """
         joined = self._joined(end_m)
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)
 
     def _joined(self, end_m: NDArray[np.float64]) -> tuple[int, float, float] | None:
-        """Return the cheapest node within a step, its total cost, and the cost of a metre."""
+        """Return the cheapest node within a step, its total cost, and the cost per metre."""
         key = end_m.tobytes()
         if key not in self._joins:
             self._joins[key] = self._join(end_m)
@@ -124,14 +124,14 @@ def find_pivot(
     clearance: float,
     origin_m: NDArray[np.float64] | None = None,  # (2,)
 ) -> Pivot:
-    """Return the farthest point of the route that the guess's end sees, or one out of reach."""
+    """Return the farthest route point visible from the guess's end, or one out of reach."""
     end = int(start.nodes[-1])
     way = route_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
     places = scene.road_map.nodes_m[way]
     origin = places[0] if origin_m is None else origin_m
     chosen = 0
     if len(way) > 1:
-        # Fan of segments from there to each place, as one path origin, p1, origin, p2, ...
+        # Fan of segments as one path: origin, p1, origin, p2, ...
         fan = np.empty((2 * (len(way) - 1) + 1, 2))
         fan[0::2] = origin
         fan[1::2] = places[1:]
@@ -147,7 +147,7 @@ def find_pivot(
         chosen = max(farthest_seen, enough)
     cost_m = start.ways.cost_m
     straight = float(np.linalg.norm(places[chosen] - origin))
-    # From the start path's end both ways of counting agree, whatever lies between.
+    # From the guess's end both cost computations agree, whatever lies between.
     joining = float(np.linalg.norm(places[0] - origin)) * float(start.metre_cost[end])
     saved = joining + float(cost_m[end] - cost_m[way[chosen]])
     metre_cost = saved / straight if straight else 1.0

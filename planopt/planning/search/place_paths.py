@@ -1,14 +1,14 @@
-"""Initial guesses that lead to single positions: probed, unmeasured, or known to keep the bound.
+"""Initial guesses that lead to single positions: probed, unmeasured, or known to meet the bound.
 
-Terms that probe the end of a path compare many positions. Power is that of the nearest node at
-first; only the ends of the best paths are predicted themselves.
+Terms that probe the end of a path compare many positions. The power at the nearest node ranks the
+paths; only the ends of the best paths are predicted individually.
 
-If no plan of N steps brings a measurement, the robot takes a short path to the most informative
+If no N-step plan yields a measurement, the robot takes a short path to the most informative
 position (:func:`path_to_unmeasured`).
 
-The lattice is slower than the robot in most directions, so that it may miss a position that the
-robot reaches just in time. If the verifier says that a step could have kept the bound,
-:func:`paths_to_good_place` searches such a position and the shortest path to it.
+In most directions the lattice is slower than the robot and may miss a position that is only just
+reachable in time. If the verifier reports that a step could have met the bound,
+:func:`paths_to_good_place` searches for such a position and the shortest path to it.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ CIRCLES = (0.35, 0.7, 1.0, 1.5, 2.0, 2.5, 3.25, 4.0, 5.0, 6.0, 7.5, 9.0)
 """Radii of circles of positions, in longest steps."""
 
 FEWEST_ON_CIRCLE, APART_SHARE, LEAST_APART = 8, 1.0 / 6.0, 0.5
-"""Positions on a circle: their least number, and their distance in radii and in longest steps."""
+"""Positions on a circle: minimum number, and spacing relative to the radius and longest step."""
 
 MOST_KNOWN = 60
-"""Maximum number of known connected positions, those nearest to the expected target."""
+"""Maximum number of positions known to be connected, nearest to the expected target first."""
 
 MOST_HIDDEN = 12
-"""Maximum number of positions out of sight, those nearest to the target."""
+"""Maximum number of hidden positions, nearest to the target first."""
 
 COMPARED = 12
-"""Number of paths whose ends are predicted themselves."""
+"""Number of paths whose ends are predicted individually."""
 
 PROBED = 4
-"""Number of paths that are returned."""
+"""Number of returned paths."""
 
 
 class ProbedPlaces:
-    """Finds paths to positions that one robot may probe."""
+    """Search for paths to positions that one robot may probe."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem, self._ground = problem, ground
@@ -99,7 +99,7 @@ class ProbedPlaces:
         chance: NDArray[np.float64],
         count: int,
     ) -> NDArray[np.intp]:
-        """Return the best paths (c, N, 2), given the probabilities of connection (c, N)."""
+        """Return the best paths (c, N, 2) for given connection probabilities (c, N)."""
         value = np.zeros(len(paths))
         for number, term in enumerate(context.problem.terms):
             if term.probes_end:
@@ -123,14 +123,14 @@ class ProbedPlaces:
 
     @cached_property
     def _nodes(self) -> PlaceTree:
-        """Return the index of the free nodes."""
+        """Return the spatial index of the free nodes."""
         return PlaceTree(self._ground.road_map.nodes_m)
 
     def _chance(self, context: StepContext, power: Prediction) -> NDArray[np.float64]:
         return connection_probability(power.mean_db, power.deviation_db, context.thresholds_dbm[0])
 
     def _places(self, context: StepContext) -> NDArray[np.float64]:
-        """Return the robot, the positions on circles, and known connected ones within reach."""
+        """Return the robot's position, positions on circles, and reachable connected positions."""
         here, known = context.position_m, context.links.connected_m
         circles = here + self._offsets_m
         reach_m = self._problem.planner.horizon * self._longest_m
@@ -146,7 +146,7 @@ class ProbedPlaces:
     def _straight(
         self, here_m: NDArray[np.float64], places_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return straight paths (n, N, 2) at full speed to positions, where they stand."""
+        """Return straight paths (n, N, 2) at full speed to positions, followed by waiting."""
         horizon = self._problem.planner.horizon
         away = places_m - here_m
         length = np.linalg.norm(away, axis=1)
@@ -158,7 +158,7 @@ class ProbedPlaces:
     def _round(
         self, context: StepContext, hidden_m: NDArray[np.float64]
     ) -> list[NDArray[np.float64]]:
-        """Return paths around obstacles to the positions (n, 2) nearest to the target."""
+        """Return paths around obstacles to those of the positions (n, 2) nearest to the target."""
         target, horizon = context.target_m, self._problem.planner.horizon
         if not len(hidden_m) or target is None:
             return []
@@ -178,11 +178,11 @@ class ProbedPlaces:
 
 
 STEPS_MORE = 2
-"""Positions that are so many steps farther than the nearest are compared with it."""
+"""Positions up to this many steps farther than the nearest one are compared with it."""
 
 
 def path_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float64] | None:
-    """Return the first N steps (N, 2) to an unmeasured position; None if none is left."""
+    """Return the first N steps (N, 2) to an unmeasured position; None if there is none."""
     problem, here = context.problem, context.position_m
     lattice, nodes = ground.road_map.lattice, ground.road_map.nodes_m
     left = left_to_learn(problem, ground.index, lattice, here, context.anticipated)
@@ -210,7 +210,7 @@ def _steps(
     nodes_m: NDArray[np.float64],
     longest_m: float,
 ) -> NDArray[np.float64]:
-    """Return the number of steps to each position, straight or by the node next to it; (n,)."""
+    """Return the number of steps to each position, straight or via its nearest node; (n,)."""
     aside: NDArray[np.float64] = np.linalg.norm(nodes_m[beside] - places_m, axis=1)
     straight: NDArray[np.float64] = np.linalg.norm(places_m - here_m, axis=1)
     length = np.where(ways.straight(places_m), straight, ways.length_m[beside] + aside)
@@ -218,16 +218,16 @@ def _steps(
 
 
 FINE_NODES, COARSE_NODES = 12, 4
-"""Positions per longest step on the grid: up to `FINE_STEPS` steps, and beyond."""
+"""Grid positions per longest step: within `FINE_STEPS` steps, and beyond."""
 FINE_STEPS = 4
 MEASURED = 400
-"""Number of the best positions whose path lengths are computed."""
+"""Number of best positions for which path lengths are computed."""
 KEPT = 24
-"""Number of the best reachable positions that are refined."""
+"""Number of best reachable positions that are refined."""
 STEP_PLACES = 12
-"""Positions per step along a path at which steps may end."""
+"""Candidate step ends per step length along a path."""
 REFINEMENTS = 3
-"""Number of refinements, each at a quarter of the spacing."""
+"""Number of grid refinements, each with a quarter of the previous spacing."""
 
 
 def paths_to_good_place(judge: Judge, probed: Sequence[Candidate]) -> list[NDArray[np.float64]]:
@@ -256,7 +256,7 @@ def paths_to_good_place(judge: Judge, probed: Sequence[Candidate]) -> list[NDArr
 def _good_place(
     judge: Judge, ways: ShortestPaths, step: int, clear_m: float
 ) -> NDArray[np.float64] | None:
-    """Return the nearest position (2,) that meets the bound, if possible with its pad."""
+    """Return the nearest position (2,) that meets the bound, with the pad if possible."""
     nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
     spacing = judge.problem.step_length_m / nodes
     offsets = spacing * np.arange(-nodes * step, nodes * step + 1)
@@ -296,7 +296,7 @@ def _reached(
 
 
 def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the order of positions: the nearest that meets the bound, else the best."""
+    """Return the order of positions: those that meet the bound by distance, then by margin."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
@@ -304,10 +304,10 @@ def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> 
 def _in_fewest_steps(
     judge: Judge, turns_m: NDArray[np.float64], length_m: float
 ) -> NDArray[np.float64]:
-    """Return the ends (n, 2) of the fewest straight clear steps along a path.
+    """Return the ends (n, 2) of the fewest straight collision-free steps along a path.
 
-    Steps end on the path, at its turns, and where its legs would cross: a path around a corner has
-    several turns, and one step end next to it is enough.
+    Steps end on the path, at its turns, and at crossings of its extended legs: a path around a
+    corner has several turns, and one step end near the corner is enough.
     """
     way = np.vstack([judge.position_m, turns_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
@@ -337,7 +337,7 @@ def _in_fewest_steps(
 def _crossings(
     way_m: NDArray[np.float64], driven_m: NDArray[np.float64], length_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return crossings of legs with later ones, extended backwards, and their arc lengths."""
+    """Return crossings of legs with backward extensions of later legs, and their arc lengths."""
     legs = np.diff(way_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):

@@ -1,14 +1,13 @@
-"""Steer robots beyond the horizon: to high variance, to a connection, or to the goal.
+"""Steering of robots beyond the horizon: to high variance, to a connection, or to the goal.
 
-To learn the channel, the position q* maximises J_CH = max{0, sigma^2 - sigma_TH^2} psi(d) over the
-cells of the workspace, d the length of the shortest path to it.
+To learn the channel, a robot is steered to the workspace cell q* that maximises
+J_CH = max{0, sigma^2 - sigma_TH^2} psi(d); d is the length of the shortest path to the cell.
 
-To connect, a search that begins with a probe at z is expected to take R(z) metres
-(:func:`planopt.objectives.until_connected.search_length_m`); the robot is steered to the probe
-position of the shortest search.
+To connect, a robot is steered to the probe position z with the shortest expected search length
+R(z), in metres (:func:`planopt.objectives.until_connected.search_length_m`).
 
-To a goal, the path leaves coverage only where every path does, and as little as possible. It turns
-at obstacles and at coverage holes.
+To reach a goal, a robot is steered along a path that leaves coverage only where every path does,
+for the shortest possible distance. The path turns at obstacles and at coverage holes.
 """
 
 from __future__ import annotations
@@ -40,14 +39,14 @@ from planopt.world.clearance import segments_clear
 from planopt.world.lattice import lattice_paths, route_from
 
 TILE = 1
-"""Tiles of one cell: cells are far apart, each has its own neighbours."""
+"""Tile size in cells: cells are far apart, so that each has its own neighbours."""
 
 NEIGHBOURS = 48
-"""Number of measurements that each cell is conditioned on."""
+"""Number of measurements for the prediction of each cell."""
 
 
 class Steering:
-    """Finds the cell of the highest variance to steer to; keeps its map of the channel."""
+    """Search for the steering cell of highest variance; caches the map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, term: MappingTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -62,20 +61,20 @@ class Steering:
         nodes = ground.road_map.nodes_m
         self._nearest = PlaceTree(nodes).nearest(places, 1)[0][:, 0]
         beside = nodes[self._nearest]
-        # A cell too near to an obstacle is unreachable.
+        # A cell too close to an obstacle is unreachable.
         wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
         clear = segments_clear(ground.index, beside, places, wanted)
         away: NDArray[np.float64] = np.linalg.norm(beside - places, axis=1)
         self._beside_m = np.where(clear, away, np.inf)
 
     def find_way(self, context: StepContext) -> SteeringWay | None:
-        """Return the path to steer along; None if no reachable cell is above the threshold."""
+        """Return the steering path; None if no reachable cell exceeds the variance threshold."""
         (own,), (posterior,) = context.stations, context.anticipated
         if posterior is own:
             self._map.refresh(own)
             variance = self._map.deviation_db[self._at] ** 2
         else:
-            # The others' planned measurements change at every step, which a map cannot follow.
+            # A map cannot follow the others' planned measurements, which change at every step.
             variance = search_power(posterior, self._places_m).deviation_db ** 2
         above = variance - self._term.variance_threshold_db2
         is_open = context.measuring.is_open(self._places_m)
@@ -85,7 +84,7 @@ class Steering:
     def way_to_best(
         self, above_db2: NDArray[np.float64], position_m: NDArray[np.float64]
     ) -> SteeringWay | None:
-        """Return the path to the cell of the largest J_CH, given the excess variances."""
+        """Return the path to the cell with the largest J_CH for these excess variances."""
         ways = PathsFrom(self._problem, self._ground, position_m)
         distance = ways.length_m[self._nearest] + self._beside_m
         reachable = np.isfinite(distance)
@@ -99,7 +98,7 @@ class Steering:
             return None
         road_map, node = self._ground.road_map, int(self._nearest[best])
         lengths = lattice_paths(road_map, node).cost_m + self._beside_m[best]
-        # Unreachable nodes, which no search looks at, get the largest distance.
+        # Unreachable nodes get the largest finite distance; no search visits them.
         farthest = float(lengths[np.isfinite(lengths)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
         lattice[road_map.rows, road_map.columns] = np.minimum(lengths, farthest)
@@ -108,11 +107,11 @@ class Steering:
 
 
 FIRST_RADIUS_STEPS, WIDER = 16.0, 2.0
-"""First radius of the search in longest steps, and the factor by which it grows."""
+"""Initial search radius in longest steps, and its growth factor."""
 
 
 class ConnectionSteering:
-    """Finds the position to steer to for a connection; keeps its map of the channel."""
+    """Search for the steering position of a connection; caches the map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, term: UntilConnectedTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -157,11 +156,11 @@ class ConnectionSteering:
 
 
 TAUT_SHARE = 1.02
-"""Largest cost of a leg relative to the path along the nodes, which bends more."""
+"""Largest cost of a straight leg relative to the path along the nodes."""
 
 
 class GoalSteering:
-    """Finds the cheapest path to the goal; keeps its map of the channel."""
+    """Search for the cheapest path to the goal; caches the map of the channel."""
 
     def __init__(self, problem: Problem, ground: Ground, _term: Term) -> None:
         self._problem, self._ground = problem, ground
@@ -174,7 +173,7 @@ class GoalSteering:
         self._goal_node = int(nodes[lengths.argmin()]) if len(nodes) else None
 
     def find_way(self, context: StepContext) -> SteeringWay | None:
-        """Return the cheapest path by the current belief; None if obstacles cut the goal off."""
+        """Return the cheapest path by the current belief; None if obstacles enclose the goal."""
         road_map, here = self._ground.road_map, context.position_m
         nodes, lengths = first_moves(self._ground, self._problem, here)
         if self._goal_node is None or not len(nodes):
@@ -188,7 +187,7 @@ class GoalSteering:
             return None
         along = route_from(road_map, ways, first, math.inf)
         corners = np.vstack([here, road_map.nodes_m[along], self._goal_m])
-        # The robot and the goal have the cost of the nearest nodes.
+        # Robot and goal get the cost of their nearest nodes.
         at_corner = metre_cost[np.concatenate([[first], along, [self._goal_node]])]
         farthest = float(ways.cost_m[np.isfinite(ways.cost_m)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
@@ -210,7 +209,7 @@ class GoalSteering:
         ends_m: NDArray[np.float64],
         metre_cost: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return the cost of straight legs to `ends_m` (n, 2), by the nodes nearest to them."""
+        """Return the cost of straight legs to `ends_m` (n, 2), from their nearest nodes."""
         road_map = self._ground.road_map
         lattice = road_map.lattice
         lengths = np.linalg.norm(ends_m - start_m, axis=1)

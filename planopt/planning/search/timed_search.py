@@ -1,8 +1,8 @@
-"""Search of a lattice path to a goal in space and time, among other robots.
+"""Search for a lattice path to a goal in space and time, among other robots.
 
-The search expands the nodes reachable after each step, waiting included. The cost-to-go without the
-others prunes paths that cost more than the cheapest by `DELAYS_STEPS` of waiting. It ends as soon
-as the shortest route from a promising node is free at the times at which it would be driven.
+The search expands the nodes reachable after each step, waiting included. The cost-to-go without
+other robots prunes paths that exceed the lowest cost by `DELAYS_STEPS` of waiting. The search ends
+as soon as the shortest route from a promising node is collision-free in time.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ from planopt.world.motion import closest_approach_m
 from planopt.world.moving_discs import MovingDiscs
 
 DELAYS_STEPS = (16, 64, 200)
-"""Delays in steps of waiting that are allowed, one after the other."""
+"""Allowed delays in waiting steps, searched one after the other."""
 
 MOST_PLACES = 12_000
-"""Maximum number of nodes per stage, those of the least cost."""
+"""Maximum number of nodes per stage, lowest cost first."""
 
 ROUTES_TRIED = 4
-"""Number of routes tested in each stage, from the nodes of the least cost."""
+"""Number of routes tested in each stage, from the nodes of lowest cost."""
 
 
 @dataclass(frozen=True, eq=False)
 class TimedCosts:
-    """Costs of motion over a lattice to a goal."""
+    """Costs of lattice motion to a goal."""
 
-    road_map: RoadMap  # The lattice, its cost-to-go without the others, and where it leads
+    road_map: RoadMap  # Lattice, its cost-to-go without other robots, goal
     ways: CostToGo
     goal_node: int
-    step_s: float  # Duration and longest way of a step, and the weight of effort
+    step_s: float  # Duration and maximum length of a step, effort weight
     step_m: float
     effort_s2_m2: float
-    rate_s_m: float  # Cost of a metre of the cost-to-go
-    # (n + 1,) added for a metre at each node, and last where the robot is
+    rate_s_m: float  # Cost per metre of the cost-to-go
+    # (n + 1,) additional cost per metre at each node, and last at the robot
     surcharge_s_m: NDArray[np.float64]
 
 
@@ -56,18 +56,18 @@ def route_nodes(ways: CostToGo, node: int) -> NDArray[np.intp]:
 def timed_places(
     places_m: NDArray[np.float64], route_m: NDArray[np.float64], step_m: float, steps: int
 ) -> NDArray[np.float64]:
-    """Return the positions of a path, continued at full speed along a route and then at rest."""
+    """Return the positions of a path, followed by a route at full speed and then by waiting."""
     # Shapes: places_m (k + 1, 2); route_m (r, 2).
     route = np.vstack([places_m[-1:], route_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(route, axis=0), axis=1).cumsum()])
     stops = step_m * np.arange(1, steps + 2 - len(places_m))
-    # Interpolation stays at the end of what it is given.
+    # np.interp stays at the last position beyond the end of the route.
     on = np.stack([np.interp(stops, driven, route[:, axis]) for axis in (0, 1)], axis=1)
     return np.vstack([places_m, on])[: steps + 1]
 
 
 def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) -> bool:
-    """Return whether a timed path keeps clear of all discs, or leads away from its start."""
+    """Return whether a timed path keeps clear of all discs, except while it leaves its start."""
     # Shapes: places_m (T - first + 1, 2).
     if not len(discs):
         return True
@@ -82,25 +82,25 @@ def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) 
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """A path among other robots."""
+    """Timed path among other robots."""
 
     nodes: NDArray[np.intp]  # (k,) after each step
-    # (r,) nodes on to the goal, driven at full speed after these steps; none where the path does
+    # (r,) nodes of the remaining route to the goal, driven at full speed; empty if the path does
     # not arrive
     route: NDArray[np.intp]
-    cost_s: float  # Of all, in seconds
-    arrives: bool = True  # Whether it leads to the goal; else to a place that is in nobody's way
+    cost_s: float  # Total cost in seconds
+    arrives: bool = True  # Whether it ends at the goal, not at a refuge
 
 
 def search_timed(
     costs: TimedCosts,
-    position_m: NDArray[np.float64],  # (2,) where it is
+    position_m: NDArray[np.float64],  # (2,) position of the robot
     first_nodes: NDArray[np.intp],
     first_length_m: NDArray[np.float64],
     discs: MovingDiscs,
     least_stages: int,
 ) -> TimedPath | None:
-    """Find a cheap path that keeps clear of all discs to the goal, and while standing there."""
+    """Return a cheap path to the goal that keeps clear of all discs, also after arrival."""
     kept = steps_apart(
         discs,
         0,
@@ -128,11 +128,11 @@ def search_room(
     road_map: RoadMap,
     first_nodes: NDArray[np.intp],
     first_length_m: NDArray[np.float64],
-    others_m: NDArray[np.float64],  # (k, 2) places that the others drive through, at any time
+    others_m: NDArray[np.float64],  # (k, 2) positions on the others' paths, at any time
     least_m: float,
     least_stages: int,
 ) -> TimedPath | None:
-    """Find the shortest path to a place off the other robots' paths; None if there is none."""
+    """Return the shortest path to a refuge off the other robots' paths; None if there is none."""
     if not len(first_nodes):
         return None
     here = int(first_nodes[np.argmin(first_length_m)])
@@ -144,7 +144,7 @@ def search_room(
     if not np.isfinite(cost[room]):
         return None
     nodes = route_nodes(ways, room)[::-1]
-    # A robot that stands on a node would put off setting out for ever.
+    # A robot already at a node would postpone its departure forever.
     nodes = nodes[1:] if len(nodes) > 1 and first_length_m.min() <= STANDSTILL_M else nodes
     waits = np.repeat(nodes[-1:], max(least_stages - len(nodes), 0))
     return TimedPath(np.concatenate([nodes, waits]), nodes[:0], float(cost[room]), False)
@@ -158,9 +158,9 @@ def _search_within(
     least_stages: int,
     limit_s: float,
 ) -> TimedPath | None:
-    """Search paths of at most a cost, from nodes (m,) that the first step may end at.
+    """Search paths up to a cost limit, from nodes (m,) at which the first step may end.
 
-    The search in time ends when all others stand; the rest is a search on the lattice alone.
+    The space-time search ends when all other robots have stopped; a static search does the rest.
     """
     to_go = costs.rate_s_m * costs.ways.cost_m
     stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = [
@@ -196,7 +196,7 @@ def _search_within(
 
 
 def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np.intp]) -> bool:
-    """Return whether a route (r,) from a node after some steps keeps apart at full speed."""
+    """Return whether a route (r,) begun after `step` steps is collision-free at full speed."""
     route_m = costs.road_map.nodes_m[route]
     on = timed_places(route_m[:1], route_m[1:], costs.step_m, discs.steps - step)
     return is_apart(discs, on, step)
@@ -205,7 +205,7 @@ def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np
 def _ways_beside_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
     """Return the cost-to-go with all discs at their last positions.
 
-    Nodes near a disc are closed, so that no move between other nodes comes too near to it.
+    Nodes near a disc are blocked, so that no move between other nodes comes too close to it.
     """
     road_map = costs.road_map
     factor = 1.0 + costs.surcharge_s_m[:-1] / costs.rate_s_m
@@ -225,7 +225,7 @@ def _next_stage(
     step: int,
     limit_s: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
-    """Return the nodes that step number `step` reaches from nodes (m,), their costs and origins.
+    """Return the nodes that step `step` reaches from nodes (m,), their costs and predecessors.
 
     Moves of the lattice are symmetric.
     """
@@ -244,7 +244,7 @@ def _next_stage(
     end, value = ends[row, move], arriving[row, move]
     places = road_map.nodes_m
     if len(discs):
-        # Only places near a disc need looking at.
+        # Only nodes near a disc need the exact test.
         away = np.linalg.norm(places[nodes][None] - discs.centres_m[:, step, None], axis=2)
         driven = np.linalg.norm(discs.centres_m[:, step + 1] - discs.centres_m[:, step], axis=1)
         reach = discs.apart_m[:, step] + driven + costs.step_m + CLEARANCE_PAD_M

@@ -1,9 +1,9 @@
-"""Assignment of agents to events: demands, flag propagation, and distributed matching.
+"""Assignment of agents to events: demands, flag propagation and distributed matching.
 
-The P agents nearest to one event form a connected part of the Voronoi neighbour graph, so that
-lists of the nearest agents, passed between neighbours, reach every agent concerned. Several events
-share agents by deferred acceptance, which is stable: no agent and event would both prefer each
-other. :func:`optimal_assignment` finds the assignment of least total distance.
+The P agents nearest to one event are connected in the Voronoi neighbour graph, so lists of nearest
+agents passed between neighbours reach all of them. Deferred acceptance divides the agents among
+several events. Its matching is stable: no agent and event both prefer each other to their match.
+:func:`optimal_assignment` returns the assignment of least total distance.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from planopt.coverage.network import Loss, Network, gets_through
 from planopt.errors import InputError
 
 Demand = Callable[[int], int]
-"""Number of agents that an event requires, a function of the number of agents."""
+"""Function from the number of agents to the number that an event requires."""
 
 HEXAGON = 5.0 / (18.0 * math.sqrt(3.0))
 """Second moment of a regular hexagon of area 1 about its centre."""
 
 LEAST_ON_RING = 2
-"""One agent alone measures a distance and no position."""
+"""Least number of agents on a ring; a single one measures the distance only."""
 
 NONE = -1
-"""Event number of an agent that covers."""
+"""Event number of a covering agent."""
 
 
 def demanded(demand: Demand, agents: int) -> int:
-    """Return how many of `agents` agents an event requires."""
+    """Evaluate a demand for a number of agents; raise `InputError` if the result is invalid."""
     wanted = demand(agents)
     if wanted != int(wanted) or not 0 <= wanted <= agents:
         raise InputError(
@@ -47,23 +47,23 @@ def demanded(demand: Demand, agents: int) -> int:
 
 
 def table_demand(steps: Mapping[int, int]) -> Demand:
-    """Return a demand by a table: the entry of the largest number not above n."""
+    """Return a tabulated demand: the entry of the largest key not above the number of agents."""
     entries = sorted(steps.items(), reverse=True)
     return lambda agents: next((wanted for number, wanted in entries if number <= agents), 0)
 
 
 def capped_demand(share: float, most: int, remaining: int) -> Demand:
-    """Return the demand of a share of the agents, at most a number, that leaves enough to cover."""
-    # A share of 0.3 of 10 agents is 3, not the 4 that rounding up its last bit would give.
+    """Return a demand for a share of the agents, limited by `most` and by `remaining` coverers."""
+    # Rounding first keeps 0.3 of 10 agents at 3; the ceiling of the float product may be 4.
     return lambda n: max(min(n - remaining, most, math.ceil(round(share * n, 9))), 0)
 
 
 def accuracy_demand(sensor: EventSensor, accuracy_m: float, measurements: int = 1) -> Demand:
-    """Return the demand of the fewest agents that locate an event well enough.
+    """Return the demand for the fewest agents that locate an event with the required accuracy.
 
-    Agents stand at equal angles on the ring of most information (two of them 90 degrees apart),
-    where the Cramer-Rao bound on the mean squared error is ``4 sigma^2 / (P m g^2)`` with g the
-    signal's slope there.
+    Agents are at equal angles (two agents 90 degrees apart) on the most informative ring. The
+    Cramer-Rao bound on the mean squared error is ``4 sigma^2 / (P m g^2)`` with g the slope of the
+    signal on the ring.
     """
     slope = sensor.strength * float(sensor.slope(np.array(sensor.best_distance_m)))
     exact = 4.0 * sensor.noise_std**2 / (measurements * slope**2 * accuracy_m**2)
@@ -74,10 +74,10 @@ def accuracy_demand(sensor: EventSensor, accuracy_m: float, measurements: int = 
 def trade_off_demand(
     area_m2: float, localisation_m2: float, coverage_weight: float, localisation_weight: float
 ) -> Demand:
-    """Return the demand that balances coverage against localisation.
+    """Return the demand that trades coverage cost against localisation error.
 
-    It minimises ``w_c c |A|^2 / (n - P) + w_s kappa / P`` over P, with c the second moment of a
-    hexagon of area 1: the better of both whole numbers next to the real minimiser.
+    It minimises ``w_c c |A|^2 / (n - P) + w_s kappa / P`` over integers P, with c the second moment
+    of a hexagon of area 1.
     """
     coverage = HEXAGON * area_m2**2 * coverage_weight
     localisation = localisation_m2 * localisation_weight
@@ -95,27 +95,27 @@ def trade_off_demand(
 
 @dataclass(frozen=True, eq=False)
 class Flags:
-    """The outcome of flag propagation."""
+    """Result of flag propagation."""
 
     flagged: NDArray[np.bool_]  # (n,) whether the agent responds to the event
-    messages: int  # Transmissions over single links
-    history: NDArray[np.bool_]  # (rounds + 1, n) flags before the first round and after each
+    messages: int  # Number of transmissions over single links
+    history: NDArray[np.bool_]  # (rounds + 1, n) flags before the first and after each round
 
 
 def propagate_flags(
     network: Network,
     distances_m: NDArray[np.float64],  # (n,)
-    wanted: int | NDArray[np.intp],  # Number of agents required, (n,) if agents differ in it
+    wanted: int | NDArray[np.intp],  # Required number of agents; (n,) if agents disagree on it
     *,
     rounds: int | None = None,
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Flags:
-    """Find the agents nearest to an event: agents exchange lists of the nearest they know.
+    """Find the agents nearest to an event by exchanging lists of the nearest known agents.
 
-    Without losses an agent sends only when its list has changed, and all lists are right after at
-    most as many rounds as the network's diameter; with losses `rounds` are made. An agent that is
-    among the nearest is flagged from the start; others may be flagged for some rounds.
+    Without losses an agent sends only after its list has changed, and all lists are correct after
+    at most as many rounds as the network's diameter. With losses there are `rounds` rounds. The
+    nearest agents are flagged from the start; other agents may be flagged temporarily.
     """
     n, most = network.count, np.broadcast_to(np.asarray(wanted, dtype=np.intp), (network.count,))
     if distances_m.shape != (n,) or (most < 0).any():
@@ -124,8 +124,8 @@ def propagate_flags(
         raise InputError(f"a loss of {loss!r}", key="loss", remedy="give `rounds` as well")
     rank = np.empty(n, dtype=np.intp)
     rank[np.argsort(distances_m, kind="stable")] = np.arange(n)
-    # An entry is n times its holder plus the rank of the agent that it names: sorted entries are
-    # the lists of all holders, nearest first.
+    # An entry is n * holder + rank of the listed agent, so sorted entries are the lists of all
+    # holders, nearest agent first.
     own = np.arange(n) * n + rank
     lists, talking, messages = own[most > 0], np.ones(n, dtype=np.bool_), 0
     history = [np.isin(own, lists)]
@@ -150,7 +150,7 @@ def _flag_round(
     loss: Loss,
     generator: np.random.Generator | None,
 ) -> NDArray[np.intp]:
-    """Return the lists after all agents have sent theirs once, truncated to `most` (n,) entries."""
+    """Return the lists after one exchange, truncated to `most` (n,) entries."""
     n = network.count
     sender, receiver = network.directed
     heard = gets_through(len(sender), loss, generator)
@@ -168,20 +168,20 @@ def _flag_round(
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """The assignment of agents to events."""
+    """Assignment of agents to events."""
 
-    event_of: NDArray[np.intp]  # (n,) number of each agent's event; `NONE` for an agent that covers
-    total_m: float  # Sum of the distances between agents and their events
-    requests: int = 0  # Number of requests of events to agents
-    released: int = 0  # Number of agents that declined, or left an event for a nearer one
+    event_of: NDArray[np.intp]  # (n,) number of each agent's event; `NONE` for a covering agent
+    total_m: float  # Sum of distances between agents and their events
+    requests: int = 0  # Number of requests from events to agents
+    released: int = 0  # Number of rejected requests, including events dropped for a nearer one
 
 
 def fair_shares(demands: NDArray[np.intp], agents: int) -> NDArray[np.intp]:
-    """Return the numbers of agents ``(k,)`` of events with demands ``(k,)``, if there are too few.
+    """Ration the agents among events with demands ``(k,)`` if the demands exceed `agents`; (k,).
 
-    One by one agents go to the event with the least share of its demand, which maximises the
-    smallest share, then the second smallest, and so on. Ties go to the smaller demand, then to the
-    smaller number.
+    Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
+    fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
+    number.
     """
     shares = np.zeros(len(demands), dtype=np.intp)
     for _ in range(min(agents, int(demands.sum()))):
@@ -192,11 +192,11 @@ def fair_shares(demands: NDArray[np.intp], agents: int) -> NDArray[np.intp]:
 
 
 def deferred_acceptance(distances_m: NDArray[np.float64], demands: NDArray[np.intp]) -> Assignment:
-    """Assign agents to events by requests and releases, as the agents themselves can do it.
+    """Assign agents to events by deferred acceptance, which agents can run in a distributed way.
 
-    In each round every event requests as many agents as it lacks, nearest first, none twice. Every
-    agent keeps the nearest event of those that have requested it, and releases the others.
-    Ties go to the smaller numbers.
+    In each round every event requests as many agents as it lacks, nearest first and none twice.
+    Every agent keeps the nearest event among its requests and rejects the others. Ties go to the
+    smaller numbers.
     """
     # Shapes: distances_m (n, k); demands (k,).
     _check(distances_m, demands)
@@ -226,10 +226,10 @@ def deferred_acceptance(distances_m: NDArray[np.float64], demands: NDArray[np.in
 
 
 def optimal_assignment(distances_m: NDArray[np.float64], demands: NDArray[np.intp]) -> Assignment:
-    """Assign agents to events with the least sum of distances ``(n, k)``.
+    """Assign agents to events such that the sum of the distances ``(n, k)`` is minimal.
 
-    The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has a totally
-    unimodular matrix, so that this assignment is its optimum.
+    The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has the same
+    optimum because its matrix is totally unimodular.
     """
     _check(distances_m, demands)
     seats = np.repeat(np.arange(len(demands)), demands)
@@ -248,7 +248,7 @@ def _total_m(event_of: NDArray[np.intp], distances_m: NDArray[np.float64]) -> fl
 
 
 def _check(distances_m: NDArray[np.float64], demands: NDArray[np.intp]) -> None:
-    """Refuse distances (n, k) and demands (k,) that do not fit."""
+    """Raise `InputError` if distances (n, k) and demands (k,) are inconsistent."""
     if distances_m.ndim != 2 or demands.shape != distances_m.shape[1:]:
         raise InputError(
             f"distances of shape {distances_m.shape} for {len(demands)} events", key="distances_m"

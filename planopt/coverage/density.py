@@ -1,4 +1,4 @@
-"""Densities over a region: uniform, smooth by quadrature, or on a grid.
+"""Densities over a region: uniform, smooth (integrated by quadrature), or on a grid.
 
 Densities on a grid are integrated exactly: Green's theorem turns an integral over a cell into one
 along its boundary, ``integral of rho dA = contour integral of F dy`` with ``F(x, y)`` the integral
@@ -24,21 +24,21 @@ NODES = 6
 """Gauss points along either side of a patch."""
 
 MAX_PATCHES = 2_000_000
-"""More patches take minutes and gigabytes: the resolution is a mistake."""
+"""Largest number of quadrature patches; more take minutes and gigabytes."""
 
 
 @dataclass(frozen=True)
 class UniformDensity:
-    """The same weight everywhere; its moments are closed forms."""
+    """Constant density with closed-form moments."""
 
     weight_per_m2: float = 1.0
 
     def at(self, places_m: Floats) -> Floats:
-        """Return the weight for each position ``(m, 2)``; (m,)."""
+        """Return the density at positions ``(m, 2)``; (m,)."""
         return np.full(len(places_m), self.weight_per_m2)
 
     def moments(self, boundary: Boundary) -> Moments:
-        """Return the sums of the moments of triangles and sectors."""
+        """Return the moments of cells as sums over triangles and sectors."""
         u, v, angle = boundary.start_m, boundary.end_m, boundary.angle
         cross = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
         total = u + v
@@ -63,10 +63,10 @@ UNIFORM = UniformDensity()
 
 @dataclass(frozen=True)
 class CallableDensity:
-    """Any smooth density, integrated by Gauss quadrature over patches of the cells."""
+    """Smooth density given as a function and integrated by Gauss quadrature over patches."""
 
-    density: Callable[[Floats], Floats]  # From positions (m, 2) to densities (m,), none negative
-    resolution_m: float  # The density is close to a polynomial of degree 10 over this length
+    density: Callable[[Floats], Floats]  # Maps positions (m, 2) to non-negative densities (m,)
+    resolution_m: float  # Length over which a polynomial of degree 10 approximates the density well
 
     def at(self, places_m: Floats) -> Floats:
         """Return the density at positions ``(m, 2)``; (m,)."""
@@ -82,18 +82,18 @@ class CallableDensity:
         return values
 
     def moments(self, boundary: Boundary) -> Moments:
-        """Return integrals over the patches between the cells' centres and their boundaries."""
+        """Return moments integrated over patches between cell centres and boundaries."""
         return fan_moments(self.at, boundary, self.resolution_m)
 
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
-    """A sum of round Gaussian bumps."""
+    """Sum of isotropic Gaussian bumps."""
 
-    weights: Floats  # (c,) mass of each bump over the whole plane, none negative, one positive
+    weights: Floats  # (c,) mass of each bump over the whole plane; none negative, one positive
     means_m: Floats  # (c, 2)
     stds_m: Floats  # (c,)
-    floor_per_m2: float = 0.0  # Uniform density that is added
+    floor_per_m2: float = 0.0  # Uniform density added to the bumps
 
     def __post_init__(self) -> None:
         if not self.weights.any():
@@ -109,9 +109,9 @@ class GaussianMixture:
         return values
 
     def moments(self, boundary: Boundary) -> Moments:
-        """Return integrals over patches of the narrowest bump's standard deviation.
+        """Return moments integrated over patches as long as the smallest standard deviation.
 
-        Six points then leave a relative error below 1e-9.
+        With six points per side the relative error is then below 1e-9.
         """
         return fan_moments(self.at, boundary, float(self.stds_m.min()))
 
@@ -135,8 +135,8 @@ def fan_moments(
 ) -> Moments:
     """Integrate a density over cells by Gauss quadrature.
 
-    The triangle or sector between a centre and a piece of boundary is cut into patches, along the
-    piece and away from the centre. Each has `NODES` by `NODES` points.
+    Each triangle or sector between a centre and a boundary piece is cut into patches, along the
+    piece and radially. Each patch has `NODES` by `NODES` points.
     """
     u, v, angle = boundary.start_m, boundary.end_m, boundary.angle
     reach = np.sqrt(np.maximum((u * u).sum(axis=1), (v * v).sum(axis=1)))
@@ -179,7 +179,7 @@ def _rays(
     angle: Floats,
     t: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return points (p, k, 2) on pieces at shares `t` (p, k), and twice the area swept per unit."""
+    """Return points (p, k, 2) on pieces at parameters `t` (p, k), and twice the area per unit t."""
     rays = u[:, None] + t[..., None] * (v - u)[:, None]
     stretch = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     arcs = np.flatnonzero(angle)
@@ -191,27 +191,27 @@ def _rays(
 
 
 def _summed(boundary: Boundary, *values: Floats) -> list[Floats]:
-    """Sum values (e,) of pieces by cell; (g,) each."""
+    """Sum values (e,) of boundary pieces by cell; (g,) each."""
     count = len(boundary.centres_m)
     sums = (np.bincount(boundary.cell, value, minlength=count) for value in values)
     return [np.asarray(one, dtype=np.float64) for one in sums]
 
 
 STRAIGHT_NODES = 2
-"""Gauss points along a straight part: F dy is a cubic there, so that two are exact."""
+"""Gauss points along a straight part, where F dy is a cubic and two points are exact."""
 
 ARC_NODES = 8
-"""Gauss points along an arc; parts of arcs turn by less than `ARC_TURN`."""
+"""Gauss points along a part of an arc, which turns by less than `ARC_TURN`."""
 
 ARC_TURN = 0.5
-"""Arcs are cut at least every so many rad: eight points then leave an error below 1e-15."""
+"""Largest angle of a part of an arc in rad; eight points then leave an error below 1e-15."""
 
 
 @dataclass(frozen=True, eq=False)
 class RasterDensity:
-    """A density that is constant on each cell of a raster and zero outside it."""
+    """Density that is constant on each cell of a raster and zero outside the raster."""
 
-    raster: Raster  # Values per square metre, finite, none negative, one positive
+    raster: Raster  # Finite values per square metre; none negative, one positive
     _edges: tuple[Floats, Floats] = field(init=False, repr=False)
     _running: Floats = field(init=False, repr=False)
 
@@ -239,7 +239,7 @@ class RasterDensity:
 
     @property
     def _middle_m(self) -> Floats:
-        """Return the middle of the raster (2,): coordinates around it cost no precision."""
+        """Return the centre (2,) of the raster; coordinates relative to it keep full precision."""
         x, y = self.raster.x_m, self.raster.y_m
         return 0.5 * np.array([x[0] + x[-1], y[0] + y[-1]])
 
@@ -252,14 +252,14 @@ class RasterDensity:
         return values
 
     def covers(self, region: ConvexRegion) -> bool:
-        """Return whether the raster reaches over the whole region."""
+        """Return whether the raster covers the whole region."""
         x, y = self._edges
         low, high = np.array([x[0], y[0]]), np.array([x[-1], y[-1]])
         corners, slack = region.corners_m - self._middle_m, 1e-9 * region.radius_m
         return bool(((corners >= low - slack) & (corners <= high + slack)).all())
 
     def moments(self, boundary: Boundary) -> Moments:
-        """Return exact integrals over cells."""
+        """Return the exact moments of cells."""
         centres = boundary.centres_m - self._middle_m
         start = boundary.start_m + centres[boundary.cell]
         end = boundary.end_m + centres[boundary.cell]
@@ -278,7 +278,7 @@ class RasterDensity:
         return Moments(mass, about - mass[:, None] * centres, second)
 
     def _along_lines(self, start: Floats, end: Floats) -> Floats:
-        """Return contour integrals (5, e) along straight pieces between ends (e, 2)."""
+        """Return contour integrals (5, e) along straight pieces with end points (e, 2)."""
         along = end - start
         cuts: list[tuple[NDArray[np.intp], Floats]] = []
         for axis, edges in enumerate(self._edges):
@@ -308,7 +308,7 @@ class RasterDensity:
             piece, line = _between(edges, centre[:, axis] - radius, centre[:, axis] + radius)
             ratio = (edges[line] - centre[piece, axis]) / radius[piece]
             turn = np.arccos(np.clip(ratio, -1.0, 1.0))
-            # A line is crossed twice: at the angles turn and -turn from its axis.
+            # The arc crosses a grid line at the angles turn and -turn from the normal to that line.
             for at in (turn, -turn):
                 past = (at + axis * 0.5 * np.pi - begin[piece]) % (2.0 * np.pi)
                 cuts.append((piece, past / angle[piece]))
@@ -327,17 +327,17 @@ class RasterDensity:
         rise: Floats,
         count: int,
     ) -> Floats:
-        """Sum F dy over points (p, k, 2) of parts with steps dy (p, k) by piece; (5, count).
+        """Sum F dy over points (p, k, 2) with steps dy (p, k) by boundary piece; (5, count).
 
-        The rows are of the density times 1, x, y, x^2 and y^2.
+        Rows hold the integrals of the density times 1, x, y, x^2 and y^2.
         """
-        # All points of a part are in the cell of its middle.
+        # All points of a part are in the raster cell of its midpoint.
         ix, iy = self._cells(places.mean(axis=1))
         rows, columns = self.raster.values.shape
         held = (iy >= 0) & (iy < rows) & (ix >= 0)
         row, column = np.clip(iy, 0, rows - 1), np.clip(ix, 0, columns - 1)
         edge = self._edges[0]
-        # Right of the grid F stays what it is at its right edge.
+        # Right of the grid F is constant.
         x = np.minimum(places[..., 0], edge[-1])
         y = places[..., 1]
         value = self.raster.values[row, column][:, None]
@@ -355,7 +355,7 @@ class RasterDensity:
         return sums
 
     def _cells(self, places: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return columns and rows of positions (m, 2), out of range beyond the grid."""
+        """Return columns and rows of positions (m, 2); indices are out of range beyond the grid."""
         x, y = self._edges
         ix = np.searchsorted(x, places[:, 0], side="right") - 1
         iy = np.searchsorted(y, places[:, 1], side="right") - 1
@@ -363,11 +363,11 @@ class RasterDensity:
 
 
 Density = UniformDensity | CallableDensity | GaussianMixture | RasterDensity
-"""A non-negative weight per square metre."""
+"""Non-negative weight per square metre."""
 
 
 def _gauss(nodes: int) -> tuple[Floats, Floats]:
-    """Return points and weights of Gauss quadrature over [0, 1]."""
+    """Return the points and weights of Gauss quadrature on [0, 1]."""
     points, weights = np.polynomial.legendre.leggauss(nodes)
     return 0.5 * (points + 1.0), 0.5 * weights
 
@@ -375,7 +375,7 @@ def _gauss(nodes: int) -> tuple[Floats, Floats]:
 def _between(
     edges: Floats, start: Floats, end: Floats
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the grid lines (l,) strictly between pairs of coordinates (e,): pair and line."""
+    """Return pair and line numbers (l,) of grid lines strictly between coordinate pairs (e,)."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     begin = np.searchsorted(edges, low, side="right")
     counts = np.maximum(np.searchsorted(edges, high, side="left") - begin, 0)
@@ -387,7 +387,7 @@ def _between(
 def _parts(
     count: int, cuts: list[tuple[NDArray[np.intp], Floats]]
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Cut pieces at shares in [0, 1]; return each part's piece, and where it begins and ends."""
+    """Cut pieces at parameters in [0, 1]; return the piece, start and end of each part."""
     every = np.arange(count)
     piece = np.concatenate((every, every, *(c[0] for c in cuts)))
     share = np.concatenate((np.zeros(count), np.ones(count), *(c[1] for c in cuts)))

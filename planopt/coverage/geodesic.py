@@ -1,8 +1,8 @@
-"""Coverage of regions that are not convex or contain obstacles, by shortest distances.
+"""Coverage of non-convex regions or regions with obstacles, by shortest-path distances.
 
-Shortest paths turn only at corners that stand out into the free area. The distances between those
-corners, and which of them each node of a grid sees, are computed once; then the distance of any
-agent to any node is exact, and so is the cost ``H = sum of mass * d(p_i, q)^2 + spread``.
+Shortest paths turn only at reflex corners of the free area. The distances between those corners and
+their visibility from each grid node are computed once. The distance from any agent to any node is
+then exact, and so is the cost ``H = sum of mass * d(p_i, q)^2 + spread``.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from planopt.errors import InputError
 from planopt.world.shortest_paths import corners_m
 
 SLACK = 1e-9
-"""Positions may be outside by this share of the extent, for rounding; sight lines by twice as
-much."""
+"""Rounding tolerance of positions outside the area, as a share of its extent; lines of sight get
+twice as much."""
 
 SLIVER = 1e-6
-"""Free parts that are smaller than this share of a grid square are left out."""
+"""Share of a grid square below which a free part is ignored."""
 
 MAX_NODES = 200_000
-"""More nodes take minutes to look from: the spacing is a mistake."""
+"""Largest number of nodes; visibility from more nodes takes minutes."""
 
 HALVINGS = 8
-"""Times that a step is halved until it lowers the cost of the agent's own cell."""
+"""Largest number of halvings of a step until it lowers the cost of the agent's own cell."""
 
 AT_CORNER = 1e-9
-"""A corner nearer than this share of the region's extent is where the agent stands."""
+"""Share of the region's extent within which an agent counts as being at a corner."""
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -51,29 +51,29 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class GeodesicGround:
-    """A free area with nodes that represent it; :func:`geodesic_ground` builds it."""
+    """Free area discretised by nodes; :func:`geodesic_ground` builds it."""
 
-    free: shapely.Polygon  # The outline without the obstacles: the covered area
-    allowed: shapely.Polygon  # The part that keeps the clearance: where agents may be
-    slack_m: float  # Distance outside at which a position still counts as on the border
-    # Border of `allowed`, grown by more than that: a straight line between two allowed positions
-    # that meets it leaves the area
+    free: shapely.Polygon  # Outline without the obstacles: the covered area
+    allowed: shapely.Polygon  # Part of `free` that keeps the clearance: allowed agent positions
+    slack_m: float  # Distance outside up to which a position still counts as on the boundary
+    # Boundary of `allowed`, moved outward by more than `slack_m`; a line between two allowed
+    # positions leaves the area if it intersects this boundary
     border: shapely.Geometry
     hull: ConvexRegion  # Convex hull of the free area
     spacing_m: float  # Side of the grid squares
-    # (m, 2) nodes, one for each grid square or each piece of one that obstacles cut, and the
-    # nearest allowed position of each, where paths to it end
+    # (m, 2) nodes, one for each grid square or each piece of a square cut by obstacles; `ends_m`
+    # are the nearest allowed positions, where paths to the nodes end
     nodes_m: Floats
     ends_m: Floats
     mass: Floats  # (m,) mass of each node's part
     spread: float  # Coverage cost if every node had its own agent
     corners_m: Floats  # (c, 2) corners at which shortest paths may turn
     between_m: Floats  # (c, c) shortest distances between them
-    corner_sees: Mask  # (m, c) whether the straight line from the node's end to the corner is free
+    corner_sees: Mask  # (m, c) whether the line from the node's end to the corner is free
 
     @property
     def area_m2(self) -> float:
-        """Area of the free part."""
+        """Area of `free` in square metres."""
         return float(self.free.area)
 
     def allows(self, places_m: Floats) -> Mask:
@@ -83,31 +83,31 @@ class GeodesicGround:
         )
 
     def nearest(self, places_m: Floats) -> Floats:
-        """Return positions ``(k, 2)``, those that are not allowed moved to the nearest allowed."""
+        """Project positions ``(k, 2)`` onto the allowed area."""
         moved, out = np.array(places_m, dtype=np.float64), ~self.allows(places_m)
         moved[out] = nearest_places(self.allowed, moved[out])
         return moved
 
     def sees(self, starts_m: Floats, ends_m: Floats) -> Mask:
-        """Return whether straight lines between allowed positions ``(k, 2)`` are allowed; (k,)."""
+        """Return whether the lines between allowed positions ``(k, 2)`` stay allowed; (k,)."""
         lines = shapely.linestrings(np.stack((starts_m, ends_m), axis=1))
         return ~np.asarray(shapely.intersects(self.border, lines), dtype=np.bool_)
 
     def sees_each(self, places_m: Floats, others_m: Floats) -> Mask:
-        """Return whether each of ``(k, 2)`` allowed positions sees each of ``(l, 2)``; (k, l)."""
+        """Return the visibility ``(k, l)`` between allowed positions ``(k, 2)`` and ``(l, 2)``."""
         count, other = len(places_m), len(others_m)
         starts, ends = np.repeat(places_m, other, axis=0), np.tile(others_m, (count, 1))
         return self.sees(starts, ends).reshape(count, other)
 
     def cover(self, agents_m: Floats) -> Cover:
-        """Return the cost over the nodes, and free steps that lower it."""
-        # Near a corner agents may keep the clearance and be outside of the straight-sided region.
+        """Return the coverage cost over the nodes, and targets that lower it."""
+        # Near a corner an agent may keep the clearance and still be outside the mitred polygon.
         agents = self.nearest(agents_m)
         cells = geodesic_cells(self, agents)
         return Cover(cells.cost, geodesic_targets(self, agents, cells))
 
     def borders(self, agents_m: Floats) -> Floats:
-        """Return the sides of grid squares between nodes of different agents."""
+        """Return cell boundaries ``(e, 2, 2)``: grid lines between nodes of different agents."""
         owner = geodesic_cells(self, self.nearest(agents_m)).owner
         low = np.asarray(self.free.bounds[:2])
         at = np.floor((self.nodes_m - low) / self.spacing_m).astype(np.intp)
@@ -123,7 +123,7 @@ class GeodesicGround:
         return np.concatenate(found)
 
     def distances_m(self, agents_m: Floats, places_m: Floats) -> Floats:
-        """Return lengths of shortest paths to the allowed positions nearest to these."""
+        """Return the lengths ``(n, k)`` of shortest paths to the nearest allowed positions."""
         agents, ends = self.nearest(agents_m), self.nearest(places_m)
         found = np.linalg.norm(agents[:, None] - ends, axis=2)
         found[~self.sees_each(agents, ends)] = np.inf
@@ -134,7 +134,7 @@ class GeodesicGround:
         return found
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
-        """Return targets along the shortest paths."""
+        """Return targets ``(n, 2)`` on the first legs of the shortest paths to positions (n, 2)."""
         starts, ends = self.nearest(agents_m), self.nearest(places_m)
         length, turn = np.linalg.norm(ends - starts, axis=1), ends.copy()
         blind = np.flatnonzero(~self.sees(starts, ends))
@@ -152,7 +152,7 @@ class GeodesicGround:
 
 
 Ground = ConvexGround | GeodesicGround
-"""What a network covers; control and simulation see only the methods that both have."""
+"""Region that a network covers; control and simulation use only the common methods."""
 
 
 def geodesic_ground(
@@ -162,7 +162,7 @@ def geodesic_ground(
     density: Density = UNIFORM,
     clearance_m: float = 0.0,
 ) -> GeodesicGround:
-    """Prepare a region with obstacles, convex or not, for coverage by shortest distances."""
+    """Prepare a region with obstacles for coverage by shortest-path distances."""
     free = _in_one_part(checked_polygon(outline), obstacles)
     allowed = _shrunk(free, clearance_m)
     slack = SLACK * float(np.ptp(np.asarray(allowed.bounds).reshape(2, 2), axis=0).max())
@@ -186,7 +186,7 @@ def geodesic_ground(
 
 
 def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -> shapely.Polygon:
-    """Return the region without obstacles; refuse one in several parts."""
+    """Return the region without obstacles; raise `InputError` if it is not connected."""
     left: shapely.Geometry = whole
     for number, obstacle in enumerate(obstacles):
         if not (shapely.is_valid(obstacle) and obstacle.area > 0.0):
@@ -208,7 +208,7 @@ def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -
 
 
 def _shrunk(free: shapely.Polygon, clearance_m: float) -> shapely.Polygon:
-    """Return the part of an area that keeps a clearance; refuse one in several parts."""
+    """Return the part of an area that keeps a clearance; raise if it is not connected."""
     if clearance_m == 0.0:
         return free
     parts = _parts(free.buffer(-clearance_m, join_style="mitre"))
@@ -222,7 +222,7 @@ def _shrunk(free: shapely.Polygon, clearance_m: float) -> shapely.Polygon:
 
 
 def _parts(area: shapely.Geometry) -> list[shapely.Polygon]:
-    """Return the polygons that an area consists of."""
+    """Return the polygons of an area."""
     parts = shapely.get_parts(area).tolist()
     return [part for part in parts if isinstance(part, shapely.Polygon) and part.area > 0.0]
 
@@ -230,7 +230,7 @@ def _parts(area: shapely.Geometry) -> list[shapely.Polygon]:
 def _nodes(
     free: shapely.Polygon, spacing_m: float, density: Density
 ) -> tuple[Floats, Floats, float]:
-    """Return nodes (m, 2), their masses (m,) and the cost of the parts about them."""
+    """Return nodes (m, 2), their masses (m,) and the cost if every node had its own agent."""
     x_min, y_min, x_max, y_max = free.bounds
     columns = math.ceil((x_max - x_min) / spacing_m)
     rows = math.ceil((y_max - y_min) / spacing_m)
@@ -264,7 +264,7 @@ def _nodes(
 
 
 def _boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary:
-    """Return boundaries of polygons (m,) about their nodes (m, 2), parts of holes negative."""
+    """Return the boundaries of polygons (m,) about their nodes (m, 2); holes count negative."""
     rings, piece = shapely.get_rings(shapely.orient_polygons(pieces), return_index=True)
     corners, ring = shapely.get_coordinates(rings, return_index=True)
     cell = piece[ring]
@@ -276,31 +276,31 @@ def _boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary:
 
 @dataclass(frozen=True, eq=False)
 class GeodesicCells:
-    """The agent nearest to each node by the shortest path."""
+    """Geodesic Voronoi cells: the agent nearest to each node by the shortest path."""
 
-    # (m,) number of the nearest agent; the smallest number of agents at one position
+    # (m,) number of the nearest agent; of coincident agents the smallest number
     owner: NDArray[np.intp]
-    distance_m: Floats  # (m,) length of the shortest path to it
+    distance_m: Floats  # (m,) length of the shortest path to the nearest agent
     cost: float  # The coverage cost H
     mass: Floats  # (n,) mass of each agent's cell
-    gradient: Floats  # (n, 2) derivative of H by each agent's position
+    gradient: Floats  # (n, 2) derivative of H with respect to each agent's position
 
 
 def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
-    """Divide the nodes of a ground among agents ``(n, 2)``, and evaluate the coverage cost."""
+    """Assign the nodes of a ground to agents ``(n, 2)``, and evaluate the coverage cost."""
     reach, first = _to_corners(ground, agents_m)
     nodes, count = ground.ends_m, len(agents_m)
     distance = np.full(len(nodes), np.inf)
     owner = np.zeros(len(nodes), dtype=np.intp)
     turn = np.full(len(nodes), -1, dtype=np.intp)
     if len(ground.corners_m):
-        # Beyond a corner only the agent that is nearest to it matters.
+        # Beyond a corner only the agent nearest to that corner matters.
         best = reach.argmin(axis=0)
         through = reach[best, np.arange(len(best))] + _last_legs(ground, nodes, ground.corner_sees)
         turn = through.argmin(axis=1)
         distance = through[np.arange(len(nodes)), turn]
         owner = best[turn]
-    # Straight lines, to the nearest agents first, as long as they may be shorter.
+    # Test straight lines, nearest agents first, while they may still be shorter.
     tree, waiting = KDTree(agents_m), np.arange(len(nodes))
     near, fetched = np.zeros((len(nodes), 0), dtype=np.intp), 0
     for rank in range(count):
@@ -310,7 +310,7 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
             near[waiting] = _nearest(tree, nodes[waiting], fetched)
         agent = near[waiting, rank]
         straight = np.linalg.norm(nodes[waiting] - agents_m[agent], axis=1)
-        # Straight also where a path over the corner that the agent stands on is as long.
+        # The straight line also wins a tie with the path over the agent's own corner.
         kept = straight <= distance[waiting] * (1.0 + AT_CORNER)
         waiting, agent, straight = waiting[kept], agent[kept], straight[kept]
         if not len(waiting):
@@ -334,12 +334,12 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
 
 
 def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCells) -> Floats:
-    """Return the target of each agent, on a free straight line toward the middle of its cell.
+    """Return a target for each agent, on a free straight line toward the centre of its cell.
 
-    The step is the mean over the cell of distance times leaving direction, ``C - p`` without
-    obstacles. It ends before an obstacle, or slides to the nearest free position, and is halved
-    until it lowers the agent's own share of H. Moving all agents to their targets
-    therefore never raises H.
+    The step is the mean over the cell of path length times initial path direction; without
+    obstacles that is ``C - p``. It ends before an obstacle or slides to the nearest free position.
+    It is halved until it lowers the cost of the agent's own cell, so moving all agents to their
+    targets never raises H.
     """
     count = len(agents_m)
     mass = np.where(cells.mass > 0.0, cells.mass, 1.0)
@@ -365,9 +365,9 @@ def _nearest(tree: KDTree, places: Floats, count: int) -> NDArray[np.intp]:
 
 
 def _to_corners(ground: GeodesicGround, agents: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return lengths (n, c) of shortest paths from agents to all corners, and their first corners.
+    """Return the lengths (n, c) of shortest paths from agents to corners, and their first corners.
 
-    Lengths are infinite if the agent sees no corner.
+    Lengths are infinite for an agent that sees no corner.
     """
     away = np.linalg.norm(agents[:, None] - ground.corners_m, axis=2)
     away[~ground.sees_each(agents, ground.corners_m)] = np.inf
@@ -378,7 +378,7 @@ def _to_corners(ground: GeodesicGround, agents: Floats) -> tuple[Floats, NDArray
     for agent in range(len(agents)):
         through = away[agent, :, None] + ground.between_m
         length[agent] = through.min(axis=0)
-        # A path that begins with the corner the agent stands on leaves toward the next one.
+        # If the agent is at the first corner, its path starts toward the next one.
         at = away[agent] <= near_m
         if at.any() and not at.all():
             through[at] += near_m
@@ -387,7 +387,7 @@ def _to_corners(ground: GeodesicGround, agents: Floats) -> tuple[Floats, NDArray
 
 
 def _last_legs(ground: GeodesicGround, ends: Floats, sees: Mask) -> Floats:
-    """Return distances (k, c) of ends to the corners that they see, infinite for the others."""
+    """Return distances (k, c) from ends to corners; infinite for corners out of sight."""
     legs = np.linalg.norm(ends[:, None] - ground.corners_m, axis=2)
     legs[~sees] = np.inf
     return legs
@@ -396,7 +396,7 @@ def _last_legs(ground: GeodesicGround, ends: Floats, sees: Mask) -> Floats:
 def _own_cost(
     ground: GeodesicGround, agents: Floats, owner: NDArray[np.intp], wanted: NDArray[np.intp]
 ) -> Floats:
-    """Return the cost of each cell from its agent's position; (n,), 0 for agents not wanted."""
+    """Return the cost (n,) of each cell from its agent's position; 0 for unselected agents."""
     row = np.full(len(agents), -1)
     row[wanted] = np.arange(len(wanted))
     nodes = np.flatnonzero(row[owner] >= 0)
@@ -412,10 +412,10 @@ def _own_cost(
 
 
 def _reached(ground: GeodesicGround, starts: Floats, steps: Floats) -> Floats:
-    """Return where steps (k, 2) from allowed positions (k, 2) lead.
+    """Return the end points of steps (k, 2) that start from allowed positions (k, 2).
 
-    That is the end of the step if it is allowed and in sight, else the nearest allowed position to
-    it if that is in sight, else the last allowed position on the line.
+    A step ends at its full length if that position is allowed and visible, else at the nearest
+    allowed position if that is visible, else at the last allowed position on the line.
     """
     ends = starts + steps
     for which in np.flatnonzero(~(ground.allows(ends) & ground.sees(starts, ends))):

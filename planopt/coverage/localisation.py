@@ -1,4 +1,4 @@
-"""Localisation of events from measurements of a signal that decreases with distance."""
+"""Maximum-likelihood localisation of events from a signal that decays with distance."""
 
 from __future__ import annotations
 
@@ -13,51 +13,51 @@ from planopt.coverage.voronoi import ConvexRegion
 from planopt.errors import InputError
 
 GRID = 48
-"""Grid positions along the longer side of the region."""
+"""Number of grid positions along the longer side of the region."""
 
 STARTS = 6
-"""Number of the best grid positions that are refined."""
+"""Number of grid positions used as initial guesses."""
 
 STEPS = 60
-"""Limit of Levenberg-Marquardt steps."""
+"""Maximum number of Levenberg-Marquardt steps."""
 
 SETTLED = 1e-10
-"""Steps end once they move by less than this share of the region's radius."""
+"""Step length, as a share of the region's radius, below which the iteration stops."""
 
 RIVAL = 8.0
-"""Excess of twice the negative log-likelihood up to which another maximum is reported: the event
-may be there with odds of more than 1 to 55."""
+"""Excess of twice the negative log-likelihood up to which another maximum is reported (likelihood
+ratio of at least 1 to 55)."""
 
 SINGULAR = 1e-12
-"""An information matrix with a smaller ratio of eigenvalues leaves a direction undetermined."""
+"""Eigenvalue ratio below which an information matrix counts as singular."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class EventSensor:
-    """The measurement ``S = K F(d) + noise`` of a diffusing source, ``F = 1 / ((d/scale)^2 + 1)``.
+    """Measurement model ``S = K F(d) + noise`` of a diffusing source, ``F = 1/((d/scale)^2 + 1)``.
 
-    The slope of F is zero at the source, where a measurement contains no information on its
-    position, and largest at ``scale / sqrt(3)``.
+    The slope of F is largest at ``scale / sqrt(3)``. It is zero at the source, so a measurement
+    there has no information on the position.
     """
 
     noise_std: float  # Standard deviation of the Gaussian noise, in the signal's unit
     strength: float  # Factor K; estimators may treat it as unknown
-    scale_m: float = 1.0  # Distance at which half of the signal is left
+    scale_m: float = 1.0  # Distance at which the signal has half its strength
 
     def profile(self, distance_m: Floats) -> Floats:
-        """Return F at distances; of the same shape."""
+        """Return F at distances, in their shape."""
         return 1.0 / ((distance_m / self.scale_m) ** 2 + 1.0)
 
     def slope(self, distance_m: Floats) -> Floats:
-        """Return the derivative of F by distance, in 1/m; of the same shape."""
+        """Return the derivative of F with respect to distance in 1/m, in the shape of the input."""
         ratio = distance_m / self.scale_m
         return -2.0 * ratio / self.scale_m / (ratio**2 + 1.0) ** 2
 
     @property
     def best_distance_m(self) -> float:
-        """Return the distance at which a measurement has most information on the position."""
+        """Return the distance at which a measurement is most informative about the position."""
         return self.scale_m / math.sqrt(3.0)
 
 
@@ -67,7 +67,7 @@ def measure(
     event_m: Floats,  # (2,)
     generator: np.random.Generator,
 ) -> Floats:
-    """Draw one measurement at each position."""
+    """Draw one noisy measurement at each position."""
     distance = np.linalg.norm(positions_m - event_m, axis=1)
     noise = generator.standard_normal(len(positions_m))
     return sensor.strength * sensor.profile(distance) + sensor.noise_std * noise
@@ -75,11 +75,11 @@ def measure(
 
 def fisher_information(
     sensor: EventSensor,
-    positions_m: Floats,  # (k, 2) where agents measure
-    event_m: Floats,  # (2,) where the event is
+    positions_m: Floats,  # (k, 2) positions of the measurements
+    event_m: Floats,  # (2,) position of the event
     counts: Floats | None = None,  # (k,) number of measurements at each position; one if None
 ) -> Floats:
-    """Return the information on an event of known strength, ``sum g^2 u u' / sigma^2``; (2, 2)."""
+    """Return the Fisher information ``sum g^2 u u' / sigma^2`` for a known strength; (2, 2)."""
     offset = positions_m - event_m
     distance = np.linalg.norm(offset, axis=1)
     unit = offset / np.where(distance > 0.0, distance, 1.0)[:, None]
@@ -89,9 +89,9 @@ def fisher_information(
 
 
 def cramer_rao_m2(information: Floats) -> float:
-    """Return the least mean squared distance error of unbiased estimates, trace of the inverse.
+    """Return the Cramer-Rao bound on the mean squared position error: the trace of the inverse.
 
-    Infinite if the information ``(2, 2)`` is singular.
+    The bound is infinite if the information ``(2, 2)`` is singular.
     """
     determinant = float(np.linalg.det(information))
     trace = float(np.trace(information))
@@ -100,20 +100,20 @@ def cramer_rao_m2(information: Floats) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Means of repeated measurements; with their numbers they are a sufficient statistic."""
+    """Means and counts of repeated measurements, a sufficient statistic for the position."""
 
-    positions_m: Floats  # (k, 2) where they were taken
-    signal: Floats  # (k,) means, in the signal's unit
+    positions_m: Floats  # (k, 2) positions of the measurements
+    signal: Floats  # (k,) mean measurements in the signal's unit
     counts: Floats  # (k,) number of measurements in each mean
 
 
 def single_readings(positions_m: Floats, signal: Floats) -> Readings:
-    """Return measurements ``(k,)`` that were taken once at each of ``(k, 2)`` positions."""
+    """Return the readings of single measurements ``(k,)`` at positions ``(k, 2)``."""
     return Readings(positions_m, signal, np.ones(len(signal)))
 
 
 def joined(logs: Sequence[Readings]) -> Readings:
-    """Return the readings of all logs, of one log or more."""
+    """Concatenate the readings of one or more logs."""
     return Readings(
         np.concatenate([log.positions_m for log in logs]),
         np.concatenate([log.signal for log in logs]),
@@ -122,7 +122,7 @@ def joined(logs: Sequence[Readings]) -> Readings:
 
 
 def pooled(logs: Sequence[Readings]) -> Readings:
-    """Return the readings of all logs, averaged over those with equal positions."""
+    """Return the readings of all logs, with readings at equal positions averaged."""
     every = joined(logs)
     positions, which = np.unique(every.positions_m, axis=0, return_inverse=True)
     total = np.bincount(which, every.counts, minlength=len(positions))
@@ -132,27 +132,27 @@ def pooled(logs: Sequence[Readings]) -> Readings:
 
 @dataclass(frozen=True, eq=False)
 class EventEstimate:
-    """The most likely position of an event."""
+    """Maximum-likelihood estimate of an event's position."""
 
     position_m: Floats  # (2,)
     strength: float  # Factor K of the signal, estimated or known
-    # (2, 2) inverse of the Fisher information. Infinite on the diagonal where the readings leave a
-    # direction undetermined.
+    # (2, 2) inverse of the Fisher information; infinite on the diagonal if the readings leave a
+    # direction undetermined
     covariance_m2: Floats
-    # Sum of squared residuals over the noise variance; about the number of readings if the model is
-    # right
+    # Sum of squared residuals over the noise variance; near the number of readings if the model
+    # fits
     misfit: float
-    rivals_m: Floats  # (r, 2) other positions that explain the readings nearly as well
-    velocity_m_s: Floats  # (2,) estimated velocity of an event that moves; zero for others
+    rivals_m: Floats  # (r, 2) other local maxima with nearly the same likelihood
+    velocity_m_s: Floats  # (2,) estimated velocity of a moving event; zero for static events
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """The motion of an event at a constant velocity, estimated together with its position."""
+    """Constant-velocity motion model of an event, whose velocity is estimated with its position."""
 
     ages_s: Floats  # (k,) time since each reading was taken
-    speed_std_m_s: float  # Prior standard deviation of each component of the velocity, more than 0
-    guess_m_s: Floats  # (2,) a velocity to start from besides zero, such as an earlier estimate
+    speed_std_m_s: float  # Prior standard deviation of each velocity component, positive
+    guess_m_s: Floats  # (2,) initial guess of the velocity in addition to zero
 
 
 def locate_event(
@@ -161,16 +161,16 @@ def locate_event(
     region: ConvexRegion,
     *,
     strength_known: bool = True,
-    near_m: Floats | None = None,  # (g, 2) positions to start from; a grid if None
+    near_m: Floats | None = None,  # (g, 2) initial guesses of the position; a grid if None
     drift: Drift | None = None,
 ) -> EventEstimate:
-    """Estimate the position of an event by maximum likelihood, from several starts."""
+    """Estimate the position of an event by maximum likelihood from several initial guesses."""
     if not len(readings.signal):
         raise InputError("there is no reading", key="readings", remedy="measure first")
     grid = _grid(region) if near_m is None else _inside(region, near_m)
     starts = _starts(sensor, readings, grid, strength_known)
     if drift is not None:
-        # Relative to readings that are shifted by the velocity since they were taken, events stand.
+        # With readings shifted by velocity times age, the event is static.
         shifted = readings.positions_m + drift.ages_s[:, None] * drift.guess_m_s
         moved = Readings(shifted, readings.signal, readings.counts)
         more = _starts(sensor, moved, grid, strength_known)
@@ -185,7 +185,7 @@ def locate_event(
 
 
 def _grid(region: ConvexRegion) -> Floats:
-    """Return the positions (g, 2) of an even grid in the region, and its corners."""
+    """Return the positions (g, 2) of a regular grid in the region and the region's corners."""
     low, high = region.corners_m.min(axis=0), region.corners_m.max(axis=0)
     side = float((high - low).max()) / GRID
     x, y = (np.arange(low[k] + 0.5 * side, high[k], side) for k in range(2))
@@ -194,7 +194,7 @@ def _grid(region: ConvexRegion) -> Floats:
 
 
 def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_known: bool) -> Floats:
-    """Return parameters (b, 5) of an event at the best grid positions, apart from each other."""
+    """Return event parameters (b, 5) at the best grid positions that are not adjacent."""
     shape = sensor.profile(np.linalg.norm(grid[:, None] - readings.positions_m, axis=2))
     strength = np.full(len(grid), sensor.strength)
     if not strength_known:
@@ -205,7 +205,7 @@ def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_know
     chosen: list[int] = []
     spread = float(np.ptp(grid, axis=0).max()) / GRID
     for which in np.argsort(misfit).tolist():
-        # Neighbours of a chosen position lead to the same maximum.
+        # Guesses next to a chosen one converge to the same maximum.
         apart = np.linalg.norm(grid[chosen] - grid[which], axis=1)
         if not (apart < 2.5 * spread).any():
             chosen.append(which)
@@ -217,17 +217,17 @@ def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_know
 def _linearised(
     sensor: EventSensor, readings: Readings, drift: Drift | None, values: Floats
 ) -> tuple[Floats, Floats]:
-    """Return residuals (b, r) in units of the noise, and derivatives (b, r, 5) of the prediction.
+    """Return residuals (b, r) over the noise, and derivatives (b, r, 5) of the prediction.
 
-    Rows of `values` (b, 5) are position, velocity and strength of an event. A prior on the velocity
-    adds two residuals.
+    Rows of `values` (b, 5) hold position, velocity and strength of an event. The prior of the
+    velocity adds two residuals.
     """
     place, velocity, strength = values[:, None, :2], values[:, None, 2:4], values[:, 4:]
     ages = np.zeros((len(readings.signal), 1)) if drift is None else drift.ages_s[:, None]
     offset = place - (readings.positions_m + ages * velocity)
     distance = np.sqrt((offset * offset).sum(axis=-1))
     profile = sensor.profile(distance)
-    # At the event itself the direction is undefined, and the slope of the profile zero.
+    # At the event the direction is undefined, but the slope of the profile is zero.
     along = strength * sensor.slope(distance) / np.where(distance > 0.0, distance, 1.0)
     toward = along[..., None] * offset
     root = np.sqrt(readings.counts) / sensor.noise_std
@@ -246,12 +246,12 @@ def _refined(
     readings: Readings,
     region: ConvexRegion,
     values: Floats,
-    free: NDArray[np.bool_],  # (5,) which parameters are estimated
+    free: NDArray[np.bool_],  # (5,) mask of the estimated parameters
     drift: Drift | None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Improve several starts (b, 5) at once by Levenberg-Marquardt steps within the region.
+    """Refine initial guesses (b, 5) together by Levenberg-Marquardt steps within the region.
 
-    Returns the parameters, best first, their misfits (b,), and the information of the best.
+    Returns the parameters, best first, their misfits (b,), and the information of the best one.
     """
     residual, slopes = _linearised(sensor, readings, drift, values)
     misfit = (residual * residual).sum(axis=1)
@@ -284,7 +284,7 @@ def _refined(
 
 
 def _inside(region: ConvexRegion, positions: Floats) -> Floats:
-    """Move positions (j, 2) outside to near the border: onto each side's line in turn."""
+    """Project positions (j, 2) outside the region onto the line of each side in turn."""
     moved = positions.copy()
     for _ in range(3):
         for normal, offset in zip(region.normals, region.offsets_m, strict=True):
@@ -302,7 +302,7 @@ def _covariance(information: Floats) -> Floats:
 
 
 def _rivals(places: Floats, misfits: Floats, covariance: Floats, region: ConvexRegion) -> Floats:
-    """Return other maxima (r, 2) nearly as good as the first, beyond its uncertainty."""
+    """Return other maxima (r, 2) nearly as likely as the first and outside its uncertainty."""
     width = 4.0 * float(np.sqrt(np.diag(covariance).max()))
     width = max(width if np.isfinite(width) else 0.0, 1e-6 * region.radius_m)
     found = [places[0]]

@@ -1,16 +1,16 @@
-"""Communication of agents: links, losses of messages, and counting over them.
+"""Communication between agents: links, message losses and distributed counting.
 
-Agents estimate their own number in some rounds of messages in every step.
+Agents estimate the size of the network in several rounds of messages in every step.
 
-By averaging from a leader, which holds 1 and all others 0, all values tend to 1 / n. By minima
-every agent draws exponential numbers, and all learn the smallest of each: the minimum of n is n
-times smaller than one of them. There is no leader, and lost or repeated messages do no harm. Both
-restart in epochs, and an estimate holds until the next epoch has ended.
+The method `leader` is average consensus: the leader starts from 1, all others from 0, and all
+values tend to 1 / n. With `minima` every agent draws exponential random numbers and the network
+finds the minimum of each, whose mean is 1 / n. It needs no leader and tolerates lost or repeated
+messages. Both restart in epochs; an estimate is valid until the next epoch ends.
 
-The running count never restarts and follows agents that join and leave: every agent averages with
-its neighbours and adds a little in each round, and the leader subtracts as much of its own value.
-``x <- W x + eps (1 - x_leader e_leader)`` rests only where the leader holds n exactly, and all
-others a little more.
+The method `running` never restarts and tracks agents that join and leave. In each round all agents
+average with their neighbours and add eps, and the leader subtracts eps times its value. At the
+fixed point of ``x <- W x + eps (1 - x_leader e_leader)`` the leader holds n exactly, and all others
+hold slightly more.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from planopt.keys import SMALLEST, Part
 Floats = NDArray[np.float64]
 
 Loss = float | NDArray[np.float64]
-"""Probability that a message is lost: the same for all links, or ``(e,)`` one for each link."""
+"""Probability of losing a message: one value for all links, or ``(e,)`` values by link."""
 
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Agents and the links between them."""
+    """Communication graph: agents and the links between them."""
 
     count: int  # Number of agents
-    links: NDArray[np.intp]  # (e, 2) pairs of agents that are linked, each pair once
+    links: NDArray[np.intp]  # (e, 2) pairs of linked agents, each pair once
 
     @property
     def directed(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -54,10 +54,10 @@ class Network:
 def gets_through(
     messages: int, loss: Loss, generator: np.random.Generator | None
 ) -> NDArray[np.bool_]:
-    """Draw which messages get through; (messages,)."""
+    """Draw a mask of the messages that arrive; (messages,)."""
     if not np.any(loss):
         return np.ones(messages, dtype=np.bool_)
-    assert generator is not None  # Losses are drawn
+    assert generator is not None  # Losses are random
     losses = np.asarray(loss, dtype=np.float64)
     each = np.tile(losses, messages // len(losses)) if losses.ndim else losses
     return generator.random(messages) >= each
@@ -65,7 +65,7 @@ def gets_through(
 
 @dataclass(frozen=True)
 class LinkModel(Part):
-    """Loss of messages between agents by path loss and log-normal fading."""
+    """Message loss between agents from path loss and log-normal fading."""
 
     at = "links"
 
@@ -74,42 +74,42 @@ class LinkModel(Part):
     n_pl: Annotated[float, Field(ge=0.1, le=10)]
     """Path loss exponent."""
     fading_std_db: Annotated[float, Field(ge=SMALLEST, le=100)]
-    """Standard deviation of the power of a message about its mean, in dB."""
+    """Standard deviation of the received power about its mean, in dB."""
     threshold_dbm: Annotated[float, Field(ge=-500, le=300)]
-    """Weaker messages are lost."""
+    """Received power in dBm below which a message is lost."""
 
     def loss(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the probability that a message over distances is lost; of the same shape."""
+        """Return the probability of losing a message over distances, in their shape."""
         mean_dbm = self.k_pl_db - 10.0 * self.n_pl * np.log10(np.maximum(distance_m, 1.0))
         return np.asarray(ndtr((self.threshold_dbm - mean_dbm) / self.fading_std_db))
 
 
 Method = Literal["known", "leader", "minima", "running"]
-"""Agents know their number, or count by averaging from a leader, by minima, or running."""
+"""Counting method: known size, average consensus from a leader, minima, or running count."""
 
 
 @dataclass(frozen=True)
 class Counting(Part):
-    """The settings by which a network counts itself."""
+    """Settings of distributed counting."""
 
     at = "counting"
 
     method: Method = "known"
-    """known, leader (average consensus), minima (of random numbers) or running."""
+    """Counting method: known, leader (average consensus), minima (of random numbers) or running."""
     rounds: Annotated[int, Field(ge=1, le=10**5)] = 30
-    """Rounds in a step."""
+    """Rounds of messages in a step."""
     epoch_rounds: Annotated[int, Field(ge=1, le=10**6)] = 600
-    """Rounds of an epoch, and of the running count before the first step."""
+    """Rounds of messages in an epoch, and of the running count before the first step."""
     draws: Annotated[int, Field(ge=3, le=10**5)] = 400
-    """For minima: numbers that each agent draws."""
+    """For minima: count of random numbers drawn by each agent."""
     innovation: Annotated[float, Field(gt=0, le=1)] = 0.01
-    """Of the running count: with less, counts end nearer to the number, and follow slower."""
+    """Gain eps of the running count: a smaller value is more accurate but tracks changes slower."""
 
 
 def elect_leader(network: Network, identities: NDArray[np.intp]) -> tuple[int, int]:
-    """Return the agent with the largest identity ``(n,)``, found by messages, and their number.
+    """Elect the agent with the largest identity ``(n,)``; return it and the number of messages.
 
-    An agent sends when it has heard of a larger identity.
+    An agent sends after it has received a larger identity.
     """
     best, leader = identities, int(identities.argmax())
     sender, receiver = network.directed
@@ -131,15 +131,15 @@ def link_weights(network: Network) -> Floats:
 
 
 def average_round(
-    values: Floats,  # (n,) or (n, k) values that agents hold
+    values: Floats,  # (n,) or (n, k) values of the agents
     network: Network,
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Let every agent average with its neighbours once.
+    """Perform one round of consensus averaging.
 
-    A link that loses a message is left out in both directions, as agents find out by acknowledging
-    each other's messages: then the sum of all values stays the same.
+    A link that loses a message is omitted in both directions, which agents ensure by
+    acknowledgements. The sum of all values is therefore preserved.
     """
     kept = gets_through(len(network.links), loss, generator)
     first, second = network.links[kept].T
@@ -151,7 +151,7 @@ def average_round(
 
 
 def inverted(values: Floats) -> Floats:
-    """Return counts from values near 1 / n; infinite where a value is not positive; (n,)."""
+    """Return the reciprocals of values near 1 / n; infinite for non-positive values; (n,)."""
     counts = np.full(values.shape, np.inf)
     heard = values > 0.0
     counts[heard] = 1.0 / values[heard]
@@ -166,19 +166,19 @@ def running_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Let every agent update its running count once."""
+    """Perform one round of the running count."""
     after = average_round(values, network, loss, generator) + innovation
     after[leader] -= innovation * values[leader]
     return after
 
 
 def minima_round(
-    values: Floats,  # (n, m) smallest numbers that each agent has heard of
+    values: Floats,  # (n, m) smallest numbers known to each agent
     network: Network,
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Let every agent send its numbers to its neighbours once and keep the smallest."""
+    """Perform one round in which agents exchange their numbers and keep the minima."""
     sender, receiver = network.directed
     heard = gets_through(len(sender), loss, generator)
     after = values.copy()
@@ -187,31 +187,31 @@ def minima_round(
 
 
 def minima_estimates(values: Floats) -> Floats:
-    """Return each agent's unbiased estimate ``(m - 1) / sum of minima`` from (n, m); (n,)."""
+    """Return the unbiased estimates ``(m - 1) / sum of minima`` from minima (n, m); (n,)."""
     return (values.shape[1] - 1) / values.sum(axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """The state of agents while they count."""
+    """State of distributed counting."""
 
-    members: NDArray[np.bool_]  # (n,) who took part in the last step
-    values: Floats  # (n, m) values that agents hold
+    members: NDArray[np.bool_]  # (n,) mask of the members in the last step
+    values: Floats  # (n, m) values of the agents
     estimates: Floats  # (n,) each member's estimate of their number; NaN for others
     leader: int = -1  # Number of the leading agent; -1 for none
-    done: int = 0  # Rounds of the present epoch
-    messages: int = 0  # Transmissions over single links in the last step, lost ones included
+    done: int = 0  # Completed rounds of the present epoch
+    messages: int = 0  # Transmissions over single links in the last step, including lost ones
 
 
 def tally_step(
-    tally: Tally | None,  # None before the first step, which counts once
+    tally: Tally | None,  # None before the first step
     counting: Counting,
     network: Network,
-    members: NDArray[np.bool_],  # (n,) who takes part
+    members: NDArray[np.bool_],  # (n,) mask of the members
     generator: np.random.Generator,
     loss: Loss = 0.0,
 ) -> Tally:
-    """Let members count for the rounds of one step."""
+    """Return the counting state after the rounds of one step."""
     rounds, method = counting.rounds, counting.method
     if tally is None:
         rounds, width = counting.epoch_rounds, counting.draws if method == "minima" else 1
@@ -237,7 +237,7 @@ def tally_step(
             values[leader] = 1.0
     held = values[who]
     if method == "minima":
-        # Agents that join draw, too; in a new epoch all do.
+        # Agents draw numbers when they join, and all agents draw in a new epoch.
         fresh = begins | (held == 0.0).all(axis=1)
         held[fresh] = generator.standard_exponential((int(fresh.sum()), counting.draws))
     own = int(np.searchsorted(who, leader))

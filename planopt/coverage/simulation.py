@@ -1,7 +1,7 @@
-"""The simulation of a network: agents cover, detect events, respond to them, and go back.
+"""Simulation of an agent network: coverage, event detection, response and return to coverage.
 
-In every step agents talk to their Voronoi neighbours, measure, assign themselves and move. All
-randomness comes from one generator, so that a seed gives one run.
+In every step the agents exchange messages with their Voronoi neighbours, measure, update their
+assignment and move. One generator draws all random numbers, so a seed determines the run.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from planopt.coverage.network import Counting, LinkModel, Loss, Network, Tally, 
 from planopt.errors import InputError
 
 ABSENT = -2
-"""State of an agent that has not joined yet or has left; `NONE` is that of one that covers."""
+"""State of an agent that has not joined yet or has left; `NONE` marks a covering agent."""
 
 FOLLOWED_M = 1e-6
-"""Largest difference to a saved motion (m, m/s, rad) with which a simulation follows it."""
+"""Largest difference (m, m/s, rad) at which a simulation adopts a saved motion."""
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 Signals = Callable[[int, Numbers], Floats]
-"""Returns the signals (m,) of an event, by its number, that some agents (m,) read now."""
+"""Function of an event number and agent numbers (m,) that returns their present signals (m,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,36 +49,36 @@ class Scene:
 
     ground: Ground
     starts_m: Floats  # (n, 2)
-    joins_s: Floats  # (n,): an agent takes part from the first time up to before the second
+    joins_s: Floats  # (n,): an agent is a member for joins_s <= time < leaves_s
     leaves_s: Floats
     events: tuple[Event, ...]
     demands: tuple[Demand, ...]  # Number of agents that each event requires
     sensing: Sensing | None  # None without events
-    # Radius of the ring about an event that responding agents stand on; None for the event itself
+    # Radius of the ring of responding agents about an event; None: they stop at the event itself
     stand_off_m: float | None
-    partition: Partition  # Whose cells divide the region
-    gains: Gains  # Of the laws; they also set how agents pass the corners of obstacles
-    hysteresis_m: float  # An agent is exchanged for one that is nearer by more than this
-    moved_m: float  # Agents assign themselves again when an estimate has moved by more than this
+    partition: Partition  # Agents whose cells divide the region
+    gains: Gains  # Gains of the control laws, which also set the targets at obstacle corners
+    hysteresis_m: float  # Advantage in distance beyond which a new agent replaces an assigned one
+    moved_m: float  # Displacement of an event estimate beyond which agents are reassigned
     counting: Counting
     links: LinkModel | None  # Loss of messages by distance; None without losses
     flag_rounds: int  # Rounds of flag propagation in a step, with losses
     time_step_s: float
     duration_s: float
-    settled_m: float  # Agents this near to their targets have settled
-    stop_when_settled: bool = True  # Whether the run ends when all have, and nothing is to come
-    # Distance of all others at which an agent joins; None for points, which may coincide
+    settled_m: float  # Distance to its target up to which an agent counts as settled
+    stop_when_settled: bool = True  # Whether the run ends once :meth:`has_settled` holds
+    # Distance to every member required for joining; None for points, which may coincide
     joins_apart_m: float | None = None
-    body_radius_m: float = 0.0  # Bodies crowd around an event; 0 for points
+    body_radius_m: float = 0.0  # Radius of the bodies, which pack around an event; 0 for points
 
     def due(self, time_s: float) -> Mask:
-        """Return which agents are to take part at a time; (n,)."""
+        """Return a mask of the agents scheduled as members at a time; (n,)."""
         return (self.joins_s <= time_s) & (time_s < self.leaves_s)
 
     def members(self, time_s: float, places_m: Floats, before: Mask) -> Mask:
-        """Return which agents take part at a time ``(n,)``: bodies join only where there is room.
+        """Return a mask ``(n,)`` of the members at a time; bodies join only where there is room.
 
-        Positions are ``(n, 2)``; `before` is the result of the previous step.
+        Positions have shape ``(n, 2)``; `before` is the result of the previous step.
         """
         due = self.due(time_s)
         if self.joins_apart_m is None or not before.any():
@@ -90,10 +90,10 @@ class Scene:
         return members
 
     def has_settled(self, time_s: float, residual_m: float, known: Mask, members: Mask) -> bool:
-        """Return whether agents are settled for good.
+        """Return whether all agents are settled permanently.
 
-        They are near their targets, know of all events that are there and of no others (`known`,
-        (k,)), nobody waits for room to join, and nothing is to begin, to end or to move on.
+        All agents are at their targets, exactly the active events are detected (`known`, (k,)), no
+        agent waits to join, no event moves, and no event or membership changes later.
         """
         there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
         if residual_m > self.settled_m or (known != there).any():
@@ -108,31 +108,31 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class NetworkRun:
-    """The run of a network; ``T`` steps, ``n`` agents, ``k`` events."""
+    """Record of a network run with ``T`` steps, ``n`` agents and ``k`` events."""
 
     times_s: Floats  # (T + 1,)
     positions_m: Floats  # (T + 1, n, 2); those of absent agents do not change
     velocities_m_s: Floats  # (T + 1, n, 2) and (T + 1, n)
     headings_rad: Floats
-    # (T, n) number of the event that an agent responds to in the step, `NONE` if it covers,
-    # `ABSENT` if it does not take part
+    # (T, n) number of the event that the agent responds to, `NONE` if it covers, `ABSENT` if it is
+    # no member
     states: Numbers
     targets_m: Floats  # (T, n, 2)
-    costs: Floats  # (T,) coverage cost of all agents that take part, before each step
-    # (T,) largest distance to a target, or less where limits let an agent move less: then the
-    # distance for which the laws would give this move
+    costs: Floats  # (T,) coverage cost of all members before each step
+    # (T,) largest distance to a target; for an agent slowed by its limits, the smaller distance
+    # for which the law gives the same move
     residuals_m: Floats
-    counts: Floats  # (T, n) each agent's estimate of their number; NaN for absent ones
-    # (T, k) required number of agents by the count of the nearest agent; 0 for unknown events
+    counts: Floats  # (T, n) estimate by each agent of the number of members; NaN for absent agents
+    # (T, k) demand of each event for the count of the agent nearest to it; 0 for unknown events
     wanted: Numbers
-    estimates_m: Floats  # (T, k, 2) estimated positions and (T, k) uncertainty; NaN if not known
+    estimates_m: Floats  # (T, k, 2) estimated positions; stds_m (T, k) uncertainty; NaN if unknown
     stds_m: Floats
     messages: Numbers  # (T, 3) transmissions over links: for counting, assignment, readings
     settled: bool  # Whether the last step found all agents settled
 
 
 def _is_near(own: Motion, saved: Motion) -> bool:
-    """Return whether two motions are the same but for rounding."""
+    """Return whether two motions are equal up to rounding."""
     pairs = (
         (own.places_m, saved.places_m),
         (own.velocities_m_s, saved.velocities_m_s),
@@ -143,10 +143,10 @@ def _is_near(own: Motion, saved: Motion) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class NetworkStep:
-    """The decisions of a network in one step; ``n`` agents, ``k`` events."""
+    """Decisions of a network in one step, with ``n`` agents and ``k`` events."""
 
     motion: Motion  # Positions, velocities and headings of all agents at the end of the step
-    states: Numbers  # These and the following are as in :class:`NetworkRun`
+    states: Numbers  # This and the following fields are those of :class:`NetworkRun` in one step
     targets_m: Floats
     cost: float
     residual_m: float
@@ -154,21 +154,21 @@ class NetworkStep:
     wanted: Numbers
     watches: tuple[Watch, ...]  # (k,) the network's knowledge of each event
     messages: tuple[int, ...]
-    settled: bool  # Whether all agents are settled for good
+    settled: bool  # Whether all agents are settled permanently
 
 
 class NetworkController:
-    """The decisions of a network's agents, step by step: in a simulation, or in a user's loop.
+    """Stepwise controller of a network, for the simulation or a user's own control loop.
 
-    The knowledge of events and the counts of the agents are kept between calls of :meth:`step`;
-    each call is one step of ``scene.time_step_s`` seconds.
+    The controller keeps event estimates and agent counts between calls of :meth:`step`. Each call
+    advances the time by ``scene.time_step_s`` seconds.
 
     Parameters
     ----------
     scene, mover
-        The problem, and the law by which agents move.
+        Problem, and the control law or planner that moves the agents.
     generator
-        Source of the randomness in counting and in lost messages.
+        Random number generator for counting and lost messages.
     """
 
     def __init__(self, scene: Scene, mover: Mover, generator: np.random.Generator) -> None:
@@ -178,7 +178,7 @@ class NetworkController:
         self._steps = 0
         self._states = np.full(agents, ABSENT, dtype=np.intp)
         self._watches, self._wanted = (Watch(),) * events, np.zeros(events, dtype=np.intp)
-        # Members (n,) and estimates (k, 2) at the last assignment
+        # Membership mask (n,) and event estimates (k, 2) at the last assignment
         self._assigned_for: tuple[Mask, Floats] | None = None
         self._tally: Tally | None = None
         self.motion = Motion.at_rest(scene.starts_m.astype(np.float64))
@@ -196,17 +196,17 @@ class NetworkController:
         Parameters
         ----------
         positions_m, velocities_m_s, headings_rad
-            ``(n, 2)``, ``(n, 2)`` and ``(n,)`` of the agents now; by default as the last step
-            planned.
+            Present state of the agents with shapes ``(n, 2)``, ``(n, 2)`` and ``(n,)``; None means
+            the state planned by the last step.
         readings
-            ``(k, n)`` signal of each event at each agent now, or a function that returns the
-            signals of an event at some agents. Needed where there are events.
+            Present signal of each event at each agent with shape ``(k, n)``, or a function that
+            returns the signals of an event at some agents. Required if the scene has events.
 
         Raises
         ------
         InputError
-            An array has another shape or is not finite, an agent is outside the region, or readings
-            are missing.
+            An array has a wrong shape or non-finite values, an agent is outside the region, or
+            readings are missing.
         """
         agents, events = len(self._states), len(self.scene.events)
         values = (
@@ -235,7 +235,7 @@ class NetworkController:
         return self.decide(motion, lambda event, who: signals_now[event, who])
 
     def decide(self, motion: Motion, readings: Signals) -> NetworkStep:
-        """Return the decisions of the next step, from checked arrays."""
+        """Return the decisions of the next step for validated arrays."""
         scene, here = self.scene, motion.places_m
         agents, time_s = len(self._states), self._steps * scene.time_step_s
         members = scene.members(time_s, here, self._states != ABSENT)
@@ -288,9 +288,9 @@ class NetworkController:
         readings: Signals,
         who: Numbers,
     ) -> int:
-        """Update the knowledge of all events; return the number of readings that were sent.
+        """Update the estimates of all events; return the number of transmitted readings.
 
-        Agents that respond to an event, or detect it, collect their neighbours' readings.
+        Agents that respond to an event, or detect it, collect the readings of their neighbours.
         """
         sensing, sent = self.scene.sensing, 0
         if sensing is None:
@@ -323,11 +323,11 @@ class NetworkController:
         counts: Floats,
         members: Mask,
     ) -> tuple[Numbers, int]:
-        """Return the states (m,) of the members after an assignment, and its messages.
+        """Return the states (m,) of the members after assignment, and the number of messages.
 
-        An assignment is made again when members, demands or known events change, when an estimate
-        has moved, and in every step with losses. An agent that does not respond yet announces a
-        distance that is larger by the hysteresis.
+        The assignment is repeated when members, demands or known events change, when an estimate
+        has moved, and in every step with message losses. Agents that do not respond to an event yet
+        announce their distance plus the hysteresis.
         """
         scene = self.scene
         places = np.array([watch.place_m for watch in self._watches]).reshape(-1, 2)
@@ -350,7 +350,7 @@ class NetworkController:
         distances = scene.ground.distances_m(agents_m, places[known])
         distances += scene.hysteresis_m * (states[:, None] != known)
         shares, messages = fair_shares(wanted[known], len(states)), 0
-        # Of several events the lists are long enough to replace every agent that takes another.
+        # With several events the lists also hold substitutes for agents that take another event.
         length: int | Numbers = int(shares.sum())
         if len(known) == 1:
             demand = scene.demands[int(known[0])]
@@ -371,7 +371,7 @@ class NetworkController:
         return after, messages + match.requests + match.released
 
     def _targets(self, here_m: Floats, states: Numbers) -> tuple[Floats, Floats, float]:
-        """Return targets (n, 2) of all agents, their velocities, and the members' coverage cost."""
+        """Return targets (n, 2), their velocities (n, 2), and the coverage cost of the members."""
         scene, who = self.scene, np.flatnonzero(states != ABSENT)
         agents, responds = here_m[who], states[who] >= 0
         aims = coverage_aims(scene.ground, agents, responds, scene.partition)
@@ -388,7 +388,7 @@ class NetworkController:
                 event_places(agents[team], watch.place_m, scene.stand_off_m, scene.body_radius_m)
             )
             own[team] = scene.ground.steered(agents[team], ends, share)
-            # On a path round an obstacle the next corner is the target; it stands.
+            # On a path around an obstacle the target is the next corner, which does not move.
             straight = np.linalg.norm(own[team] - ends, axis=1) <= 1e-9 * scene.ground.hull.radius_m
             drifts[who[team]] = straight[:, None] * watch.velocity_m_s
         targets[who] = own
@@ -396,12 +396,12 @@ class NetworkController:
 
 
 def _demand_of(demand: Demand, count: float) -> int:
-    """Return a demand by an agent's count of the agents; 0 before it has counted."""
+    """Return a demand for an agent's count of the members; 0 before it has a count."""
     return demanded(demand, round(count)) if np.isfinite(count) else 0
 
 
 def _numbers(key: str, values: Any, shape: tuple[int, ...]) -> Floats:
-    """Return finite numbers of a shape."""
+    """Return an array of finite numbers; raise `InputError` if shape or values are wrong."""
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -422,10 +422,10 @@ def simulate_network(
     on_step: Callable[[], None] = lambda: None,
     saved: Sequence[Motion] = (),
 ) -> NetworkRun:
-    """Simulate a network from its start until it has settled, or the time is over.
+    """Simulate a network until it has settled or its duration has passed.
 
-    Each step starts from the `saved` motion where that agrees within `FOLLOWED_M`: closed loops
-    amplify the rounding of another processor, single steps do not.
+    A step starts from the `saved` motion if both agree within `FOLLOWED_M`. A closed loop amplifies
+    rounding differences between processors; a single step does not.
     """
     controller = NetworkController(scene, mover, generator)
     motions, rows = [controller.motion], list[NetworkStep]()
@@ -438,7 +438,7 @@ def simulate_network(
         def readings(
             event: int, who: Numbers, here_m: Any = here_m, time_s: float = time_s
         ) -> Floats:
-            """Draw the signals of an event at agents; called only where there is a sensor."""
+            """Draw the signals of an event at some agents; called only if there is a sensor."""
             sensing = cast("Sensing", scene.sensing)
             return signals(scene.events[event], sensing, here_m[who], time_s, generator)
 
@@ -451,7 +451,7 @@ def simulate_network(
 
 
 def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> NetworkRun:
-    """Return the records of all steps as arrays."""
+    """Collect the decisions of all steps in arrays."""
     steps, events = len(rows), len(scene.events)
     places = np.array([[watch.place_m for watch in row.watches] for row in rows])
     stds = np.array([[watch.std_m for watch in row.watches] for row in rows])

@@ -1,8 +1,8 @@
-"""Convex regions, and the Voronoi cells of thousands of agents in them.
+"""Voronoi cells of thousands of agents in a convex region.
 
-GEOS finds the diagram with exact predicates. Four places far outside are added so that every cell
-is bounded; they are too far away to cut anything inside the region. All cells are kept in flat
-arrays and clipped together.
+GEOS computes the diagram with exact predicates. Four extra points far outside bound every cell;
+their bisectors do not reach the region. All cells are stored in flat arrays and clipped
+together.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ from planopt.errors import InputError
 Floats = NDArray[np.float64]
 
 ON_BORDER = 1e-9
-"""A place this far outside, as a share of the region's radius, counts as on the border."""
+"""Tolerance of the boundary as a share of the region's radius."""
 
 FLAT = 1e-12
-"""Sine of the turn at a vertex that still counts as straight."""
+"""Sine of the turning angle up to which a vertex counts as collinear."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConvexRegion:
-    """A bounded convex polygon without obstacles; :func:`convex_region` builds it."""
+    """Bounded convex polygon without obstacles; :func:`convex_region` builds it."""
 
-    # (k, 2) corners, counter-clockwise, not closed, none of them collinear
+    # (k, 2) corners in counter-clockwise order, not closed, without collinear corners
     corners_m: Floats
     # (k, 2) outward unit normals of the sides that start at those corners
     normals: Floats
-    offsets_m: Floats  # (k,): the region is where normals @ q <= offsets_m
+    offsets_m: Floats  # (k,): the region is {q : normals @ q <= offsets_m}
     centre_m: Floats  # (2,) centre of the bounding box
     radius_m: float  # Largest distance of a corner from the centre
-    area_m2: float  # Area
+    area_m2: float  # Area in square metres
 
     def excess_m(self, places_m: Floats) -> Floats:
-        """Return how far places ``(n, 2)`` are beyond the worst side; (n,), at most 0 inside."""
+        """Return the largest ``normals @ q - offsets_m`` of positions ``(n, 2)``; (n,)."""
         return (places_m @ self.normals.T - self.offsets_m).max(axis=1)
 
     def contains(self, places_m: Floats) -> NDArray[np.bool_]:
-        """Return whether places ``(n, 2)`` are inside or on the border; (n,)."""
+        """Return whether positions ``(n, 2)`` are inside or on the boundary; (n,)."""
         return self.excess_m(places_m) <= ON_BORDER * self.radius_m
 
 
 def convex_region(polygon: shapely.Polygon | Floats) -> ConvexRegion:
-    """Check a polygon and prepare it as a region to cover."""
+    """Validate a convex polygon and return it as a region."""
     checked = checked_polygon(polygon)
     hull = checked.convex_hull
     missing_m2 = hull.area - checked.area
@@ -75,7 +75,7 @@ def convex_region(polygon: shapely.Polygon | Floats) -> ConvexRegion:
 
 
 def checked_polygon(polygon: shapely.Polygon | Floats) -> shapely.Polygon:
-    """Return a valid polygon with an area."""
+    """Return a valid polygon of positive area; raise `InputError` otherwise."""
     whole = isinstance(polygon, shapely.Polygon)
     coordinates = np.asarray(
         shapely.get_coordinates(polygon) if whole else polygon, dtype=np.float64
@@ -102,7 +102,7 @@ def checked_polygon(polygon: shapely.Polygon | Floats) -> shapely.Polygon:
 
 
 def nearest_places(area: shapely.Polygon, places_m: Floats) -> Floats:
-    """Return the positions in an area that are nearest to positions ``(k, 2)``."""
+    """Project positions ``(k, 2)`` onto an area."""
     links = shapely.shortest_line(area, shapely.points(places_m))  # pyright: ignore[reportUnknownMemberType]
     return np.asarray(shapely.get_coordinates(links), dtype=np.float64)[::2]
 
@@ -117,28 +117,28 @@ def _corners(ring: Floats) -> Floats:
 
 
 COINCIDENT = 1e-12
-"""Agents nearer to each other than this share of the region's radius share one cell."""
+"""Distance, as a share of the region's radius, below which agents share one cell."""
 
 FAR = 4.0
-"""Distance of the four added places in radii of the region; their bisectors stay outside from 3."""
+"""Distance of the four extra points in radii of the region; from 3 on, bisectors stay outside."""
 
 
 @dataclass(frozen=True, eq=False)
 class Polygons:
-    """Convex polygons in flat arrays."""
+    """Convex polygons stored in flat arrays."""
 
-    # (v, 2) corners of all polygons, one polygon after the other, each counter-clockwise
+    # (v, 2) corners of all polygons in sequence, each polygon in counter-clockwise order
     corners_m: Floats
-    first: NDArray[np.intp]  # (g + 1,): polygon i has the corners first[i] to first[i + 1] - 1
+    first: NDArray[np.intp]  # (g + 1,): polygon i has the corners first[i] : first[i + 1]
 
     @property
     def polygon_of(self) -> NDArray[np.intp]:
-        """Return the number of the polygon of each corner; (v,)."""
+        """Return the polygon number of each corner; (v,)."""
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     @property
     def following(self) -> NDArray[np.intp]:
-        """Return the number of the corner after each corner, round its polygon; (v,)."""
+        """Return the index of the next corner of the same polygon, cyclically; (v,)."""
         after = np.arange(1, len(self.corners_m) + 1)
         begun = np.diff(self.first) > 0
         after[self.first[1:][begun] - 1] = self.first[:-1][begun]
@@ -147,28 +147,28 @@ class Polygons:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The Voronoi partition of a region.
+    """Voronoi partition of a region.
 
-    Agents at the same place share one cell. Cells are counted by ``g``, agents by ``n``.
+    Agents at the same position share one cell: ``n`` agents have ``g <= n`` cells.
     """
 
-    region: ConvexRegion  # What is partitioned
-    generators_m: Floats  # (g, 2) distinct places of agents
+    region: ConvexRegion  # Partitioned region
+    generators_m: Floats  # (g, 2) distinct agent positions
     cell_of: NDArray[np.intp]  # (n,) number of each agent's cell
-    multiplicity: NDArray[np.intp]  # (g,) how many agents share the cell
-    inside: Polygons  # The cells within the region
-    # The cells as they are beyond the region's border as well, in the region's own units: the
-    # centre is the origin, the radius is 1
+    multiplicity: NDArray[np.intp]  # (g,) number of agents that share the cell
+    inside: Polygons  # Cells clipped to the region
+    # Cells not clipped to the region, in normalised coordinates: the region has its centre at the
+    # origin and radius 1
     unclipped: Polygons
 
     def corners_of(self, agent: int) -> Floats:
-        """Return the corners ``(k, 2)`` of one agent's cell, counter-clockwise."""
+        """Return the corners ``(k, 2)`` of one agent's cell in counter-clockwise order."""
         cell = self.cell_of[agent]
         return self.inside.corners_m[self.inside.first[cell] : self.inside.first[cell + 1]]
 
 
 def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
-    """Partition a region among agents ``(n, 2)``: each cell is nearest to its generator.
+    """Compute the Voronoi partition of a region for agents ``(n, 2)``.
 
     The computing time grows as n log n.
     """
@@ -177,7 +177,7 @@ def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
         x, y = agents_m[outside[0]]
         raise InputError(f"({x:g}, {y:g}) is not in the region", key=f"agents[{outside[0]}]")
     generators, cell_of = merge_coincident(agents_m, COINCIDENT * region.radius_m)
-    # Around the centre and scaled, so that large coordinates cost no precision.
+    # Shift and scale, since large coordinates would cost precision.
     unclipped = _diagram((generators - region.centre_m) / region.radius_m)
     offsets = (region.offsets_m - region.normals @ region.centre_m) / region.radius_m
     clipped = _clipped(unclipped, region.normals, offsets)
@@ -192,10 +192,10 @@ def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
 
 
 def adjacent_cells(cells: Cells) -> NDArray[np.intp]:
-    """Return the pairs ``(e, 2)`` of cells with a common edge inside, the smaller number first."""
+    """Return pairs ``(e, 2)`` of cells with a common edge in the region, smaller number first."""
     diagram = cells.unclipped
     start, stop = diagram.corners_m, diagram.corners_m[diagram.following]
-    # Both cells of an edge have the same two corners, so that its middle is the same to the bit.
+    # Both cells of an edge have the same two corners, so its midpoint is identical to the bit.
     middle = start + stop
     order = np.lexsort((middle[:, 1], middle[:, 0]))
     same = (middle[order[1:]] == middle[order[:-1]]).all(axis=1)
@@ -210,14 +210,14 @@ def adjacent_cells(cells: Cells) -> NDArray[np.intp]:
 
 
 def agent_neighbours(cells: Cells) -> NDArray[np.intp]:
-    """Return the pairs of agents ``(e, 2)`` that are Voronoi neighbours, the smaller number first.
+    """Return pairs ``(e, 2)`` of agents that are Voronoi neighbours, smaller number first.
 
-    Agents at one place are neighbours of each other and of all neighbours of the place.
+    Coincident agents are neighbours of each other and share all other neighbours.
     """
     adjacent = adjacent_cells(cells)
     count = len(cells.generators_m)
     if count == len(cells.cell_of):
-        # One agent a cell.
+        # Each cell has one agent.
         agent = np.argsort(cells.cell_of)
         return np.sort(agent[adjacent], axis=1)
     order = np.argsort(cells.cell_of, kind="stable")
@@ -230,8 +230,8 @@ def agent_neighbours(cells: Cells) -> NDArray[np.intp]:
 
 
 def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, NDArray[np.intp]]:
-    """Group places that are at most a distance apart, directly or over others."""
-    # Shapes: places_m (n, d); returns (g, d).
+    """Merge points linked by chains of gaps up to a distance; return points and group numbers."""
+    # Shapes: places_m (n, d); returns (g, d) and (n,).
     tree = KDTree(places_m)
     found = tree.query_pairs(within_m, output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
     pairs, count = cast("NDArray[np.intp]", found), len(places_m)
@@ -249,7 +249,7 @@ def _diagram(places: Floats) -> Polygons:
     far = FAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     sites = shapely.multipoints(np.concatenate((places, far)))
     cells = shapely.get_parts(shapely.voronoi_polygons(sites, ordered=True))[:count]
-    # GEOS writes rings clockwise and repeats the first corner at the end.
+    # GEOS returns clockwise rings and repeats the first corner at the end.
     closed, cell = shapely.get_coordinates(cells[::-1], return_index=True)
     kept = np.append(cell[1:] == cell[:-1], False)
     sizes = np.bincount(cell[kept], minlength=count)[::-1]
@@ -257,9 +257,9 @@ def _diagram(places: Floats) -> Polygons:
 
 
 def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:
-    """Clip polygons at half-planes ``normals @ q <= offsets``, one after the other, all at once.
+    """Clip all polygons together at half-planes ``normals @ q <= offsets``, one plane at a time.
 
-    Every polygon keeps its number, even if nothing is left of it.
+    Every polygon keeps its number, even if it becomes empty.
     """
     for normal, offset in zip(normals, offsets, strict=True):
         corners = polygons.corners_m
@@ -271,7 +271,7 @@ def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:
         crossing = out != out[after]
         share = beyond[crossing] / (beyond[crossing] - beyond[after[crossing]])
         cut = corners[crossing] + share[:, None] * (corners[after[crossing]] - corners[crossing])
-        # A corner inside stays; an edge that crosses the side adds a corner after it.
+        # Corners inside are kept; an edge that crosses the side adds a corner after its first one.
         ends = np.cumsum(np.where(out, 0, 1) + crossing)
         clipped = np.empty((ends[-1], 2))
         clipped[ends[crossing] - 1] = cut
@@ -282,23 +282,23 @@ def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """Closed boundaries of cells, counter-clockwise, each as seen from its centre.
+    """Closed boundaries of cells in counter-clockwise order, relative to the cell centres.
 
-    A cell contains the whole straight line from its centre to any place of it.
+    Cells are star-shaped: they contain the straight line from the centre to each of their points.
     """
 
-    centres_m: Floats  # (g, 2) the agent's place for each cell
+    centres_m: Floats  # (g, 2) agent position of each cell
     cell: NDArray[np.intp]  # (e,) number of the cell of each piece
     start_m: Floats  # (e, 2) both ends of each piece, relative to the cell's centre
     end_m: Floats
-    # (e,) angle between both ends in rad where the piece is an arc about the centre; 0 where it is
+    # (e,) angle between both ends in rad if the piece is an arc about the centre; 0 if it is
     # straight
     angle: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Integrals of a density over cells, taken about the cells' centres."""
+    """Moments of a density over cells about the cell centres."""
 
     mass: Floats  # (g,) integral of the density
     first: Floats  # (g, 2) integral of the density times the offset from the centre
@@ -307,7 +307,7 @@ class Moments:
 
 
 def cell_boundary(cells: Cells, sensing_range_m: float | None = None) -> Boundary:
-    """Return the boundaries of all cells, of the part within the sensing range if there is one."""
+    """Return the boundaries of all cells, limited to the sensing range if it is not None."""
     cell = cells.inside.polygon_of
     start = cells.inside.corners_m - cells.generators_m[cell]
     end = start[cells.inside.following]
@@ -317,7 +317,7 @@ def cell_boundary(cells: Cells, sensing_range_m: float | None = None) -> Boundar
 
 
 def region_boundary(region: ConvexRegion) -> Boundary:
-    """Return the boundary of a whole region as that of a single cell about its middle."""
+    """Return the boundary of a whole region as a single cell about its centre."""
     middle = region.corners_m.mean(axis=0)
     start = region.corners_m - middle
     sides = len(start)
@@ -334,7 +334,7 @@ def _within_range(
     end: Floats,
     range_m: float,
 ) -> Boundary:
-    """Replace what is beyond the range by arcs; arguments and result as in :class:`Boundary`."""
+    """Clip boundaries to the range by arcs; arguments and result as in :class:`Boundary`."""
     along = end - start
     square = (along * along).sum(axis=1)
     middle = (start * along).sum(axis=1)
@@ -343,12 +343,12 @@ def _within_range(
     meets = (root2 > 0.0) & (square > 0.0)
     root = np.sqrt(np.where(meets, root2, 0.0))
     divisor = np.where(square > 0.0, square, 1.0)
-    # The part of the edge that is within the range, as shares of it.
+    # Parameters of the edge at which it enters and leaves the range.
     enter = np.clip((-middle - root) / divisor, 0.0, 1.0)
     leave = np.clip((-middle + root) / divisor, 0.0, 1.0)
     inner = meets & (leave > enter)
     first, last = start + enter[:, None] * along, start + leave[:, None] * along
-    # An edge that is beyond the range all along becomes one arc.
+    # An edge entirely beyond the range becomes one arc.
     before, after = (enter > 0.0) | ~inner, inner & (leave < 1.0)
     tail = np.where(inner[:, None], first, end)
     arcs = [_arc(start[before], tail[before], range_m), _arc(last[after], end[after], range_m)]
@@ -362,7 +362,7 @@ def _within_range(
 
 
 def _arc(start: Floats, end: Floats, range_m: float) -> tuple[Floats, Floats, Floats]:
-    """Project both ends (e, 2) of pieces beyond the range to its circle; ends and angles."""
+    """Project both ends (e, 2) of pieces onto the range circle; return ends and angles."""
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     angle = np.arctan2(cross, (start * end).sum(axis=1))
     length = np.hypot(start[:, 0], start[:, 1]), np.hypot(end[:, 0], end[:, 1])

@@ -1,6 +1,6 @@
-"""Objectives: the terms of a sum that is to be maximised, their values and derivatives.
+"""Objectives: terms of a weighted sum to be maximised, with values and derivatives.
 
-Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+Names are imported on first use; the stub ``__init__.pyi`` lists them.
 """
 
 from planopt.lazy_names import lazy_names

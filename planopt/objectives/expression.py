@@ -1,12 +1,12 @@
 # pyright: basic
-"""A user's own objective as text: one Python assignment a line, read by an allow-list.
+"""User-defined objective as text: one Python assignment per line, parsed by an allow-list.
 
     v0 = mean_db[2, 0]
     v1 = v0 - -40.0
     exp(v1) * v1
 
 The last line is the value. Only arithmetic, comparisons and the functions of `FUNCTIONS` are
-accepted, so that the objective of a foreign file can be evaluated safely. CasADi evaluates and
+accepted, so that the objective of an untrusted file can be evaluated safely. CasADi evaluates and
 differentiates it.
 """
 
@@ -29,19 +29,19 @@ from planopt.parts import calling
 from planopt.targets.rounding import Derivatives
 
 WIDTHS = {"positions_m": 2, "mean_db": 1, "deviation_db": 1, "connectivity": 1, "target_m": 2}
-"""Columns of the inputs that have a row for each of the N steps."""
+"""Number of columns of each input with one row per step."""
 
 START = "start_m"
-"""Input with one row of two numbers, the position of the robot."""
+"""Name of the input with the robot position, one row of two numbers."""
 
 LONGEST_LINE = 200
-"""Characters of a line, which bounds its nesting."""
+"""Maximum number of characters in a line, which bounds its nesting."""
 
 MOST_LINES = 100_000
-"""Lines times steps: derivatives of a line cost as much as there are steps."""
+"""Maximum of lines times steps: the cost of a line's derivatives grows with the steps."""
 
 CHANNELS: tuple[str, ...] = ("positions_m", "mean_db", "deviation_db", "connectivity")
-"""Inputs that change with the position at a step."""
+"""Inputs that depend on the position at a step."""
 
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -69,7 +69,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
         )
     },
 }
-"""Functions by name, with their number of arguments."""
+"""Allowed functions by name, with their number of arguments."""
 
 TEXTS = {
     **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
@@ -84,23 +84,23 @@ TEXTS = {
         if name != "if_else" and not name.startswith("logic")
     },
 }
-"""Text of CasADi's instructions."""
+"""Text template of each CasADi instruction."""
 
 
 @dataclass(frozen=True)
 class PathSymbols:
-    """The CasADi symbols of which an expression of N steps is made."""
+    """CasADi symbols available to an expression of N steps."""
 
     positions_m: Any  # (N, 2) after each step
-    mean_db: Any  # (N, 1) of the predicted power there, dBm
-    deviation_db: Any  # (N, 1) its standard deviation
+    mean_db: Any  # (N, 1) predicted mean power there, dBm
+    deviation_db: Any  # (N, 1) predictive standard deviation of the power, dB
     connectivity: Any  # (N, 1) P(power >= threshold)
-    target_m: Any  # (N, 2) expected target; only in a problem with a term of kind tracking
+    target_m: Any  # (N, 2) expected target position; needs a term of kind tracking
     start_m: Any  # (1, 2) position of the robot
 
 
 def program_of(expression: Any, steps: int) -> str:
-    """Return the text of a CasADi expression of a path of `steps` steps."""
+    """Return the program text of a CasADi expression for a path of `steps` steps."""
     if not isinstance(steps, int | np.integer) or steps < 1:
         raise InputError(
             f"is {steps!r}", key="horizon", remedy="give the whole number of steps that are planned"
@@ -128,23 +128,23 @@ def program_of(expression: Any, steps: int) -> str:
 
 
 def names_in(program: str) -> frozenset[str]:
-    """Return the names of the inputs that a program reads."""
+    """Return the names of the inputs that `program` reads."""
     return frozenset(name for name in (*WIDTHS, START) if f"{name}[" in program)
 
 
 def expression_values(
     program: str, steps: int, inputs: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return the values (c,) of c paths from inputs (c, rows, columns), NaN where undefined."""
+    """Return the values (c,) of c paths for inputs (c, rows, columns); NaN if undefined."""
     count = max(len(values) for values in inputs.values())
     if not count:
         return np.empty(0)
     buffer, evaluate = _mapped(program, steps, count).buffer()
-    # The buffer refers to the arrays, which must live until it is evaluated.
+    # The buffer references the arrays, so they must live until evaluation.
     arrays: list[NDArray[np.float64]] = []
     for number, (name, shape) in enumerate(_shapes(steps).items()):
         values = np.broadcast_to(inputs.get(name, np.zeros((1, *shape))), (count, *shape))
-        # CasADi's matrices are column-major.
+        # CasADi matrices are column-major.
         arrays.append(np.ascontiguousarray(values.transpose(0, 2, 1), dtype=np.float64))
         buffer.set_arg(number, memoryview(arrays[-1]))  # pyright: ignore[reportArgumentType]
     found = np.empty(count)
@@ -156,7 +156,7 @@ def expression_values(
 def expression_derivatives(
     program: str, steps: int, inputs: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
 ) -> PathDerivatives:
-    """Return the value of a path with derivatives by its positions."""
+    """Return the value of one path with derivatives by its positions."""
     columns = [inputs[name] for name in ("x", "y", *CHANNELS[1:])]
     shapes = _shapes(steps)
     values = dict(zip(CHANNELS[1:], (each.value for each in columns[2:]), strict=True))
@@ -174,7 +174,7 @@ def expression_derivatives(
 
 @lru_cache(maxsize=64)
 def _valued(program: str, steps: int) -> Any:
-    """Return the value as a function of the inputs."""
+    """Return the CasADi function from the inputs to the value."""
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
     return ca.Function(
         "value", list(symbols.values()), [ca.densify(_parsed(program, symbols, steps))]
@@ -183,23 +183,23 @@ def _valued(program: str, steps: int) -> Any:
 
 @lru_cache(maxsize=64)
 def _mapped(program: str, steps: int, count: int) -> Any:
-    """Return the value as a function of the inputs of `count` paths."""
+    """Return the CasADi function from the inputs of `count` paths to their values."""
     return _valued(program, steps).map(count)
 
 
 @lru_cache(maxsize=64)
 def _differentiated(program: str, steps: int) -> Any:
-    """Return value, gradient and Hessian by the channels as a function of the inputs."""
+    """Return the CasADi function for value, gradient and Hessian by `CHANNELS`."""
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
     value = _parsed(program, symbols, steps)
-    # Step after step, as the rows of the table of channels.
+    # Step-major order: all channels of one step are adjacent.
     channels = ca.vec(ca.horzcat(*(symbols[name] for name in CHANNELS)).T)
     hessian, gradient = ca.hessian(value, channels)
     return ca.Function("derivatives", list(symbols.values()), [value, gradient, hessian])
 
 
 def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
-    """Return the CasADi expression of a program."""
+    """Parse a program into a CasADi expression."""
     lines = program.splitlines()
     names: dict[str, Any] = {}
     for row, line in enumerate(lines, start=1):
@@ -224,7 +224,7 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
 
 
 def _built(node: ast.AST, names: Mapping[str, Any], symbols: Mapping[str, Any]) -> Any:
-    """Return the CasADi expression of an allowed node; KeyError or ValueError for any other."""
+    """Return the CasADi expression of an allowed node; raise KeyError or ValueError otherwise."""
     match node:
         case ast.Constant(int() | float() as number) if not isinstance(number, bool):
             return ca.SX(float(number))
@@ -276,7 +276,7 @@ def _value(expression: Any, symbols: dict[str, Any], remedy: str) -> Any:
 
 
 def _line(function: Any, k: int, names: list[str], steps: int) -> str:
-    """Return the line of an instruction of an SX function."""
+    """Return the program line of instruction k of an SX function."""
     code = function.instruction_id(k)
     reads, writes = function.instruction_input(k), function.instruction_output(k)
     if code == ca.OP_OUTPUT:
@@ -286,7 +286,7 @@ def _line(function: Any, k: int, names: list[str], steps: int) -> str:
         rows = _shapes(steps)[name][0]
         return f"v{writes[0]} = {name}[{reads[1] % rows}, {reads[1] // rows}]"
     if code == ca.OP_CONST:
-        # Python has no literal of infinity but a number that is too large.
+        # Python has no infinity literal; an overflowing number stands for it.
         return f"v{writes[0]} = {function.instruction_constant(k)!r}".replace("inf", "1e999")
     if code not in TEXTS:
         raise InputError(

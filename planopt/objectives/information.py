@@ -1,8 +1,8 @@
-"""Gains of measurements along a path: information and variance removed.
+"""Measurement gains along a path: information gain and variance reduction.
 
-Each class has the value for :class:`planopt.objectives.moments.Moments` (the exact posterior for
-one path, a local channel for many), its slopes by these moments, and the value of one path with
-first and second derivatives for solvers. All use C = S, or C = S + B M B' with theta uncertain:
+Each class computes the value from :class:`planopt.objectives.moments.Moments` (the exact posterior
+for one path, a local channel for many), its gradient by these moments, and the value of one path
+with first and second derivatives for solvers. All use C = S, or C = S + B M B' for uncertain theta:
 
 - :class:`Information` in log det C (equations 4.1 and 4.5),
 - :class:`VarianceRemoved`, tr(Y' C^-1 Y) (equations 4.1, 4.2 and 4.6),
@@ -41,10 +41,10 @@ from planopt.targets.rounding import rounded_length, rounded_positive_part
 
 
 class Gain(Protocol):
-    """Value of measurements along paths; zero for none."""
+    """Gain of measurements along paths; zero without measurements."""
 
     def value(self, moments: Moments) -> NDArray[np.float64]:
-        """Return the value of each path, ``(...)``."""
+        """Return the gain of each path, ``(...)``."""
         ...
 
     def pull(self, moments: Moments) -> Pull:
@@ -52,7 +52,7 @@ class Gain(Protocol):
         ...
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the value of one path with derivatives by positions and gates."""
+        """Return the gain of one path with derivatives by positions and gates."""
         ...
 
 
@@ -60,15 +60,15 @@ class Gain(Protocol):
 class Information:
     """Mutual information of measurements and the channel, or the path loss alone, in nats.
 
-    1/2 log det (S + B M B'), less that of the noise (equation 4.5), which is monotone and
-    submodular in the set of places, or less that of S: half of log det M_t / det M_{t+h}.
+    Channel: 1/2 log det (S + B M B') minus that of the noise (equation 4.5), monotone submodular in
+    the positions. Path loss: minus 1/2 log det S instead, half of log det M_t / det M_{t+h}.
     """
 
     about: Literal["channel", "path loss"] = "channel"
     factor: float = 1.0
 
     def value(self, moments: Moments) -> NDArray[np.float64]:
-        """Return the information of each path."""
+        """Return the information gain of each path."""
         diagonal = np.diagonal(moments.factor, axis1=-2, axis2=-1)
         if self.about == "path loss":
             less = np.diagonal(covariance_factor(moments.covariance), axis1=-2, axis2=-1)
@@ -83,7 +83,7 @@ class Information:
         return self.factor * np.log(diagonal / less).sum(axis=-1)
 
     def pull(self, moments: Moments) -> Pull:
-        """Return half the inverse by C, less the same of what is subtracted."""
+        """Return the pull: half the inverse of C, minus that of the subtracted term."""
         found = _by_universal(moments, 0.5 * self.factor * moments.inverse)
         if self.about == "path loss":
             known = np.asarray(np.linalg.inv(moments.covariance), dtype=np.float64)
@@ -95,7 +95,7 @@ class Information:
         return found.plus(Pull(by_gate=fills), -self.factor)
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the information of one path."""
+        """Return the information gain of one path with derivatives."""
         found = _half_log_determinant(path.universal)
         if self.about == "path loss":
             found = found.plus(_half_log_determinant(path.covariance), -1.0)
@@ -108,17 +108,17 @@ class Information:
 
 @dataclass(frozen=True, eq=False)
 class VarianceRemoved:
-    """tr(Y' C^-1 Y): variance that measurements remove, or the trace of the information on theta.
+    """Variance reduction by measurements, or trace of the information on theta: tr(Y' C^-1 Y).
 
-    Y is B times `loading`, or the covariances with the map's places.
+    Y is B times `loading`, or the covariances with the map positions.
     """
 
     loading: NDArray[np.float64] | None = None  # (2, r); None for the map
-    universal: bool = True  # Whether C is S + B M B' or S
+    universal: bool = True  # C is S + B M B' if true, else S
 
     def value(self, moments: Moments) -> NDArray[np.float64]:
-        """Return the trace of each path."""
-        # As tr(C^-1 Y Y') with Y Y' small: solving for a wide Y would cost several times as much.
+        """Return the trace for each path."""
+        # tr(C^-1 Y Y') needs only the small Y Y'; solving for the wide Y costs several times more.
         covariance, rows = self._parts(moments)
         gathered = rows @ rows.swapaxes(-1, -2)
         return np.trace(np.linalg.solve(covariance, gathered), axis1=-2, axis2=-1)
@@ -129,7 +129,7 @@ class VarianceRemoved:
         return covariance, moments.across if self.loading is None else moments.trend @ self.loading
 
     def pull(self, moments: Moments) -> Pull:
-        """Return, with X = C^-1 Y, -X X' by C and 2 X by Y."""
+        """Return the pull: with X = C^-1 Y, -X X' by C and 2 X by Y."""
         covariance, rows = self._parts(moments)
         precision = moments.inverse if self.universal else np.linalg.inv(covariance)
         x = precision.astype(rows.dtype) @ rows
@@ -142,10 +142,10 @@ class VarianceRemoved:
         return found.plus(Pull(by_trend=x @ self.loading.T), 2.0)
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the trace of one path.
+        """Return the trace for one path with derivatives.
 
-        With X = C^-1 Y, and for coordinate p of place i: dY = e_i y_p', dC = e_i d_p' + d_p e_i'
-        and u_p = y_p - X' d_p, so that R_p = dY - dC X = e_i u_p' - d_p x_i'. Then
+        Let X = C^-1 Y. For coordinate p of position i, dY = e_i y_p', dC = e_i d_p' + d_p e_i' and
+        u_p = y_p - X' d_p. With R_p = dY - dC X = e_i u_p' - d_p x_i':
 
             gradient_p = 2 x_i' u_p,
             Hessian_pq = 2 tr(R_p' C^-1 R_q) + 2 X . d^2 Y - X X' . d^2 C.
@@ -169,42 +169,42 @@ class VarianceRemoved:
 
 
 THRESHOLD_ROUNDING = 0.01
-"""Width of the threshold's rounding as a share of xi^2 + omega^2; it makes the value of a step too
-large by at most 3/16 of that width."""
+"""Width of the threshold's rounding as a share of xi^2 + omega^2. It raises the value of a step by
+at most 3/16 of that width."""
 
 
 @dataclass(frozen=True)
 class PathUncertainty:
     """Sum of max{0, L_ii^2 - sigma_TH^2} psi(l_i) in dB^2 (equation 4.4).
 
-    L_ii^2 is the variance at q_i after the earlier places of the path, l_i the length of the path
-    up to it, psi(l) = exp(-zeta l).
+    L_ii^2 is the variance at q_i given measurements at the earlier positions of the path, l_i is
+    the path length up to q_i, and psi(l) = exp(-zeta l).
     """
 
-    start_m: tuple[float, float]  # Where the robot is
+    start_m: tuple[float, float]  # Position of the robot
     threshold_db2: float = 0.0  # sigma_TH^2: variance up to this counts as known
     decay_per_m: float = 0.0  # zeta >= 0
 
     def value(self, moments: Moments) -> NDArray[np.float64]:
-        """Return the sum of each path."""
+        """Return the sum for each path."""
         excess, near = self._parts(moments)
         return (excess * near).sum(axis=-1)
 
     def _parts(self, moments: Moments) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return L_ii^2 above the threshold, and psi(l_i); both ``(..., N)``."""
+        """Return the excess of L_ii^2 over the threshold, and psi(l_i); both ``(..., N)``."""
         places = moments.positions_m
         start = np.broadcast_to(self.start_m, (*places.shape[:-2], 1, 2))
         legs = np.linalg.norm(np.diff(np.concatenate([start, places], axis=-2), axis=-2), axis=-1)
         near = np.exp(-self.decay_per_m * np.cumsum(legs, axis=-1))
         variance = np.diagonal(moments.factor, axis1=-2, axis2=-1) ** 2
-        # With a gate g, L_ii^2 is kappa + g^2 (that of the whole measurement - kappa). Above a
-        # threshold that is gated alike, it counts g^2 times.
+        # A gate g scales L_ii^2 - kappa by g^2. The threshold is gated in the same way, so the
+        # excess scales by g^2 as well.
         gate = 1.0 if moments.gate is None else moments.gate
         fall = self.threshold_db2 - moments.blind_db2
         return np.maximum(variance - moments.blind_db2 - gate**2 * fall, 0.0), near
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the derivatives; L_ii^2 changes by L_ii^2 n_i' dC n_i, n_i row i of L^-1."""
+        """Return the pull, from d L_ii^2 = L_ii^2 n_i' dC n_i with n_i row i of L^-1."""
         excess, near = self._parts(moments)
         rows = np.asarray(np.linalg.inv(moments.factor), dtype=np.float64)
         counts = np.where(excess > 0.0, near, 0.0)
@@ -213,13 +213,13 @@ class PathUncertainty:
         if moments.gate is not None:
             fall = 2.0 * moments.gate * (self.threshold_db2 - moments.blind_db2)
             found = found.plus(Pull(by_gate=fall * counts), -1.0)
-        # A step's length is part of the path to its own place and to all later ones.
+        # A step length adds to the path length of its own position and of all later ones.
         after = np.cumsum((excess * near)[:, ::-1], axis=1)[:, ::-1]
         start = np.array(self.start_m)
         return found.plus(pull_of_lengths(start, moments.positions_m, -self.decay_per_m * after))
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the sum of one path; the threshold and the steps' lengths are rounded."""
+        """Return the sum for one path with derivatives; threshold and step lengths are rounded."""
         batch, gates, parameters = path.universal, path.gates, path.channel.parameters
         lower = covariance_factor(batch.value)
         left = solve_lower(lower, np.eye(len(lower)))
@@ -230,7 +230,7 @@ class PathUncertainty:
         excess, slope, bend = rounded_positive_part(
             diagonal - path.blind_db2 - gate * gate * fall, THRESHOLD_ROUNDING * path.blind_db2
         )
-        # Changes of the excess by the coordinates; see _bent_variances.
+        # Derivatives of the excess by the coordinates; see _bent_variances.
         changes = 2.0 * diagonal[:, None] * left[:, batch.owner] * along
         gated = 3 * np.arange(path.steps) + 2
         if gates is not None:
@@ -238,7 +238,7 @@ class PathUncertainty:
         offsets = np.diff(path.path_m, axis=0, prepend=np.array(self.start_m)[None])
         legs = rounded_length(offsets, CUSP_ROUNDING * parameters.decorrelation_m)
         near = np.exp(-self.decay_per_m * np.cumsum(legs.value))
-        # psi(l_i) by the coordinates, and sum_i excess_i d^2 psi(l_i).
+        # Derivatives of psi(l_i) by the coordinates, and sum_i excess_i d^2 psi(l_i).
         by_place = np.cumsum(length_jacobian(legs), axis=0)
         near_first = -self.decay_per_m * near[:, None] * by_place
         after = np.cumsum((excess * near)[::-1])[::-1]
@@ -257,16 +257,16 @@ class PathUncertainty:
 
 
 def map_criterion(posterior: ChannelPosterior, region: Region) -> NDArray[np.float64]:
-    """Return G = sum_g w_g varphi(g) varphi(g)', theta's part of the variance of a map; (2, 2).
+    """Return G = sum_g w_g varphi(g) varphi(g)', theta's share of the map variance; (2, 2).
 
-    varphi(g) is today's: before the path's own measurements are used for shadowing there.
+    varphi(g) uses the current posterior, without the path's own measurements.
     """
     trend = kriging_terms(posterior, region.grid_m).trend
     return trend.T @ (region.weight[:, None] * trend)
 
 
 def require_estimated_path_loss(posterior: ChannelPosterior) -> None:
-    """Refuse a posterior whose path loss is known: no path teaches anything about it."""
+    """Reject a posterior with known path loss: no path yields information on it."""
     if posterior.theta_known:
         raise InputError(
             "path loss is known: no path can teach anything about it",
@@ -276,19 +276,19 @@ def require_estimated_path_loss(posterior: ChannelPosterior) -> None:
 
 
 def square_root(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return F with F F' = `matrix` (2, 2), symmetric and positive semidefinite."""
+    """Return F with F F' = `matrix`, a symmetric positive semidefinite (2, 2) matrix."""
     values, vectors = np.linalg.eigh(matrix)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _by_universal(moments: Moments, by_universal: NDArray[np.float64]) -> Pull:
-    """Return the pull by S and B from derivatives by S + B M B' (..., N, N), symmetric."""
+    """Convert symmetric derivatives by S + B M B' (..., N, N) to a pull by S and B."""
     by_trend = 2.0 * (by_universal @ (moments.trend @ moments.theta_covariance))
     return Pull(by_covariance=by_universal, by_trend=by_trend)
 
 
 def _half_log_determinant(batch: CovarianceDerivatives) -> PathDerivatives:
-    """Return 1/2 log det C with derivatives."""
+    """Return 1/2 log det C with derivatives by the coordinates."""
     factor = covariance_factor(batch.value)
     weight, own = inverse(factor), batch.owner
     pulled = batch.first @ weight
@@ -300,7 +300,7 @@ def _half_log_determinant(batch: CovarianceDerivatives) -> PathDerivatives:
 
 
 def _half_log_noise(path: LocalPath) -> PathDerivatives:
-    """Return 1/2 log det of the noise, kappa + g^2 (omega^2 - kappa) of a gated measurement."""
+    """Return 1/2 log det of the gated noise, kappa + g^2 (omega^2 - kappa) per measurement."""
     noise, gates = path.channel.parameters.multipath_std_db**2, path.gates
     if gates is None:
         count = 2 * path.steps
@@ -318,7 +318,7 @@ def _half_log_noise(path: LocalPath) -> PathDerivatives:
 def _without_gates(
     first: NDArray[np.float64], bent: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Put derivatives (h, 2 h) and (2 h, 2 h) by places among coordinates that gates belong to."""
+    """Expand derivatives (h, 2 h) and (2 h, 2 h) by positions to 3 h coordinates with gates."""
     steps = len(first)
     place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
     wide_first, wide_bent = np.zeros((steps, 3 * steps)), np.zeros((3 * steps, 3 * steps))
@@ -335,10 +335,10 @@ def _bent_variances(
 ) -> NDArray[np.float64]:
     """Return sum_i w_i / L_ii^2 d^2 L_ii^2 for `weight` w; ``(2 h, 2 h)``.
 
-    L_ii^2 is the least of y' S y over y with y_i = 1 and nothing after i; the minimiser is
-    L_ii n_i, n_i row i of N = L^-1 = `left`. So its derivative is L_ii^2 n_i' dS n_i, and the
-    second one L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of
-    place j, (N dS n_i)_k = N_kj (N D')_ip + (N D')_kp N_ij, N D' = `along`.
+    L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
+    L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the
+    second L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of
+    position j, (N dS n_i)_k = N_kj (N D')_ip + (N D')_kp N_ij, with N D' = `along`.
     """
     wide = left[:, batch.owner]
     found = batch.curvature(left.T @ (weight[:, None] * left))

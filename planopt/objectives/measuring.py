@@ -1,12 +1,11 @@
-"""The places of a path that bring a measurement, and places whose connection is known.
+"""Measuring positions of a path, and positions whose connection is known.
 
-A robot measures at the end of a step, but not nearer than the spacing to an earlier measurement:
-multipath is known there already, and another reading adds no information. The same holds
-between the steps of one plan. :meth:`MeasuringRule.takes` is that rule. Because it is not smooth,
-solvers use :meth:`MeasuringRule.gates` instead, an amplitude for every place that rises from
-zero to one about the spacing: steep enough that the best place of a solver is one that the loop
-measures, and fully open at the distance of robots whose steps are as long as the spacing. The
-solution of a solver is evaluated by the rule.
+A robot measures at the end of a step, unless an earlier measurement is closer than the spacing:
+multipath is known there already, and another reading adds no information. The same holds between
+the steps of one plan. :meth:`MeasuringRule.takes` implements this rule. The rule is not smooth, so
+solvers use :meth:`MeasuringRule.gates` instead: an amplitude per position that rises from zero to
+one around the spacing. The gate is steep enough that the loop measures at a solver's optimum, and
+fully open for steps as long as the spacing. The solver's solution is evaluated by the rule.
 """
 
 from __future__ import annotations
@@ -22,38 +21,38 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 
 SAME_PLACE_M = 1e-6
-"""Places nearer than this are one place, whatever the spacing."""
+"""Distance in metres below which two positions count as one, whatever the spacing."""
 
 SPACING_TOLERANCE_M = 1e-5
-"""Two steps that are together as long as the spacing lead to a new place, although planners make
-them a little shorter."""
+"""Tolerance of the spacing in metres. Planned steps are slightly shorter than the step length, and
+two steps that add up to the spacing must lead to a new measuring position."""
 
 CLOSED_SPACINGS, OPEN_SPACINGS = 0.9, 1.02
-"""The smooth gate is closed up to so many spacings, and fully open from so many on."""
+"""Distances, in spacings, up to which a gate is closed and from which it is fully open."""
 
 MOST_BESIDE = 8
-"""Maximum number of earlier measurements near one place; the nearest of more close it."""
+"""Maximum number of nearest earlier measurements that a gate depends on."""
 
 LONGEST_PATH = 512
-"""Longer lists of places are logs; they are compared block by block."""
+"""Number of positions above which a list is a log and is compared block by block."""
 
 FEW_KNOWN = 64
-"""Up to so many measurements are not searched for those nearby."""
+"""Number of measurements up to which no search for nearby ones is made."""
 
 
 def closing_m(spacing_m: float) -> float:
-    """Return the distance to an earlier measurement below which a place brings none."""
+    """Return the distance to an earlier measurement below which no measurement is taken."""
     return max(spacing_m - SPACING_TOLERANCE_M, SAME_PLACE_M)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuringRule:
-    """The rule that decides which places of a path bring a measurement."""
+    """Rule that decides at which positions of a path a measurement is taken."""
 
-    # A place nearer than this to an earlier measurement brings none; :func:`closing_m`
+    # Distance to an earlier measurement below which none is taken; :func:`closing_m`
     spacing_m: float
-    # (n, 2) places measured before, of each station. A place counts as measured once all stations
-    # were measured near it.
+    # (n, 2) earlier measuring positions of each station. A position counts as measured once all
+    # stations were measured near it.
     known_m: tuple[NDArray[np.float64], ...]
 
     @staticmethod
@@ -72,7 +71,7 @@ class MeasuringRule:
         return OPEN_SPACINGS * self.spacing_m
 
     def near(self, paths_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
-        """Return the rule for places within `beyond_m` of some of `paths_m` (..., 2)."""
+        """Return the rule restricted to positions within `beyond_m` of `paths_m` (..., 2)."""
         places = paths_m.reshape(-1, 2)
         if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
             return self
@@ -84,16 +83,16 @@ class MeasuringRule:
         )
 
     def is_open(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether each place, by itself, brings a measurement; ``(n, 2)`` to ``(n,)``."""
+        """Return at which single positions (n, 2) a measurement would be taken; ``(n,)``."""
         found = np.zeros(len(places_m), dtype=np.bool_)
         for known in self.near(places_m).known_m:
             distance, _ = _nearest(places_m, known, 1, self.spacing_m)
-            # All of them close it: the rule asks for a distance of at least the spacing.
+            # A position is closed only if every station was measured within the spacing.
             found |= ~(distance[:, 0] < self.spacing_m)
         return found
 
     def takes(self, paths_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which places bring a measurement when they are visited in turn."""
+        """Return at which positions of paths visited in order a measurement is taken."""
         # Shapes: paths_m (..., N, 2); returns (..., N).
         if not paths_m.size:
             return np.zeros(paths_m.shape[:-1], dtype=np.bool_)
@@ -108,7 +107,7 @@ class MeasuringRule:
         return taken.reshape(paths_m.shape[:-1])
 
     def _takes_of_log(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return :meth:`takes` of a long list of places (n, 2), in memory linear in n."""
+        """Return :meth:`takes` for a long list of positions (n, 2), in memory linear in n."""
         rows = np.flatnonzero(self.is_open(places_m))
         taken = rows[:0]
         for start in range(0, len(rows), LONGEST_PATH):
@@ -118,7 +117,7 @@ class MeasuringRule:
         return np.isin(np.arange(len(places_m)), taken)
 
     def gates(self, paths_m: NDArray[np.float64]) -> Gates | None:
-        """Return smooth amplitudes of paths (c, N, 2); None if all are one and stay so nearby."""
+        """Return smooth gates of paths (c, N, 2); None if all are one in a neighbourhood."""
         count, steps = paths_m.shape[:2]
         places = paths_m.reshape(-1, 2)
         distance, offset = self._beside(places)
@@ -127,7 +126,7 @@ class MeasuringRule:
         if not beside.any() and not (squared < self.open_m**2).any():
             return None
         taken = self.takes(paths_m)
-        # Earlier places of the path that were measured count like earlier measurements.
+        # Earlier measuring positions of the path act like earlier measurements.
         squared = np.where(taken[:, None], squared, np.inf)
         known_log = _log_gate((distance * distance).reshape(count, steps, -1), self)
         own_log = _log_gate(squared, self)
@@ -143,9 +142,9 @@ class MeasuringRule:
     def _beside(
         self, places_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return distances (n, m) and offsets (n, m, 2) from measurements that may close places.
+        """Return distances (n, m) and offsets (n, m, 2) from measurements that may close a gate.
 
-        If several stations were measured elsewhere, those of the station measured farthest away.
+        For several stations, use the one whose nearest measurement is farthest away.
         """
         found: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         for known in self.near(places_m).known_m:
@@ -169,23 +168,23 @@ class MeasuringRule:
 
 @dataclass(frozen=True, eq=False)
 class Gates:
-    """Smooth gates of paths with derivatives by the places.
+    """Smooth gates of paths with derivatives by positions.
 
-    They are twice differentiable except where two places at once are about to be closed.
+    They are twice differentiable except where two positions begin to close at once.
     """
 
-    value: NDArray[np.float64]  # (c, N) amplitudes of the channel in a measurement, in [0, 1]
+    value: NDArray[np.float64]  # (c, N) amplitude of the channel in each measurement, in [0, 1]
     _paths_m: NDArray[np.float64]
     _offset_m: NDArray[np.float64]
     _known: NDArray[np.float64]
     _own: NDArray[np.float64]
 
     def jacobian(self) -> NDArray[np.float64]:
-        """Return each gate by all coordinates x_1, y_1, x_2, ... of its path; ``(c, N, 2 N)``."""
+        """Return the derivatives of gates by path coordinates x_1, y_1, x_2, ..; ``(c, N, 2 N)``."""
         return self.value[..., None] * self._log_slopes()
 
     def curvature(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return ``sum_i by_gate_i d^2 gate_i`` of a single path for (N,); ``(2 N, 2 N)``."""
+        """Return ``sum_i by_gate_i d^2 gate_i`` for `by_gate` (N,) of one path; ``(2 N, 2 N)``."""
         steps = len(by_gate)
         by_log = by_gate * self.value[0]
         slopes = self._log_slopes()[0]
@@ -206,7 +205,7 @@ class Gates:
         return found
 
     def _log_slopes(self) -> NDArray[np.float64]:
-        """Return derivatives of log gates by all coordinates of their path; ``(c, N, 2 N)``."""
+        """Return the derivatives of log gates by path coordinates; ``(c, N, 2 N)``."""
         steps = int(self.value.shape[1])
         found = np.zeros((len(self.value), steps, steps, 2))
         every = np.arange(steps)
@@ -219,11 +218,11 @@ class Gates:
 
 
 def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:
-    """Return log s with first and second derivative by the squared distance; ``(3, ...)``.
+    """Return log s with first and second derivatives by the squared distance; ``(3, ...)``.
 
-    s = u^3 (10 - 15 u + 6 u^2) rises from 0 where gates close to 1 where they are fully open, with
-    two continuous derivatives. Where s is 0 its logarithm is minus infinity and derivatives are 0:
-    the gate's own are.
+    s = u^3 (10 - 15 u + 6 u^2) rises from 0 (closed) to 1 (fully open) with two continuous
+    derivatives. If s = 0, log s is minus infinity and the derivatives are set to 0, like those of
+    the gate itself.
     """
     low, high = (CLOSED_SPACINGS * rule.spacing_m) ** 2, rule.open_m**2
     found = np.zeros((3, *squared_m2.shape))
@@ -241,7 +240,7 @@ def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[n
 
 
 def _squared_between_m2(paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return squared distances of places from earlier ones of their path, else inf; (c, N, N)."""
+    """Return squared distances to earlier positions of each path, else inf; ``(c, N, N)``."""
     steps = paths_m.shape[1]
     x, y = paths_m[..., 0], paths_m[..., 1]
     found = (x[:, :, None] - x[:, None]) ** 2
@@ -253,7 +252,7 @@ def _squared_between_m2(paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
 def _nearest(
     places_m: NDArray[np.float64], known_m: NDArray[np.float64], count: int, within_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return distances of the `count` nearest of `known_m`, inf beyond `within_m`, and indices."""
+    """Return distances to the `count` nearest `known_m`, inf beyond `within_m`, and indices."""
     there = min(count, len(known_m))
     if not there:
         nothing = np.full((len(places_m), 1), np.inf)
@@ -264,21 +263,21 @@ def _nearest(
 
 @dataclass(frozen=True, eq=False)
 class KnownLinks:
-    """Places with and without connection.
+    """Positions known to be connected or not.
 
-    Multipath is constant at a place: a robot that was connected there will be again. Closer than
-    the spacing of measurements to a place without connection there is none, because a robot does
-    not probe where it would not measure.
+    Multipath is static: a robot that was connected at a position will be connected there again.
+    Positions within the measurement spacing of a failed probe count as not connected, because a
+    robot does not probe where it would not measure.
     """
 
     connected_m: NDArray[np.float64]  # (n, 2)
     lost_m: NDArray[np.float64]  # (m, 2)
-    spacing_m: float  # Radius of a place without connection
+    spacing_m: float  # Radius around a position without connection
 
     def chances(
         self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the probability of connection at places; unobserved ones keep `predicted`."""
+        """Return the probability of connection; unobserved positions keep `predicted`."""
         # Shapes: places_m (..., 2); predicted (...).
         flat, found = places_m.reshape(-1, 2), predicted.reshape(-1).copy()
         for tree, within_m, chance in self._trees:
@@ -288,7 +287,7 @@ class KnownLinks:
 
     @cached_property
     def _trees(self) -> list[tuple[PlaceTree, float, float]]:
-        """Return places with their radius and probability; later entries override earlier ones."""
+        """Known positions with radius and probability; later entries override earlier ones."""
         known = (self.lost_m, self.spacing_m, 0.0), (self.connected_m, SAME_PLACE_M, 1.0)
         return [
             (PlaceTree(places), reach, chance) for places, reach, chance in known if len(places)
@@ -298,12 +297,12 @@ class KnownLinks:
 def known_links(
     stations: Sequence[ChannelPosterior],
     thresholds_dbm: Sequence[float],
-    missed_m: NDArray[np.float64],  # (k, 2) where steps ended without connection
-    here_m: NDArray[np.float64],  # (2,) where the robot is
+    missed_m: NDArray[np.float64],  # (k, 2) positions at which steps ended without connection
+    here_m: NDArray[np.float64],  # (2,) position of the robot
     is_connected: bool | None,
     spacing_m: float,
 ) -> KnownLinks:
-    """Return the places whose connection is known from measurements and the run so far."""
+    """Return the positions whose connection is known from measurements and the run so far."""
     up: list[NDArray[np.float64]] = []
     down = [missed_m]
     for station, threshold in zip(stations, thresholds_dbm, strict=True):
@@ -313,7 +312,7 @@ def known_links(
         arrives = (measured.power_dbm >= threshold) & ~measured.censored
         up.append(places[arrives])
         if len(stations) == 1:
-            # Another one of several stations may serve the place.
+            # With several stations, another one may serve this position.
             down.append(places[measured.power_dbm < threshold])
     if is_connected is not None:
         (up if is_connected else down).append(here_m[None])

@@ -1,19 +1,19 @@
-"""Moments of future measurements along paths (equation 1.11), and derivatives by them.
+"""Moments of future measurements along paths (equation 1.11) and derivatives by them.
 
-The posterior after measurements at q_1 .. q_N does not depend on the measured values, but only on
-their covariance S and on B, their regressors less the part predicted from earlier measurements.
-These come from the exact posterior, or, for many paths at once, from a local channel.
+The posterior covariance after measurements at q_1 .. q_N does not depend on the measured values. It
+depends on their covariance S and on B, their regressors less the part predicted from earlier data.
+S and B come from the exact posterior or, for many paths at once, from a local channel.
 
-A measurement of gate g in [0, 1] is g times what the channel gives there, with noise that fills its
-variance up to that of measuring blindly, kappa = xi^2 + omega^2:
+A measurement with gate g in [0, 1] is g times the channel power plus noise that restores its
+variance to that of an uninformative measurement, kappa = xi^2 + omega^2:
 
     S_g = G (S - kappa I) G + kappa I,    B_g = G B,    G = diag(g).
 
-With g = 1 that is the measurement itself, with g = 0 one without information, so that a place that
-brings no measurement is a gate of 0, and solvers follow smooth gates between.
+The gate g = 1 leaves the measurement unchanged; g = 0 removes all its information. A position
+without a measurement therefore has gate 0, and solvers use smooth gates in between.
 
-A value's derivatives by positions follow from those by S, B and the covariances with the
-measurements (:class:`Pull`), at the cost of one more valuation for all paths together.
+The gradient by positions follows from the derivatives by S, B and the covariances with the
+measurements (:class:`Pull`). It costs one more evaluation for all paths together.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ from planopt.plain_values import require_weights
 Real = TypeVar("Real", np.float32, np.float64)
 
 SINGLE = np.float32
-"""Precision of the covariances of many paths, which are only compared by them: 0.6 of the time of
+"""Floating-point type for covariances of many paths, which only rank the paths: 0.6 of the time of
 double precision for 200 paths of 5 steps, 0.8 for 400 of 10."""
 
 TINY_M = 1e-9
-"""Positions nearer than this have no direction from each other."""
+"""Distance in metres below which the direction between two positions is undefined."""
 
 NUGGET_SHARE = 1e-4
-"""Least variance of multipath as a share of the shadowing's: without any, a position that is
-measured twice would make the covariance singular."""
+"""Minimum multipath variance as a share of the shadowing variance. It keeps the covariance regular
+if a position is measured twice."""
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The region whose map is wanted (equation 4.6; footnote 3 of [GM11])."""
+    """Region to be mapped: weighted grid positions (equation 4.6; footnote 3 of [GM11])."""
 
     grid_m: NDArray[np.float64]  # (g, 2) positions
     weight: NDArray[np.float64]  # (g,) w_g >= 0; 1 / g each for the spatial average
@@ -64,36 +64,36 @@ class Region:
 
 
 def blind_variance_db2(parameters: ChannelParameters) -> float:
-    """Return kappa, the variance of a measurement without information."""
+    """Return kappa, the variance of an uninformative measurement."""
     return parameters.shadow_std_db**2 + parameters.multipath_std_db**2
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Moments of gated measurements along one path, or along many (leading axis c)."""
+    """Moments of gated measurements along one path or many paths (leading axis c)."""
 
     parameters: ChannelParameters
     positions_m: NDArray[np.float64]  # (..., N, 2)
     whole_covariance: NDArray[np.float64]  # (..., N, N) S in dB^2 without gates, theta known
     whole_trend: NDArray[np.float64]  # (..., N, 2) B without gates
-    theta_covariance: NDArray[np.float64]  # (2, 2) M; zero where theta is known
+    theta_covariance: NDArray[np.float64]  # (2, 2) M; zero if theta is known
     gate: NDArray[np.float64] | None  # (..., N); None: all one
-    # Compute covariances (..., N, g) with a map, theta uncertain, times the roots of its weights
+    # Computes covariances (..., N, g) with the map for uncertain theta, times root weights
     map_covariance: Callable[[], NDArray[np.floating]] | None = None
 
     @property
     def blind_db2(self) -> float:
-        """Variance of a measurement without information."""
+        """Variance of an uninformative measurement."""
         return blind_variance_db2(self.parameters)
 
     @cached_property
     def gated_part(self) -> NDArray[np.float64]:
-        """S - kappa I, which gates multiply from both sides; ``(..., N, N)``."""
+        """S - kappa I, the matrix that gates multiply from both sides; ``(..., N, N)``."""
         return self.whole_covariance - self.blind_db2 * np.eye(self.whole_covariance.shape[-1])
 
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
-        """S_g as if theta were known, ``(..., N, N)``."""
+        """S_g for known theta, ``(..., N, N)``."""
         if self.gate is None:
             return self.whole_covariance
         both = self.gate[..., :, None] * self.gate[..., None, :]
@@ -106,12 +106,12 @@ class Moments:
 
     @cached_property
     def universal(self) -> NDArray[np.float64]:
-        """S_g + B_g M B_g', theta's uncertainty included; ``(..., N, N)``."""
+        """S_g + B_g M B_g', the covariance for uncertain theta; ``(..., N, N)``."""
         return self.covariance + self.trend @ self.theta_covariance @ self.trend.swapaxes(-1, -2)
 
     @cached_property
     def factor(self) -> NDArray[np.float64]:
-        """Cholesky factors of :attr:`universal`; L_ii^2 is the variance after q_1 .. q_i-1."""
+        """Cholesky factors of :attr:`universal`; L_ii^2 is the variance given q_1 .. q_i-1."""
         return covariance_factor(self.universal)
 
     @cached_property
@@ -121,7 +121,7 @@ class Moments:
 
     @cached_property
     def noise_db2(self) -> NDArray[np.float64]:
-        """Variance of every measurement that is not the channel's, ``(..., N)``."""
+        """Noise variance of each gated measurement, ``(..., N)``."""
         noise = np.full(self.positions_m.shape[:-1], self.parameters.multipath_std_db**2)
         if self.gate is None:
             return noise
@@ -141,7 +141,7 @@ class Moments:
         return across if self.gate is None else self.gate.astype(across.dtype)[..., None] * across
 
     def without_gates(self, pull: Pull) -> Pull:
-        """Turn slopes by gated moments into those by the whole ones and by the gates."""
+        """Convert derivatives by gated moments to derivatives by ungated moments and gates."""
         gate = self.gate
         if gate is None:
             return pull
@@ -175,7 +175,7 @@ def covariance_factor(covariance_db2: NDArray[np.float64]) -> NDArray[np.float64
 
 @dataclass(frozen=True, eq=False)
 class KnownPlaces:
-    """Positions of a map, prepared once for the covariances of many paths with them."""
+    """Map positions with precomputed terms for their covariances with many paths."""
 
     grid_m: NDArray[np.float64]  # (g, 2)
     phi_db2: NDArray[np.float64]  # (kappa, g) covariances with the measurements
@@ -183,7 +183,7 @@ class KnownPlaces:
 
 
 def known_places(posterior: ChannelPosterior, grid_m: NDArray[np.float64]) -> KnownPlaces:
-    """Prepare `grid_m` (g, 2) for a posterior that has a factor; O(kappa g)."""
+    """Precompute the terms of `grid_m` (g, 2) for a factored posterior; O(kappa g)."""
     parameters = posterior.parameters
     phi = posterior.covariance_with_db2(grid_m)
     solved = unwhiten(posterior.factor, posterior.whitened_regressors)
@@ -195,7 +195,7 @@ def cross_covariance_db2(
     path_m: NDArray[np.float64],  # (N, 2)
     known: KnownPlaces,
 ) -> NDArray[np.float64]:
-    """Return covariances of measurements on a path with power at other places; ``(N, g)``.
+    """Return covariances of measurements on a path with the power at map positions; ``(N, g)``.
 
     c(q) = k_h(q) - Phi' U^-1 phi(q) + B M varphi(q) (equation 4.6).
     """
@@ -212,13 +212,13 @@ def cross_covariance_db2(
 def posterior_moments(
     posterior: ChannelPosterior,
     path_m: NDArray[np.float64],  # (N, 2)
-    taken: NDArray[np.bool_] | None = None,  # (N,) which places are measured; None: all
-    region: Region | None = None,  # Of the map that is averaged
-    known: KnownPlaces | None = None,  # The same, prepared for this posterior
+    taken: NDArray[np.bool_] | None = None,  # (N,) True where a measurement is taken; None: all
+    region: Region | None = None,  # Region of the averaged map
+    known: KnownPlaces | None = None,  # Precomputed terms of the region for this posterior
 ) -> Moments:
-    """Return the moments of measuring along one path by the exact posterior; O(kappa^2 N).
+    """Return the moments of measurements along one path by the exact posterior; O(kappa^2 N).
 
-    From all measurements, or from those near where they are very many
+    Very large logs are reduced to nearby measurements
     (:func:`planopt.channel.posterior.factored_near`).
     """
     places = require_places(path_m)
@@ -247,18 +247,18 @@ def posterior_moments(
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Derivatives of one number of each path by the quantities that it depends on; None: zero."""
+    """Derivatives of one scalar per path by the quantities it depends on; None means zero."""
 
-    by_position: NDArray[np.float64] | None = None  # (c, N, 2), all else held
+    by_position: NDArray[np.float64] | None = None  # (c, N, 2), other quantities fixed
     by_covariance: NDArray[np.float64] | None = None  # (c, N, N) by S, symmetric
     by_trend: NDArray[np.float64] | None = None  # (c, N, 2) by B
     by_across: NDArray[np.floating] | None = None  # (c, N, g) by the covariances with the map
-    # (c, N, m) by the covariances with the measurements, S and B held
+    # (c, N, m) by the covariances with the measurements, S and B fixed
     by_phi: NDArray[np.float32] | None = None
     by_gate: NDArray[np.float64] | None = None  # (c, N)
 
     def plus(self, other: Pull, weight: float = 1.0) -> Pull:
-        """Return the sum with `weight` times the other."""
+        """Return this pull plus `weight` times `other`."""
         return Pull(
             _sum(self.by_position, other.by_position, weight),
             _sum(self.by_covariance, other.by_covariance, weight),
@@ -285,7 +285,7 @@ def pull_of_lengths(
     paths_m: NDArray[np.float64],  # (c, N, 2)
     by_length: NDArray[np.float64],  # (c, N)
 ) -> Pull:
-    """Return the pull by the lengths of the steps of paths from `start_m`."""
+    """Return the position derivatives that follow from derivatives by step lengths."""
     ends = np.concatenate([np.broadcast_to(start_m, (len(paths_m), 1, 2)), paths_m], axis=1)
     legs = np.diff(ends, axis=1)
     length = np.maximum(np.hypot(legs[..., 0], legs[..., 1]), TINY_M)
@@ -295,14 +295,14 @@ def pull_of_lengths(
 
 
 class LocalPaths:
-    """Power along many paths by one local channel, and the chain rule from it to positions."""
+    """Batched power prediction along c paths by one local channel, with the chain rule."""
 
     def __init__(
         self,
         channel: LocalChannel,
         precision: NDArray[np.float32],  # (m, m) of the channel
         paths_m: NDArray[np.float64],  # (c, N, 2)
-        grid: LocalGrid | None = None,  # The map that is averaged, if any
+        grid: LocalGrid | None = None,  # Grid of the averaged map, if any
     ) -> None:
         self.channel, self.paths_m, self._grid = channel, paths_m, grid
         parameters = channel.parameters
@@ -318,14 +318,14 @@ class LocalPaths:
         own = np.arange(self.shape[1])
         least = NUGGET_SHARE * parameters.shadow_std_db**2
         self.covariance[:, own, own] += max(parameters.multipath_std_db**2, least)
-        # Summed in double precision: theta's covariance may be large.
+        # Double precision, because the covariance of theta may be large.
         projected = self._phi @ np.column_stack([channel.weights, channel.trend])
         self._data_db = projected[:, 0]
         trend = regressors(places, parameters.station) - projected[:, 1:]
         self.trend = trend.reshape(*self.shape, 2)  # B
 
     def moments(self, gate: NDArray[np.float64] | None = None) -> Moments:
-        """Return the moments of measuring along the paths with gates (c, N)."""
+        """Return the moments of measurements along the paths for gates (c, N)."""
         return Moments(
             self.channel.parameters,
             self.paths_m,
@@ -338,7 +338,7 @@ class LocalPaths:
 
     @cached_property
     def power(self) -> Prediction:
-        """Prediction at every place, path after path; ``(c N,)``."""
+        """Power prediction at every position, path by path; ``(c N,)``."""
         own = np.arange(self.shape[1])
         terms = KrigingTerms(
             self._data_db, self.trend.reshape(-1, 2), self.covariance[:, own, own].ravel()
@@ -353,9 +353,9 @@ class LocalPaths:
 
     @cached_property
     def _across(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Distances from the map's places and the kernel ``(c N, g)``, weighted c ``(c, N, g)``.
+        """Distances to map positions, kernel ``(c N, g)`` and covariance c ``(c, N, g)``.
 
-        c is that of equation 4.6, theta uncertain.
+        The weighted covariance c of equation 4.6 is for uncertain theta.
         """
         channel, grid = self.channel, self._map
         distance, kernel = _single_kernel(
@@ -371,7 +371,7 @@ class LocalPaths:
     def pull_of_power(
         self, by_mean: NDArray[np.float64], by_deviation: NDArray[np.float64]
     ) -> Pull:
-        """Return the pull by mean and deviation of the power at every place, both ``(c, N)``."""
+        """Convert derivatives by the power's mean and standard deviation ``(c, N)`` to a pull."""
         channel, own = self.channel, np.arange(self.shape[1])
         deviation = self.power.deviation_db.reshape(self.shape)
         by_variance = np.zeros((*self.shape, self.shape[1]))
@@ -384,7 +384,7 @@ class LocalPaths:
         )
 
     def slopes(self, pull: Pull, gates: Gates | None = None) -> NDArray[np.float64]:
-        """Return the derivatives by positions, ``(c, N, 2)``; `pull.by_gate` is by `gates`."""
+        """Return the gradient by positions, ``(c, N, 2)``; `pull.by_gate` refers to `gates`."""
         channel = self.channel
         found, by_phi = np.zeros((*self.shape, 2)), np.zeros_like(self._solved)
         by_trend = pull.by_trend
@@ -420,10 +420,9 @@ class LocalPaths:
         distance_m: NDArray[np.float32],
         kernel: NDArray[np.float32],
     ) -> NDArray[np.float64]:
-        """Return slopes through covariances (c N, m) of places with `others_m`; ``(c, N, 2)``.
+        """Return the gradient through the kernel (c N, m) with `others_m`; ``(c, N, 2)``.
 
-        d k = -k / (beta r) (q - other), r not below the rounding of the kernel's cusp. `by_kernel`
-        is overwritten.
+        d k = -k / (beta r) (q - other), with r at least the cusp rounding. Overwrites `by_kernel`.
         """
         beta = self.channel.parameters.decorrelation_m
         by_kernel *= kernel
@@ -434,7 +433,7 @@ class LocalPaths:
         return (pulled[:, :, :2] - pulled[:, :, 2:] * (self.paths_m - middle)) / beta
 
     def _between(self, by_covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return slopes through the prior covariances of a path's places."""
+        """Return the gradient through the prior covariances between positions of one path."""
         parameters = self.channel.parameters
         beta = parameters.decorrelation_m
         offset = self.paths_m[:, :, None] - self.paths_m[:, None]
@@ -450,9 +449,9 @@ def _single_kernel(
     parameters: ChannelParameters,
     added_m2: NDArray[np.float64] | None = None,  # (m,) added to the squared distances
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return distances of `a` from `b` and covariances of shadowing; both ``(n, m)``.
+    """Return the distances between `a` and `b` and their shadowing covariances; both ``(n, m)``.
 
-    Coordinates near 3e6 keep their digits: what is rounded are offsets from the middle of `a`.
+    Offsets from the mean of `a` are rounded to float32, so coordinates near 3e6 keep their digits.
     """
     middle = a.mean(axis=0)
     from_m, to_m = (a - middle).astype(SINGLE), (b - middle).astype(SINGLE)

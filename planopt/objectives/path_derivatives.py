@@ -1,13 +1,13 @@
-"""First and second derivatives of the moments of one path, and the chain rule to its positions.
+"""First and second derivatives of the moments of one path, with the chain rule to its positions.
 
-Row and column i of S, and row i of B, depend on q_i. So the derivative of S by coordinate a of q_i
-is ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are kept. Coordinates are numbered
-x_1, y_1, x_2, y_2, ... throughout. A gate (:mod:`planopt.objectives.moments`) is a third coordinate
-of its place, on which row and column i of S_g depend as they do on the place, so that with gates
-2 h coordinates become 3 h; :func:`by_positions` then puts in how gates change with the places.
+Only row and column i of S and row i of B depend on q_i. The derivative of S by coordinate a of q_i
+is therefore ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are stored. Coordinates
+are ordered x_1, y_1, x_2, y_2, ... throughout. A gate (:mod:`planopt.objectives.moments`) is a
+third coordinate of its position, so 2 h coordinates become 3 h. :func:`by_positions` then
+substitutes the gates' derivatives by positions.
 
-Cusps are rounded and only the measurements of a local channel are used, so that the path that a
-solver returns is to be valued again with the exact posterior.
+Cusps are rounded and only the measurements of a local channel are used. The path that a solver
+returns must therefore be evaluated again with the exact posterior.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True, eq=False)
 class PathDerivatives:
-    """An objective of a path of h places with derivatives by its 2 h coordinates."""
+    """Objective value of a path of h positions with derivatives by its 2 h coordinates."""
 
-    value: float  # The objective
-    gradient: NDArray[np.float64]  # (2 h,) by x_1, y_1, x_2,
+    value: float  # Objective value
+    gradient: NDArray[np.float64]  # (2 h,) by x_1, y_1, x_2, ...
     hessian: NDArray[np.float64]  # (2 h, 2 h) symmetric
 
     def plus(self, other: PathDerivatives, weight: float = 1.0) -> PathDerivatives:
-        """Return the sum with `weight` times the other."""
+        """Return this objective plus `weight` times `other`."""
         return PathDerivatives(
             self.value + weight * other.value,
             self.gradient + weight * other.gradient,
@@ -46,21 +46,21 @@ class PathDerivatives:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """r numbers for each place that depend on that place alone, such as the rows of B."""
+    """Rows of r numbers, each a function of its own position only, such as the rows of B."""
 
     value: NDArray[np.float64]  # (h, r)
-    first: NDArray[np.float64]  # (2 h, r) by the place's own coordinates
-    # (h, 3, r) xx, xy, yy; with gates (h, 6, r), then x, y and the gate by the gate
+    first: NDArray[np.float64]  # (2 h, r) by the position's own coordinates
+    # (h, 3, r) xx, xy, yy; with gates (h, 6, r): xx, xy, yy, xg, yg, gg
     second: NDArray[np.float64]
 
     def times(self, matrix: NDArray[np.float64]) -> Rows:
-        """Return each row times `matrix` (r, s), or its numbers times those of a row (r,)."""
+        """Return each row times `matrix` (r, s), or elementwise times a vector (r,)."""
         if matrix.ndim == 1:
             return Rows(self.value * matrix, self.first * matrix, self.second * matrix)
         return Rows(self.value @ matrix, self.first @ matrix, self.second @ matrix)
 
     def gated(self, gates: Gates | None) -> Rows:
-        """Return G times the rows; the rows themselves without gates."""
+        """Return G times the rows; the rows unchanged without gates."""
         if gates is None:
             return self
         gate, steps = gates.value[0], len(self.value)
@@ -76,19 +76,19 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class CovarianceDerivatives:
-    """S of a path with derivatives."""
+    """Covariance S of a path with derivatives."""
 
     value: NDArray[np.float64]  # (h, h) S
-    # (2 h, h) D[2 i + a, k]: of S_ik by coordinate a of q_i; half of it where k = i
+    # (2 h, h) D[2 i + a, k]: derivative of S_ik by coordinate a of q_i; half of it if k = i
     first: NDArray[np.float64]
-    # (2 h, 2 h) of S_ij by coordinates of q_i and of q_j; half of that part where j = i
+    # (2 h, 2 h) derivatives of S_ij by coordinates of q_i and q_j; half of that part if j = i
     mixed: NDArray[np.float64]
-    # (h, 3, h) of S_ik by two coordinates of q_i, k held; half of that part where k = i
+    # (h, 3, h) derivatives of S_ik by two coordinates of q_i; half of that part if k = i
     second: NDArray[np.float64]
 
     @property
     def owner(self) -> NDArray[np.intp]:
-        """Number of the place that each coordinate belongs to."""
+        """Index of the position that each coordinate belongs to."""
         steps, count = len(self.value), len(self.first)
         return np.repeat(np.arange(steps), count // steps)
 
@@ -102,7 +102,7 @@ class CovarianceDerivatives:
         return found
 
     def gated(self, gates: Gates | None, blind_db2: float) -> CovarianceDerivatives:
-        """Return S_g; S itself without gates."""
+        """Return S_g with derivatives; S unchanged without gates."""
         if gates is None:
             return self
         gate, steps = gates.value[0], len(self.value)
@@ -131,14 +131,14 @@ class CovarianceDerivatives:
 
 
 class LocalPath:
-    """Moments of measuring along a path (h, 2) by a local channel, with derivatives."""
+    """Moments of measurements along a path (h, 2) by a local channel, with derivatives."""
 
     def __init__(
         self,
         channel: LocalChannel,
         path_m: NDArray[np.float64],  # (h, 2)
         gates: Gates | None = None,
-        grid: LocalGrid | None = None,  # The map that is averaged, if any
+        grid: LocalGrid | None = None,  # Grid of the averaged map, if any
     ) -> None:
         self.channel, self.gates, self._grid = channel, gates, grid
         self.path_m, self.steps = require_places(path_m), len(path_m)
@@ -153,12 +153,12 @@ class LocalPath:
 
     @property
     def blind_db2(self) -> float:
-        """Variance of a measurement without information."""
+        """Variance of an uninformative measurement."""
         return blind_variance_db2(self.channel.parameters)
 
     @cached_property
     def plain_trend(self) -> Rows:
-        """B without gates."""
+        """Regressors B without gates."""
         parameters, phi = self.channel.parameters, self._phi
         loss = rounded_log_distance(self.path_m, parameters.station)
         # b = (1, gamma) - trend' phi.
@@ -170,7 +170,7 @@ class LocalPath:
 
     @cached_property
     def _known(self) -> CovarianceDerivatives:
-        """S without gates, theta known."""
+        """Covariance S without gates, for known theta."""
         channel, steps, phi = self.channel, self.steps, self._phi
         parameters, own = channel.parameters, np.arange(self.steps)
         solved = phi[:, :3].reshape(3 * steps, -1) @ channel.precision
@@ -192,7 +192,7 @@ class LocalPath:
 
     @cached_property
     def plain_universal(self) -> CovarianceDerivatives:
-        """S + B M B' without gates."""
+        """Covariance S + B M B' without gates."""
         known, trend, spread = self._known, self.plain_trend, self.channel.theta_covariance
         pulled = spread @ trend.value.T
         mixed = known.mixed + trend.first @ spread @ trend.first.T
@@ -205,22 +205,22 @@ class LocalPath:
 
     @cached_property
     def covariance(self) -> CovarianceDerivatives:
-        """S_g as if theta were known."""
+        """Covariance S_g for known theta."""
         return self._known.gated(self.gates, self.blind_db2)
 
     @cached_property
     def universal(self) -> CovarianceDerivatives:
-        """S_g + B_g M B_g', theta's uncertainty included."""
+        """Covariance S_g + B_g M B_g' for uncertain theta."""
         return self.plain_universal.gated(self.gates, self.blind_db2)
 
     @cached_property
     def trend(self) -> Rows:
-        """B_g."""
+        """Gated regressors B_g."""
         return self.plain_trend.gated(self.gates)
 
     @cached_property
     def across(self) -> Rows:
-        """Covariances with the map's places, theta uncertain, times the roots of its weights."""
+        """Covariances with map positions for uncertain theta, times the roots of map weights."""
         channel, grid, steps = self.channel, self._grid, self.steps
         if grid is None:
             raise AssertionError("the spatial average needs a map")
@@ -237,7 +237,7 @@ class LocalPath:
 
     @cached_property
     def power_mean(self) -> Derivatives:
-        """Predicted mean power of every place, dBm."""
+        """Predicted mean power at every position, dBm."""
         channel, trend = self.channel, self.plain_trend
         power = self._phi @ channel.weights
         return Derivatives(
@@ -251,13 +251,13 @@ OWN_BLOCKS = {
     3: ((0, 0, 0), (1, 0, 1), (2, 1, 1)),
     6: ((0, 0, 0), (1, 0, 1), (2, 1, 1), (3, 0, 2), (4, 1, 2), (5, 2, 2)),
 }
-"""Which two of a place's coordinates each of its 3 or 6 second derivatives is by."""
+"""Column and coordinate pair of each of the 3 or 6 second derivatives of a position."""
 
 
 def add_own_blocks(hessian: NDArray[np.float64], own: NDArray[np.float64]) -> None:
-    """Add `own` (h, 3), xx, xy, yy of each place, to the diagonal blocks of `hessian`.
+    """Add `own` (h, 3), xx, xy, yy of each position, to the diagonal blocks of `hessian`.
 
-    Or ``(h, 6)``, as in :class:`Rows`.
+    With gates `own` is ``(h, 6)``, as in :class:`Rows`.
     """
     first = np.arange(0, len(hessian), len(hessian) // len(own))
     for column, a, b in OWN_BLOCKS[int(own.shape[1])]:
@@ -267,7 +267,7 @@ def add_own_blocks(hessian: NDArray[np.float64], own: NDArray[np.float64]) -> No
 
 
 def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
-    """Turn derivatives by places and gates, (3 h,) and (3 h, 3 h), into those by places."""
+    """Convert derivatives by positions and gates, (3 h,) and (3 h, 3 h), to ones by positions."""
     if gates is None:
         return found
     steps = len(found.gradient) // 3
@@ -290,9 +290,9 @@ def by_stages(
     hessian: NDArray[np.float64],  # (h, c, h, c)
     inputs: Sequence[Derivatives],
 ) -> PathDerivatives:
-    """Return derivatives by positions of a value of c numbers of each stage.
+    """Return derivatives by positions of a value that depends on c inputs per stage.
 
-    Connectivity, sensing, mean and deviation of a stage depend on its own position alone.
+    Each input of a stage, such as connectivity or sensing, depends on its own position only.
     """
     steps = len(gradient)
     slopes = np.stack([each.gradient for each in inputs], axis=1)
@@ -304,8 +304,8 @@ def by_stages(
 
 
 def by_lengths(
-    lengths: Derivatives,  # (h,) of the steps, by their offsets
-    gradient: NDArray[np.float64],  # (h,) by the lengths
+    lengths: Derivatives,  # (h,) step lengths with derivatives by their offsets
+    gradient: NDArray[np.float64],  # (h,) gradient by the lengths
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return sum_k gradient_k d length_k (2 h,) and sum_k gradient_k d^2 length_k (2 h, 2 h)."""
     count = len(gradient)
@@ -322,7 +322,7 @@ def by_lengths(
 
 
 def length_jacobian(lengths: Derivatives) -> NDArray[np.float64]:
-    """Return the derivatives of the lengths of all steps by all coordinates, ``(h, 2 h)``."""
+    """Return the derivatives of all step lengths by all coordinates, ``(h, 2 h)``."""
     steps = len(lengths.value)
     found, k = np.zeros((steps, steps, 2)), np.arange(steps)
     found[k, k] = lengths.gradient

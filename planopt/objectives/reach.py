@@ -1,11 +1,11 @@
-"""Reach a goal in least time, effort and time out of contact: the cost of a path and beyond it.
+"""Cost of reaching a goal: travel time, effort and distance out of contact, with cost-to-go.
 
-The continuous cost is the integral of ``1 + w v^2`` dt until arrival, in seconds, with v the speed
-and w the effort weight. In discrete time a step of length l and duration h that starts short of the
-goal costs ``h + w l^2 / h``; standing at the goal costs nothing. A way of length D beyond the
-horizon costs at least ``D min_v (1 + w v^2) / v`` over the speeds allowed: the cost rate below.
-A metre driven where the probability of connection is P counts ``1 + price (1 - P)`` metres at the
-outage price, everywhere or only where P is below p_min.
+The continuous cost is the integral of ``1 + w v^2`` dt until arrival, in seconds, with speed v and
+effort weight w. In discrete time, a step of length l and duration h that starts short of the goal
+costs ``h + w l^2 / h``; resting at the goal is free. A path of length D beyond the horizon costs at
+least ``D min_v (1 + w v^2) / v`` over the admissible speeds; this minimum is the cost rate below.
+With an outage price, a metre driven at probability of connection P counts as ``1 + price (1 - P)``
+metres, either everywhere or only if P is below p_min.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 
 def cruising_speed_m_s(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
-    """Return the speed of least cost per metre: ``1 / sqrt(w)`` if allowed, else the largest."""
+    """Return the speed of least cost per metre: ``1 / sqrt(w)``, at most `speed_max_m_s`."""
     if effort_weight_s2_m2 > 0.0:
         return min(speed_max_m_s, effort_weight_s2_m2**-0.5)
     return speed_max_m_s
@@ -30,22 +30,22 @@ def cost_rate_s_m(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
 def step_cost_s(
     length_m: NDArray[np.float64], step_s: float, effort_weight_s2_m2: float
 ) -> NDArray[np.float64]:
-    """Return the cost in seconds of steps of these lengths that start short of the goal."""
+    """Return the cost in seconds of steps of lengths `length_m` that start short of the goal."""
     return step_s + effort_weight_s2_m2 * length_m**2 / step_s
 
 
 def outage_share(
     probability: NDArray[np.float64], is_below: NDArray[np.bool_], everywhere: bool = False
 ) -> NDArray[np.float64]:
-    """Return the share of a metre at each place that the outage price applies to.
+    """Return the share of a metre at each position that the outage price applies to.
 
-    ``1 - P`` where p_min is missed, or everywhere; nothing elsewhere.
+    The share is ``1 - P`` if P is below p_min or `everywhere` is set, otherwise 0.
     """
     return np.where(is_below | everywhere, 1.0 - probability, 0.0)
 
 
 def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64]) -> float:
-    """Return the metres of a path (n + 1 places) that the outage price applies to."""
+    """Return the length of a path (n + 1 positions) that the outage price applies to."""
     # Shapes: lengths_m (n,); share (n + 1,).
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 
@@ -58,10 +58,10 @@ def path_cost_s(
     effort_weight_s2_m2: float,
     resting_m: NDArray[np.float64] | None = None,
 ) -> float:
-    """Return the cost of a path (n + 1, 2) up to its end or its arrival, without cost-to-go.
+    """Return the cost of a path (n + 1, 2) up to its end or arrival, without cost-to-go.
 
-    A robot that cannot stop at will has arrived where it can stop at the goal as well: `resting_m`
-    (n + 1, 2) is where it would come to stand if it braked from each place.
+    A robot with dynamics has arrived once it can also stop at the goal. `resting_m` (n + 1, 2) is
+    its rest position after braking from each position.
     """
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     short_of_goal = np.linalg.norm(positions_m[:-1] - goal_m, axis=1) > goal_radius_m

@@ -1,22 +1,22 @@
-"""Predicted power at the stages of a path with exact derivatives, from a kernel without cusp.
+"""Predicted power at the stages of a path, with exact derivatives of a smoothed kernel.
 
-exp(-d / beta) has a cusp at d = 0 and log d a pole. For derivatives, distances to a measurement
-become ``sqrt(d^2 + eps^2)`` with eps a hundredth of the decorrelation distance, and the
-distance to the station ``sqrt(d^2 + MIN_DISTANCE_M^2)``. The kernel is then smaller than the exact
-one by at most the share eps / beta = 0.01, at d = 0; at d = 10 eps by a twentieth of that.
+exp(-d / beta) has a cusp at d = 0 and log d a pole. For derivatives, the distance to a measurement
+becomes ``sqrt(d^2 + eps^2)``, with eps a hundredth of the decorrelation distance, and the distance
+to the station ``sqrt(d^2 + MIN_DISTANCE_M^2)``. The relative error of the kernel is at most
+eps / beta = 0.01, at d = 0; at d = 10 eps it is a twentieth of that.
 
-Every stage is predicted from the measurements nearest to it, with the uncertainty of theta; the
-verifier uses the exact kernel and all measurements. A solver evaluates a path some twenty times a
-step: kernel values and derivatives of all stages are therefore one array, which two products with
-matrices prepared once turn into the rest.
+Each stage is predicted from its nearest measurements, with the uncertainty of theta; the verifier
+uses the exact kernel and all measurements. A solver evaluates a path some twenty times per step.
+Kernel values and derivatives of all stages therefore share one array, and products with two
+precomputed matrices yield the rest.
 
 The serving power of several stations follows :mod:`planopt.channel.connectivity_law`, except that
-its standard deviation c is held at that along the path that the programme is built around:
+its standard deviation c is fixed to its value along the path that the programme is built around:
 
     mean = t_1 + c z,    deviation = c
 
-with z the score of any station. Probabilities are exact, with gradient and Hessian; only how many
-dB a bound is kept by, away from that path, is to first order.
+with z the any-station score. Probabilities, gradients and Hessians are exact; only the margin of a
+constraint in dB is a first-order approximation away from that path.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ CUSP_ROUNDING = 0.01
 def rounded_kernel(
     offset_m: NDArray[np.float64],  # (..., 2)
     parameters: ChannelParameters,
-    added_m2: NDArray[np.float64] | float = 0.0,  # (...) of each measurement
+    added_m2: NDArray[np.float64] | float = 0.0,  # (...) added to the squared distances
 ) -> Derivatives:
     """Return xi^2 exp(-r / beta), r = sqrt(|offset|^2 + added + eps^2), with derivatives."""
     rows = np.empty((6, *offset_m.shape[:-1]))
@@ -54,7 +54,7 @@ def rounded_kernel(
 def softened_m2(
     added_m2: NDArray[np.float64] | float, parameters: ChannelParameters
 ) -> NDArray[np.float64] | float:
-    """Return what squared distances of the rounded kernel have more than the offsets'."""
+    """Return the term that the rounded kernel adds to squared distances."""
     return added_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2
 
 
@@ -65,9 +65,9 @@ def fill_rounded_kernel(
     parameters: ChannelParameters,
     soft_m2: NDArray[np.float64] | float,
 ) -> None:
-    """Write the kernel of offsets `x`, `y` (...) and its derivatives x, y, xx, xy, yy.
+    """Write the kernel at offsets `x`, `y` (...) and its derivatives x, y, xx, xy, yy.
 
-    `rows` are ``(6, ...)``; a solver asks again and again and keeps them. `soft_m2` is of
+    The output `rows` (6, ...) is a buffer that solvers reuse. `soft_m2` comes from
     :func:`softened_m2`.
     """
     beta = parameters.decorrelation_m
@@ -79,10 +79,10 @@ def fill_rounded_kernel(
     np.multiply(r, -1.0 / beta, out=value)
     np.exp(value, out=value)
     value *= parameters.shadow_std_db**2
-    # -1 / (beta r); the slope is its product with the value.
+    # fall = -1 / (beta r); the slope is fall times the value.
     fall = np.divide(-1.0 / beta, r, out=r)
     slope = value * fall
-    # -slope (1 / (beta r) + 1 / r^2)
+    # bend = -slope (1 / (beta r) + 1 / r^2)
     bend = fall * (-(beta**2))
     bend += 1.0
     bend *= fall
@@ -99,7 +99,7 @@ def fill_rounded_kernel(
 
 
 def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> Derivatives:
-    """Return -10 log10 sqrt(d^2 + MIN_DISTANCE_M^2) with derivatives by the position (n, 2)."""
+    """Return -10 log10 sqrt(d^2 + MIN_DISTANCE_M^2) with derivatives by positions (n, 2)."""
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("ni,ni->n", offset, offset) + (station.height_m**2 + MIN_DISTANCE_M**2)
     slope = (-10.0 / math.log(10.0)) / square
@@ -107,19 +107,19 @@ def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> 
 
 
 LEAST_VARIANCE_DB2 = float(np.finfo(float).tiny)
-"""Least variance, where rounding leaves none."""
+"""Minimum variance, in case rounding errors leave none."""
 
 
 StagePower = tuple[Derivatives, Derivatives]
-"""Mean and deviation of every stage."""
+"""Mean and standard deviation of the power at every stage, with derivatives."""
 
 
 class StagePredictor:
-    """Predicts stage k from `model`'s k-th neighbour set, again and again.
+    """Reusable predictor of stage k from the k-th neighbour set of `model`.
 
-    With phi the covariances with the m measurements, g = (1, gamma) path loss's regressors, A =
-    trend and f = (phi, g), the mean is ``w' f`` and the variance ``xi^2 + omega^2 - phi' P phi +
-    b' M b``, b = g - A' phi, is ``xi^2 + omega^2 - f' Q f``: one linear form and one quadratic.
+    Let phi be the covariances with the m measurements, g = (1, gamma) the path-loss regressors,
+    A = trend and f = (phi, g). The mean is the linear form ``w' f``. The variance ``xi^2 + omega^2
+    - phi' P phi + b' M b``, b = g - A' phi, is the quadratic form ``xi^2 + omega^2 - f' Q f``.
     """
 
     def __init__(self, model: LocalChannel) -> None:
@@ -134,7 +134,7 @@ class StagePredictor:
         self._linear = np.empty((n, m + 2, 1))
         self._linear[:, :m, 0] = model.weights - model.trend @ model.theta
         self._linear[:, m:, 0] = model.theta
-        # f by derivative: value, x, y, xx, xy, yy.
+        # Rows of f and its derivatives: value, x, y, xx, xy, yy.
         self._f = np.zeros((n, 6, m + 2))
         self._f[:, 0, m] = 1.0
         self._kernel = self._f[:, :, :m].swapaxes(0, 1)
@@ -143,7 +143,7 @@ class StagePredictor:
         self._soft_m2 = softened_m2(model.added_m2, model.parameters)
 
     def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
-        """Return mean and deviation of stage k at ``positions_m[k]``, (n, 2)."""
+        """Return mean and standard deviation of stage k at ``positions_m[k]``, (n, 2)."""
         f, parameters = self._f, self._model.parameters
         fill_rounded_kernel(
             self._kernel,
@@ -154,12 +154,12 @@ class StagePredictor:
         )
         f[:, :, -1] = rounded_log_distance(positions_m, parameters.station).rows
         mean = (f @ self._linear)[:, :, 0]
-        # Of f, f_x and f_y with all six.
+        # Bilinear forms of f, f_x and f_y with all six rows.
         forms = (f[:, :3] @ self._quadratic) @ f.swapaxes(1, 2)
         variance = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 - forms[:, 0, 0]
         deviation = np.sqrt(np.maximum(variance, LEAST_VARIANCE_DB2))
         by_deviation = (1.0 / deviation)[:, None]
-        # Derivatives of half of the variance, over the deviation.
+        # Derivatives of half the variance, divided by the standard deviation.
         rows = forms[:, 0] * -by_deviation
         gradient = rows[:, 1:3]
         crossed = gradient[:, :, None] * gradient[:, None]
@@ -172,13 +172,13 @@ class StagePredictor:
 
 
 class ServingStages:
-    """Predicts the serving power of every stage, again and again."""
+    """Reusable predictor of the serving power at every stage."""
 
     def __init__(
         self,
         posteriors: Sequence[ChannelPosterior],
         thresholds_dbm: Sequence[float],
-        law: Callable[[Sequence[Prediction]], Prediction],  # From stations' powers to the serving
+        law: Callable[[Sequence[Prediction]], Prediction],  # Serving from station powers
         path_m: NDArray[np.float64],  # (N, 2)
         neighbours: int,
     ) -> None:
@@ -192,7 +192,7 @@ class ServingStages:
         self._scale_db = law(about).deviation_db
 
     def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
-        """Return mean and deviation of the serving power of stage k at ``positions_m[k]``."""
+        """Return mean and standard deviation of the serving power at ``positions_m[k]``."""
         powers = [predict(positions_m) for predict in self._stations]
         return serving_derivatives(powers, self._thresholds_dbm, self._scale_db)
 
@@ -202,9 +202,9 @@ def serving_derivatives(
     thresholds_dbm: Sequence[float],  # (m,)
     scale_db: NDArray[np.float64],  # (N,) c
 ) -> StagePower:
-    """Return mean and deviation of the serving power of m stations, the latter `scale_db`.
+    """Return the mean serving power of m stations, and `scale_db` as its standard deviation.
 
-    Of the stations' any-score z: dz = sum_i w_i dz_i and
+    The any-station score z has dz = sum_i w_i dz_i and
     d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i dz_j'.
     """
     scores = [
@@ -243,7 +243,7 @@ def connectivity_derivatives(
     """
     rows = scores_of(mean_db, deviation_db, threshold_dbm).rows
     z = rows[:, 0].copy()
-    # The density's slope.
+    # Contribution of the slope of the normal density.
     add_products(rows[:, 3:], rows[:, 1:3], (-0.5 * z)[:, None] * rows[:, 1:3])
     rows *= (np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))[:, None]
     rows[:, 0] = score_probability(z)

@@ -1,21 +1,20 @@
-"""Tracking: settings of a target and its sensor, the station's filter, and plans with recourse.
+"""Target tracking: target and sensor settings, the station's filter, and plans with recourse.
 
-The first estimate, the sensor and the process noise are alike along x and y, so that the covariance
-of one axis, three numbers, describes both.
+The initial estimate, the sensor and the process noise are isotropic. The covariance of one axis,
+three numbers, therefore describes both axes.
 
-With recourse, the end of a path is probed, and left if it has no connection. If a packet arrives
-from there, later ones do too, because multipath does not change; if not, the robot goes to another
-place: at every later step it may be at any *retreat* that it reaches in time, a place that is known
-to be connected, or one that the target is expected at, with the probability of connection there
-(equation 4.22). After a successful probe it stays for some steps, and may then be at a retreat too,
-because the target moves on. So a step out of the known coverage costs little if the way back is
-short, and may find a place that is connected from then on.
+With recourse, the robot probes the end of its path and leaves if it has no connection. If a packet
+arrives from there, later packets arrive too, because multipath is static. Otherwise the robot moves
+to a *retreat*: a position known to be connected, or an expected target position with its
+probability of connection (equation 4.22). At each later step it may use any retreat reachable by
+then. After a successful probe it stays for some steps and may then use a retreat as well, because
+the target moves on. A step out of the known coverage therefore costs little if the return is short.
 
-If packets have estimates, a failed probe loses nothing but time: once the robot is back at a
-place that is known to be connected, its packet contains all that it measured on the way (equation
-4.23). What counts is how long the station goes without. Because a robot that is back may leave
-again, later steps are discounted; otherwise the one return that is valued would be put off step by
-step, to bring fresher measurements for all steps thereafter.
+If packets contain estimates, a failed probe costs only time: back at a known connected position,
+the robot sends everything it measured since (equation 4.23). The cost is then the time that the
+station waits. Later steps are discounted because a robot that has returned may leave again.
+Without the discount, the plan would postpone its single return step by step to bring fresher
+measurements.
 """
 
 from __future__ import annotations
@@ -33,18 +32,18 @@ from planopt.targets.information_filter import TargetModel, covariance_of, requi
 from planopt.targets.sensor import Sensor, sensing_information
 
 Criterion = Literal["trace", "determinant", "norm"]
-"""Criteria of the covariance of the target's position: trace (m^2), determinant (m^4), largest
+"""Criteria of the covariance of the target position: trace (m^2), determinant (m^4) or largest
 eigenvalue (m^2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """A target to be tracked over the next h steps."""
+    """Tracking problem over the next h steps: predicted target, sensor and step weights."""
 
     threshold_dbm: float  # Upsilon_TH: packets below this power are dropped
-    sensor: Sensor  # How well it is sensed
+    sensor: Sensor  # Noise model of the measurements
     target_m: NDArray[np.float64]  # (h, 2) p_hat_{t+k|t}, k = 1 .. h.
-    # (h,) w_k >= 0 of the steps. Not given: all one.
+    # (h,) step weights w_k >= 0; all one by default
     weight: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
@@ -57,36 +56,36 @@ class Tracking:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The measurements of a robot that the station does not know yet, over the last M steps."""
+    """Unsent target measurements of one robot over the last M steps."""
 
-    # (4, 4) J of the station M steps ago, from when on something is missing
+    # (4, 4) J of the station M steps ago, before the first unsent measurement
     information: NDArray[np.float64]
     known: NDArray[np.float64]  # (M,) information per axis that the station has, per m^2
     sent: NDArray[np.float64]  # (M,) information per axis that only the robot has
 
     @property
     def steps(self) -> int:
-        """M."""
+        """Number of steps M."""
         return len(self.known)
 
 
 @dataclass(frozen=True, eq=False)
 class FilteredTracking:
-    """A target to be tracked, and the station's knowledge of it."""
+    """Tracking problem with the state of the station's filter."""
 
-    tracking: Tracking  # The target and the sensor
-    model: TargetModel  # How the target moves
+    tracking: Tracking  # Target and sensor
+    model: TargetModel  # Motion model of the target
     information: NDArray[np.float64]  # (4, 4) J_{t|t} at the station
     criterion: Criterion = "trace"
-    held: Held | None = None  # The robot's unsent measurements, where packets have estimates
+    held: Held | None = None  # The robot's unsent measurements, if packets contain estimates
 
     def __post_init__(self) -> None:
         require_covariance(self.information, 4, "information")
 
     def extended(self, beyond: int) -> FilteredTracking:
-        """Return the settings with `beyond` more steps of weight one, at the last velocity.
+        """Return the settings extended by `beyond` steps of weight one at the last velocity.
 
-        A single step has no velocity, and is not extended.
+        A single step defines no velocity and is not extended.
         """
         target = self.tracking.target_m
         if not beyond or len(target) == 1:
@@ -97,16 +96,16 @@ class FilteredTracking:
         return replace(self, tracking=tracking)
 
     def weighted(self, weight: NDArray[np.float64]) -> FilteredTracking:
-        """Return the settings with other weights of the steps."""
+        """Return the settings with these step weights."""
         return replace(self, tracking=replace(self.tracking, weight=weight))
 
 
 def left(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:
-    """Return sum_k w_k f(P_k) of the position for the information of packets per axis; ``(...)``.
+    """Return sum_k w_k f(P_k), f the criterion of the position covariance; ``(...)``.
 
-    In place, because searches ask for hundreds of paths over all steps.
+    The filter runs in place, because searches evaluate hundreds of paths over all steps.
     """
-    # Shapes: received (..., k), in 1 / m^2.
+    # Shapes: received (..., k), information of the packets per axis in 1 / m^2.
     weight, steps = settings.tracking.weight, Axis.of(settings)
     total = np.zeros(received.shape[:-1])
     variance = np.empty((3, *total.shape))
@@ -119,7 +118,7 @@ def left(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[n
 
 
 def criterion_of(variance_m2: NDArray[np.float64], criterion: Criterion) -> NDArray[np.float64]:
-    """Return the trace, determinant or norm of a I_2, a the variance of a coordinate; ``(...)``."""
+    """Return the trace, determinant or norm of a I_2, with a the variance per axis; ``(...)``."""
     if criterion == "determinant":
         return np.square(variance_m2)
     return variance_m2 if criterion == "norm" else 2.0 * variance_m2
@@ -127,35 +126,35 @@ def criterion_of(variance_m2: NDArray[np.float64], criterion: Criterion) -> NDAr
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """The filter along one axis: P = [[a, b], [b, c]] as (a, b, c)."""
+    """Kalman filter of one axis with P = [[a, b], [b, c]] stored as (a, b, c)."""
 
     start: NDArray[np.float64]  # (3,)
     step_s: float
-    noise: NDArray[np.float64]  # (3,) process noise of a step
+    noise: NDArray[np.float64]  # (3,) process noise per step
 
     @classmethod
     def of(cls, settings: FilteredTracking) -> Axis:
-        """Return the mean over the axes of the station's covariance and of the process noise."""
+        """Return the filter with the axis means of the station's covariance and process noise."""
         model = settings.model
         start = _axis(covariance_of(settings.information))
         return cls(start, model.step_s, _axis(model.process_covariance))
 
     def predict(self, now: NDArray[np.float64]) -> None:
-        """Predict (a, b, c) ``(3, ...)`` by one step, in place."""
+        """Predict (a, b, c) ``(3, ...)`` one step ahead, in place."""
         e = self.step_s
         now[0] += (2.0 * e) * now[1] + (e * e) * now[2] + self.noise[0]
         now[1] += e * now[2] + self.noise[1]
         now[2] += self.noise[2]
 
     def update(self, now: NDArray[np.float64], information: NDArray[np.float64]) -> None:
-        """Update (a, b, c) ``(3, ...)`` by packets with `information` (...), in place."""
+        """Update (a, b, c) ``(3, ...)`` with packets of `information` (...), in place."""
         divisor = 1.0 + now[0] * information
         now[2] -= now[1] * now[1] * information / divisor
         now[:2] /= divisor
 
 
 def _axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (a, b, c) of a covariance (4, 4) of place and velocity, the mean over the axes."""
+    """Return (a, b, c) of a position-velocity covariance (4, 4), averaged over the axes."""
     blocks = covariance.reshape(2, 2, 2, 2).trace(axis1=1, axis2=3) / 2.0
     return np.array([blocks[0, 0], blocks[0, 1], blocks[1, 1]])
 
@@ -167,34 +166,34 @@ STAYED_STEPS = 10
 """Maximum number of steps that a stationary robot, or one after a successful probe, stays."""
 
 MOST_CONNECTED = 80
-"""Maximum number of places known to be connected that are retreats, those with the best sensing."""
+"""Maximum number of known connected positions used as retreats, best sensing first."""
 
 WHOLE_STEPS = 1e-9
-"""A distance longer than whole steps by less than this share of one takes no further step."""
+"""Tolerance, as a share of a step, when distances are rounded up to whole steps."""
 
 DISCOUNT = 0.8
-"""Factor of the weight of each step to that of the step before it."""
+"""Ratio of the weight of each step to that of the previous step."""
 
 STEPS_OF_ESTIMATES = 10
-"""Steps beyond the horizon over which a probe is valued if packets have estimates."""
+"""Steps beyond the horizon over which a probe is valued if packets contain estimates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Retreats:
-    """Places where a robot may be instead of the end of its path (equation 4.21)."""
+    """Alternative positions to the end of a path (equation 4.21)."""
 
     places_m: NDArray[np.float64]  # (m, 2)
-    # (m, k) expected information of a packet from there at every step, per m^2
+    # (m, k) expected information of a packet from each place at each step, per m^2
     information: NDArray[np.float64]
     longest_m: float  # Length of the longest step
-    connected: int  # So many of the places, the first ones, are known to be connected
+    connected: int  # Number of known connected places; they come first
 
     def nearest_connected(
         self, stops_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the nearest other place known to be connected (c, 2), and its distance in steps.
+        """Return the nearest other known connected position (c, 2) and its distance in steps.
 
-        The stop itself, infinitely far, if there is none.
+        If there is none, return the stop itself at infinite distance.
         """
         if not self.connected:
             return stops_m, np.full(len(stops_m), np.inf)
@@ -206,7 +205,7 @@ class Retreats:
         return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
     def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the largest information that can be reached at every step, ``(c, k)``."""
+        """Return the largest information of the reachable retreats at each step, ``(c, k)``."""
         # Shapes: stops_m (c, 2); arrivals (c,).
         found = np.zeros((len(stops_m), self.information.shape[1]))
         away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
@@ -224,7 +223,7 @@ def retreats_of(
     settings: FilteredTracking,
     longest_m: float,
 ) -> Retreats:
-    """Return the places known to be connected, and those where the target is expected."""
+    """Return the known connected positions and the expected target positions as retreats."""
     tracking = settings.tracking
     target = tracking.target_m
     certain = sensing_information(tracking.sensor, connected_m[:, None], target)
@@ -239,12 +238,12 @@ def retreats_of(
 
 def recourse_costs(
     paths_m: NDArray[np.float64],  # (c, N, 2)
-    chance: NDArray[np.float64],  # (c, N) chance of connection after every step
+    chance: NDArray[np.float64],  # (c, N) probability of connection after each step
     retreats: Retreats,
     others: NDArray[np.float64],  # (k,) expected information of the other robots' packets, per m^2
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return the expected criterion after probes of the ends of paths (equation 4.22); ``(c,)``."""
+    """Return the expected criterion if path ends are probed (equation 4.22); ``(c,)``."""
     steps, tracking = chance.shape[1], settings.tracking
     arrivals = last_arrivals(paths_m)
     at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
@@ -253,21 +252,21 @@ def recourse_costs(
         tracking.sensor, paths_m, tracking.target_m[:steps]
     )
     ends = np.where(at_stop, at_ends(paths_m, arrivals, retreats, settings), sent)
-    # The filter of a coordinate receives half of the information of a packet.
+    # Each axis receives half of a packet's information.
     costs = left(0.5 * (ends + others), settings)
     probed = chance[:, -1]
     return probed * costs[0] + (1.0 - probed) * costs[1]
 
 
 def last_arrivals(paths_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the step, from 0 on, after which paths (c, N, 2) are at their ends; ``(c,)``."""
+    """Return the index of the step with which each path (c, N, 2) reaches its end; ``(c,)``."""
     count, steps, _ = paths_m.shape
     moving = np.linalg.norm(paths_m - paths_m[:, -1:], axis=2) > SAME_PLACE_M
     return steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
 
 
 def stayed_steps(paths_m: NDArray[np.float64]) -> int:
-    """Return M of equation 4.21, the steps for which robots stay at the ends of paths (c, N, 2)."""
+    """Return M of equation 4.21, the number of steps robots stay at path ends (c, N, 2)."""
     return min(paths_m.shape[1], STAYED_STEPS)
 
 
@@ -277,11 +276,11 @@ def at_ends(
     retreats: Retreats,
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return s_k and e_k of equation 4.21, from the ends of paths on; ``(2, c, k)``.
+    """Return s_k and e_k of equation 4.21 from the path ends on; ``(2, c, k)``.
 
-    In the first `STAYED_STEPS` steps the robot stays after a successful probe, and a path that ends
-    with its first step probes nothing. Otherwise a stationary robot would be valued like a moving
-    one: the model lets it leave at any step, without obstacles and other robots.
+    After a successful probe the robot stays during the first `STAYED_STEPS` steps. A path that ends
+    with its first step probes nothing. Otherwise a stationary robot would score like a moving one,
+    because the model ignores obstacles and other robots and lets it leave at any step.
     """
     tracking, stops = settings.tracking, paths_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
@@ -291,7 +290,7 @@ def at_ends(
 
 
 def discounted(settings: FilteredTracking) -> FilteredTracking:
-    """Return the settings with the weights w_k of steps k = 1, 2, .. times `DISCOUNT`^(k - 1)."""
+    """Return the settings with the weight of step k = 1, 2, .. multiplied by DISCOUNT^(k - 1)."""
     weight = settings.tracking.weight
     return settings.weighted(weight * DISCOUNT ** np.arange(len(weight)))
 
@@ -303,25 +302,25 @@ def delayed_costs(
     others: NDArray[np.float64],
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return :func:`recourse_costs` if packets have estimates (equation 4.23); ``(c,)``."""
+    """Return the :func:`recourse_costs` of packets with estimates (equation 4.23); ``(c,)``."""
     held, tracking = settings.held, settings.tracking
     if held is None:
         raise AssertionError("packets have measurements")
     count, length, total = len(chance), chance.shape[1], len(tracking.target_m)
     arrivals, stops = last_arrivals(paths_m), paths_m[:, -1]
     ends = at_ends(paths_m, arrivals, retreats, settings)
-    # A robot that is stationary, or stops with the first step, probes nothing, and stays.
+    # A robot that is stationary or stops with the first step does not probe, and stays.
     leaving = np.where(arrivals > 0, arrivals, stayed_steps(paths_m) - 1)
     back_m, home = _return_paths(stops, leaving, retreats, total)
     returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
     sensed = sensing_information(tracking.sensor, paths_m, tracking.target_m[:length])
     stage = np.arange(total)
-    # The information in the end: if the probe succeeds, and once the robot is back.
+    # Final information per step: probe successful (0), robot back after a failed probe (1).
     sent = ends.copy()
     sent[1] = np.where(stage < home[:, None], np.maximum(returning, ends[1]), ends[1])
     on_path = stage[:length] < arrivals[:, None]
     sent[..., :length] = np.where(on_path, sensed, sent[..., :length])
-    # The filter of a coordinate receives half of the information of a packet.
+    # Each axis receives half of a packet's information.
     known_then, known_before = 0.5 * (sent + others), 0.5 * (ends[1] + others)
     before = _variance_on_path(0.5 * sensed, chance, 0.5 * others, settings)
     axis, full = Axis.of(settings), np.empty((3, 2, count))
@@ -349,10 +348,10 @@ def delayed_costs(
 
 
 def arrival_chance(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
-    """Return the probability that step s is known at step k, by packets of the path; (N, M + N, c).
+    """Return P(the station knows step s at step k) from packets of the path; (N, M + N, c).
 
-    The largest probability of the packets since: because of shadowing they arrive or are lost
-    together. Zero for steps after k.
+    Correlated shadowing makes packets arrive or fail together, so this is the largest probability
+    of the packets sent from step s to k. It is zero for s > k.
     """
     # Shapes: chance (c, N).
     count, length = chance.shape
@@ -367,10 +366,10 @@ def arrival_chance(chance: NDArray[np.float64], held: int) -> NDArray[np.float64
 def _variance_on_path(
     sensed: NDArray[np.float64],  # (c, N) information per axis of each step's measurement, per m^2
     chance: NDArray[np.float64],
-    others: NDArray[np.float64],  # (k,) of the others' packets
+    others: NDArray[np.float64],  # (k,) information of the others' packets
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return (a, b, c) of the station's filter after each step of the paths; ``(3, N, c)``."""
+    """Return (a, b, c) of the station's filter after each step of each path; ``(3, N, c)``."""
     held = settings.held
     if held is None:
         raise AssertionError("packets have measurements")
@@ -379,7 +378,7 @@ def _variance_on_path(
     variance = np.empty((3, chance.shape[1], len(chance)))
     variance[:] = axis.start[:, None, None]
     for s in range(known.shape[1]):
-        # Filters of earlier steps are at their end.
+        # Filters of earlier steps have finished.
         first = max(s - missing, 0)
         now = variance[:, first:]
         axis.predict(now)
@@ -393,10 +392,10 @@ def _variance_on_path(
 def _return_paths(
     stops_m: NDArray[np.float64], leaving: NDArray[np.intp], retreats: Retreats, total: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return straight paths to the nearest connected place ``(c, k, 2)``, and the step of arrival.
+    """Return straight paths to the nearest connected position ``(c, k, 2)`` and arrival steps.
 
-    Until the end of step `leaving` (c,) a robot stays at its stop. The step is infinite if no such
-    place is known.
+    Each robot stays at its stop until step `leaving` (c,) ends. The arrival step is infinite if no
+    connected position is known.
     """
     home_m, steps = retreats.nearest_connected(stops_m)
     driven = np.maximum(np.arange(total) - leaving[:, None], 0.0)

@@ -1,12 +1,12 @@
 # pyright: basic
-"""The expected distance along a path until connected (equation 4.13): a cost, in metres.
+"""Expected distance along a path until connected (equation 4.13): a cost in metres.
 
-Plans are valued by assumed-density filtering (equation 4.15): places are taken in turn, and given
-that the earlier ones are not connected, power at all later ones is taken as Gaussian again, with
-its exact moments. It is within hundredths of the multivariate integral
-(:func:`planopt.channel.first_passage`) and costs a hundredth of it. For solvers, CasADi
-differentiates the formula by the moments of the path, whose derivatives are those of
-:mod:`planopt.objectives.path_derivatives`.
+Plans are evaluated by assumed-density filtering (equation 4.15). Positions are visited in turn.
+Given no connection so far, the power at all later positions is approximated by a Gaussian with the
+exact moments. The result is within hundredths of the multivariate integral
+(:func:`planopt.channel.first_passage`) at a hundredth of its cost. For solvers, CasADi
+differentiates the formula by the moments of the path, whose derivatives
+:mod:`planopt.objectives.path_derivatives` provides.
 """
 
 from __future__ import annotations
@@ -35,33 +35,33 @@ from planopt.objectives.path_derivatives import (
 from planopt.targets.rounding import Derivatives, rounded_length
 
 WAITING = 0.1
-"""Cost of each metre by which a step is shorter than the longest. Without it, waiting would cost
-nothing, and the robot would put off its first step again and again."""
+"""Cost per metre by which a step is shorter than the longest step. Without it, waiting would be
+free, and the robot would postpone its first step forever."""
 
 NOT_PROBED_DB = 1e3
-"""Places that are not probed are taken to be so far below the threshold."""
+"""Offset in dB that puts positions without a probe far below the threshold."""
 
 LEAST_CHANCE = 1e-12
-"""Minimum probability of connection of a probed place."""
+"""Minimum probability of connection of a probed position."""
 
 PROBE_SHARE = 1.0 / 3.0
 """Expected distance between probes as a share of the decorrelation distance. From 1/6 to 2/3
-searches from 40 starts on one map were within a tenth of the best."""
+searches from 40 start positions on one map were within a tenth of the best."""
 
 LEAST_VARIANCE_DB2 = 1e-12
-"""Minimum variance, for places whose power is known exactly."""
+"""Minimum variance, for positions whose power is known exactly."""
 
 LEAST_SCORE = -5.0
-"""Minimum score: no place misses connection with a smaller probability than Q(5), 3e-7."""
+"""Minimum score: the outage probability of a position is at least Q(5) = 3e-7."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """A search for connection."""
+    """Settings of a search for connection."""
 
-    start_m: tuple[float, float]  # Where the robot is
-    thresholds_dbm: tuple[float, ...]  # Power from which on a place is connected to each station
-    beyond_m: float = 0.0  # Metres added for a path that ends without connection
+    start_m: tuple[float, float]  # Position of the robot
+    thresholds_dbm: tuple[float, ...]  # Minimum power of a connection to each station
+    beyond_m: float = 0.0  # Metres added if the path ends without connection
     step_m: float | None = None  # Longest step, for the cost of waiting; None if it is free
 
 
@@ -69,13 +69,12 @@ def charged_distance_m(
     posteriors: Sequence[ChannelPosterior],
     path_m: NDArray[np.float64],  # (h, 2)
     settings: Search,
-    probed: NDArray[np.bool_] | None = None,  # (h,) which places are probed; None: all
+    probed: NDArray[np.bool_] | None = None,  # (h,) True where the robot probes; None: all
 ) -> float:
     """Return E[D] + beyond_m P(not connected at q_1 .. q_h), by the exact posteriors.
 
-    E[D] alone is least for a robot that stands still, so that legs are those of
-    :func:`counted_legs_m`. Stations are independent: the probabilities of no connection to each of
-    them multiply.
+    E[D] alone is smallest for a stationary robot, so leg lengths are those of
+    :func:`counted_legs_m`. Stations are independent, so their outage probabilities multiply.
     """
     places = require_places(path_m)
     missing_db = 0.0 if probed is None else np.where(probed, 0.0, NOT_PROBED_DB)
@@ -90,16 +89,16 @@ def charged_distance_m(
 
 
 def counted_legs_m(legs_m: NDArray[np.float64], step_m: float | None) -> NDArray[np.float64]:
-    """Return legs plus `WAITING` times their difference from the longest step, `step_m`."""
+    """Return leg lengths plus `WAITING` times their shortfall from the longest step `step_m`."""
     return legs_m if step_m is None else (1.0 - WAITING) * legs_m + WAITING * step_m
 
 
 def charged_distances_m(
     stations: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-    legs_m: NDArray[np.float64],  # (c, h) what the steps count
+    legs_m: NDArray[np.float64],  # (c, h) counted lengths of the steps
     beyond_m: NDArray[np.float64] | float,
 ) -> NDArray[np.float64]:
-    """Return the costs of c paths of h places, as :func:`charged_distance_m`; ``(c,)``."""
+    """Return the cost of :func:`charged_distance_m` for c paths of h positions; ``(c,)``."""
     failing = np.ones_like(legs_m)
     for above_db, covariance_db2 in stations:
         failing *= filtered_failing(above_db, covariance_db2)
@@ -113,8 +112,8 @@ def charged_distances_m(
 def filtered_failing(
     above_db: NDArray[np.float64], covariance_db2: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return P(no connection up to each place) of c paths by filtering (equation 4.15); (c, h)."""
-    # Shapes: above_db, covariance_db2 (c, h).
+    """Return P(no connection up to each position) of c paths (equation 4.15); ``(c, h)``."""
+    # Shapes: above_db (c, h); covariance_db2 (c, h, h).
     mean, covariance = above_db.copy(), covariance_db2.copy()
     below = np.empty_like(mean)
     for k in range(int(mean.shape[1])):
@@ -137,10 +136,10 @@ def search_length_m(
     chance: NDArray[np.float64],
     decorrelation_m: float,
 ) -> NDArray[np.float64]:
-    """Return the expected length of a search that begins at a place, R = D + L (1 - P) / P.
+    """Return the expected length of a search by its first probe, R = D + L (1 - P) / P.
 
-    The first probe costs the path to its place, D, and each further one L, `PROBE_SHARE` of the
-    decorrelation distance: it is as likely to succeed as the first, and near it.
+    The first probe costs the path length D to its position. Each further probe is nearby, equally
+    likely to succeed, and costs L, `PROBE_SHARE` of the decorrelation distance.
     """
     # Shapes: distance_m, chance (k,).
     odds_against = (1.0 - chance) / np.maximum(chance, LEAST_CHANCE)
@@ -149,26 +148,26 @@ def search_length_m(
 
 @dataclass(frozen=True)
 class PassageProgramme:
-    """CasADi functions of z, flat.
+    """CasADi functions of the flat vector z.
 
-    z = (mean above threshold (h,), covariance (h, h)) for each station in turn, then legs (h,) and
-    the cost of ending without connection. Stations are independent: their chances multiply.
+    z stacks (mean above threshold (h,), covariance (h, h)) of each station, the leg lengths (h,)
+    and the cost of ending without connection. Outage probabilities of stations multiply.
     """
 
-    value: Any  # Of z: the distance charged
-    gradient: Any  # The same by z, of the covariance by its lower triangle only
-    along: Any  # Of z and a direction: how the gradient changes along it
+    value: Any  # Function of z: expected cost in metres
+    gradient: Any  # Gradient by z; covariances enter by their lower triangle only
+    along: Any  # Function of z and a direction: directional derivative of the gradient
 
 
 @cache
 def passage_programme(steps: int, stations: int = 1) -> PassageProgramme:
-    """Build the functions for a path of h = `steps` places; kept for each number."""
+    """Build the functions for a path of h = `steps` positions; cached per number of steps."""
     import casadi as ca
 
     size = steps * (steps + 1)
     z = ca.SX.sym("z", stations * size + steps + 1)
     each = [_failing(z[own * size : (own + 1) * size], steps) for own in range(stations)]
-    legs = z[stations * size :]  # and beyond, the last
+    legs = z[stations * size :]  # The last entry is the cost beyond the path
     distance = legs[0]
     for k in range(steps):
         failing = math.prod((own[k] for own in each[1:]), start=each[0][k])
@@ -183,7 +182,7 @@ def passage_programme(steps: int, stations: int = 1) -> PassageProgramme:
 
 
 def _failing(z: Any, steps: int) -> list[Any]:
-    """Return P(no connection to one station up to each place), from its mean and covariance."""
+    """Return P(no connection to one station up to each position) from mean and covariance."""
     import casadi as ca
 
     mean = [z[k] for k in range(steps)]
@@ -210,10 +209,10 @@ def charged_distance_derivatives(
     path_m: NDArray[np.float64],  # (h, 2)
     settings: Search,
     width_m: float,
-    beyond: Derivatives | None = None,  # Cost of ending without connection, by the last place
+    beyond: Derivatives | None = None,  # Cost of ending without connection, by the last position
     probed: NDArray[np.bool_] | None = None,  # (h,)
 ) -> PathDerivatives:
-    """Return the filtered :func:`charged_distance_m` by local channels with derivatives."""
+    """Return :func:`charged_distance_m` for local channels, filtered, with derivatives."""
     stations = [LocalPath(channel, path_m) for channel in channels]
     steps = len(path_m)
     legs = rounded_length(np.diff(np.vstack([settings.start_m, path_m]), axis=0), width_m)
@@ -256,7 +255,7 @@ def charged_distance_derivatives(
 
 
 def _jacobians(station: LocalPath) -> list[NDArray[np.float64]]:
-    """Return derivatives of mean (h, 2 h) and covariance (h h, 2 h) of one station."""
+    """Return the Jacobians of mean (h, 2 h) and covariance (h h, 2 h) of one station."""
     steps = station.steps
     k = np.arange(steps)
     by_mean = np.zeros((steps, steps, 2))

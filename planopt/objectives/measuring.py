@@ -180,7 +180,7 @@ class Gates:
     _own: NDArray[np.float64]
 
     def jacobian(self) -> NDArray[np.float64]:
-        """Return the derivatives of gates by path coordinates x_1, y_1, x_2, ..; ``(c, N, 2 N)``."""
+        """Return gate derivatives by path coordinates x_1, y_1, x_2, ..; ``(c, N, 2 N)``."""
         return self.value[..., None] * self._log_slopes()
 
     def curvature(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:

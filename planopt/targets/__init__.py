@@ -1,1 +1,1 @@
-"""Targets: how one moves, how it is sensed, and what the station knows of it."""
+"""Target tracking: motion model, sensor model and information filter of the station."""

@@ -1,7 +1,7 @@
-"""The tracked target, and the information filter of the station with lost packets.
+"""Target motion model, and the station's information filter with lost packets.
 
-In information form a packet that is lost is a term that is missing, and knowing nothing is a zero
-matrix. The prediction inverts neither J (it may be singular) nor B Theta B' (it always is).
+In information form, a lost packet is a missing term, and no prior knowledge is a zero matrix. The
+prediction inverts neither J, which may be singular, nor B Theta B', which always is.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class TargetModel:
-    """The model ``x+ = A x + B w``, ``x = (p, p')``, w of covariance Theta (equation 4.7)."""
+    """Motion model ``x+ = A x + B w``, ``x = (p, p')``, cov w = Theta (equation 4.7)."""
 
     step_s: float  # epsilon: the time step
     # (2, 2) Theta. B Theta B' has rank 2 of 4: it has no inverse.
@@ -30,32 +30,32 @@ class TargetModel:
 
     @cached_property
     def transition(self) -> NDArray[np.float64]:
-        """``(4, 4)`` A."""
+        """``(4, 4)`` transition matrix A."""
         found = np.eye(4)
         found[:2, 2:] = self.step_s * np.eye(2)
         return found
 
     @cached_property
     def noise_gain(self) -> NDArray[np.float64]:
-        """``(4, 2)`` B."""
+        """``(4, 2)`` noise input matrix B."""
         return np.vstack([0.5 * self.step_s**2 * np.eye(2), self.step_s * np.eye(2)])
 
     @cached_property
     def process_covariance(self) -> NDArray[np.float64]:
-        """``(4, 4)`` B Theta B'."""
+        """``(4, 4)`` process noise covariance B Theta B'."""
         return self.noise_gain @ self.acceleration_covariance_m2_s4 @ self.noise_gain.T
 
 
 @dataclass(frozen=True, eq=False)
 class TargetPrediction:
-    """The predicted track of the target, h steps ahead, without further measurements."""
+    """Prediction of the target over h steps without further measurements."""
 
     mean: NDArray[np.float64]  # (h, 4) x_hat_{t+k|t}, k = 1 .. h: metres and metres per second.
     covariance: NDArray[np.float64]  # (h, 4, 4) P_{t+k|t}
 
     @property
     def positions_m(self) -> NDArray[np.float64]:
-        """``(h, 2)`` p_hat_{t+k|t}."""
+        """``(h, 2)`` predicted positions p_hat_{t+k|t}."""
         return self.mean[:, :2]
 
 
@@ -69,7 +69,7 @@ def simulate_target(
     state = require_state(start)
     if steps < 0:
         raise InputError(f"{steps!r} is no number of steps", key="steps")
-    # Not a Cholesky factor: Theta may be singular, for a target that is pushed along a line.
+    # No Cholesky factor: Theta is singular for acceleration along a line.
     variances, axes = np.linalg.eigh(model.acceleration_covariance_m2_s4)
     spread = model.noise_gain @ (axes * np.sqrt(np.maximum(variances, 0.0)))
     pushes = generator.standard_normal((steps, 2)) @ spread.T
@@ -84,8 +84,8 @@ def simulate_target(
 def predict_target(
     model: TargetModel, mean: NDArray[np.float64], covariance: NDArray[np.float64], steps: int
 ) -> TargetPrediction:
-    """Predict `steps` >= 1 steps ahead: A^k x_hat, and P+ = A P A' + B Theta B'."""
-    # Shapes: mean, covariance (4,).
+    """Predict `steps` >= 1 steps ahead by A^k x_hat and P+ = A P A' + B Theta B'."""
+    # Shapes: mean (4,); covariance (4, 4).
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     if steps < 1:
         raise InputError(f"{steps!r} is too few", key="steps", remedy="give at least 1")
@@ -112,7 +112,7 @@ def require_covariance(matrix: NDArray[np.float64], size: int, key: str) -> NDAr
     if found.shape != (size, size) or not np.isfinite(found).all():
         raise InputError(f"a covariance of shape {found.shape} is not ({size}, {size})", key=key)
     scale = float(np.abs(found).max())
-    # Rounding of a computed covariance, not a matrix that is none.
+    # The tolerance admits rounding errors of a computed covariance.
     if np.abs(found - found.T).max() > 1e-9 * scale:
         raise InputError("a covariance is symmetric", key=key)
     if np.linalg.eigvalsh(found)[0] < -1e-9 * scale:
@@ -122,35 +122,35 @@ def require_covariance(matrix: NDArray[np.float64], size: int, key: str) -> NDAr
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """An estimate in information form (equation 4.9)."""
+    """Estimate in information form (equation 4.9)."""
 
     vector: NDArray[np.float64]  # (4,) chi = J x_hat
-    matrix: NDArray[np.float64]  # (4, 4) J = P^-1; zero where nothing is known
+    matrix: NDArray[np.float64]  # (4, 4) J = P^-1; zero without prior knowledge
 
     @property
     def mean(self) -> NDArray[np.float64]:
-        """``(4,)`` x_hat; an InputError while J has no inverse."""
+        """``(4,)`` estimate x_hat; raises an InputError while J is singular."""
         return self.covariance @ self.vector
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """``(4, 4)`` P; an InputError while J has no inverse."""
+        """``(4, 4)`` covariance P; raises an InputError while J is singular."""
         return covariance_of(self.matrix)
 
 
 def information_state(
     mean: NDArray[np.float64], covariance: NDArray[np.float64]
 ) -> InformationState:
-    """Return the estimate of mean ``(4,)`` and invertible covariance ``(4, 4)``."""
+    """Return the information form of mean ``(4,)`` and invertible covariance ``(4, 4)``."""
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     matrix = covariance_of(spread)
     return InformationState(matrix @ state, matrix)
 
 
 def predict(model: TargetModel, state: InformationState) -> InformationState:
-    """Predict one step without measurements: chi_{t+1|t} and J_{t+1|t}.
+    """Predict chi_{t+1|t} and J_{t+1|t}, one step ahead without measurements.
 
-    chi- = J- A J^-1 chi = (I - K B') A^-T chi, with K of :func:`predicted_information`.
+    chi_{t+1|t} = J_{t+1|t} A J^-1 chi = (I - K B') A^-T chi, K as in :func:`predicted_information`.
     """
     moved = _moved(model, state.matrix)
     gain, _ = _gain(model, moved)
@@ -164,9 +164,9 @@ def predict(model: TargetModel, state: InformationState) -> InformationState:
 def predicted_information(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return J_{t+1|t} = (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``.
 
-    With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T it is
-    (I - K B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma, in Joseph's form): a sum
-    of positive semidefinite terms, so that nothing cancels.
+    With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T, it is computed as
+    (I - K B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma in Joseph form). Both
+    terms are positive semidefinite, so there is no cancellation.
     """
     moved = _moved(model, matrix)
     gain, inner = _gain(model, moved)
@@ -183,7 +183,7 @@ def update(
     noise_covariance_m2: NDArray[np.float64],  # (n, 2, 2) Lambda_i
     delivered: NDArray[np.bool_],  # (n,) lambda_i
 ) -> InformationState:
-    """Count the packets that arrived: chi += H' Lambda^-1 z, J += H' Lambda^-1 H for each."""
+    """Add each delivered packet: chi += H' Lambda^-1 z and J += H' Lambda^-1 H."""
     count = len(delivered)
     if measured_m.shape != (count, 2) or noise_covariance_m2.shape != (count, 2, 2):
         raise InputError(
@@ -206,7 +206,7 @@ def covariance_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the inverse of information matrices ``(..., 4, 4)``, or raise an InputError."""
     smallest = np.linalg.eigvalsh(matrix)[..., 0]
     largest = np.abs(matrix).max(axis=(-1, -2))
-    # Below this share digits alone decide the inverse.
+    # Below this ratio, rounding errors determine the inverse.
     if not (smallest > 1e-15 * largest).all():
         raise InputError(
             "nothing is known yet in some direction: the information matrix has no inverse",
@@ -217,13 +217,13 @@ def covariance_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def position_variance_m2(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the trace of P's position block for information matrices ``(..., 4, 4)``."""
+    """Return the trace of the position block of P for information matrices ``(..., 4, 4)``."""
     covariance = covariance_of(matrix)
     return covariance[..., 0, 0] + covariance[..., 1, 1]
 
 
 def _moved(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return M = A^-T J A^-1, the information after a step without acceleration."""
+    """Return M = A^-T J A^-1, the information after a step without process noise."""
     back = model.transition.copy()
     back[:2, 2:] *= -1.0
     return back.T @ matrix @ back

@@ -1,8 +1,8 @@
-"""Lengths and thresholds without their kink, for solvers: exact but within a stated width.
+"""Smoothed lengths and thresholds for solvers, exact outside a given width.
 
-``|x|`` has no derivative at 0. Within `width` of 0 it is replaced by the even polynomial of degree
-four that joins it with the same value, slope and curvature; elsewhere nothing changes. The
-replacement is larger, by at most 3/8 of the width.
+``|x|`` has no derivative at 0. Within `width` of 0 it is replaced by the even quartic polynomial
+that matches its value, slope and curvature at `width`. The replacement exceeds ``|x|`` by at most
+3/8 of the width.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
-    """Numbers at n places with derivatives by the place."""
+    """Values at positions with their first and second derivatives."""
 
     value: NDArray[np.float64]  # (...)
     gradient: NDArray[np.float64]  # (..., 2) per metre
@@ -23,14 +23,14 @@ class Derivatives:
 
     @staticmethod
     def of(rows: NDArray[np.float64]) -> Derivatives:
-        """Return the derivatives of :attr:`rows` `rows`, which they keep."""
+        """Return derivatives that share the memory of `rows` (..., 6); see :attr:`rows`."""
         found = Derivatives(rows[..., 0], rows[..., 1:3], rows[..., 3:])
         object.__setattr__(found, "_rows", rows)
         return found
 
     @property
     def rows(self) -> NDArray[np.float64]:
-        """``(..., 6)``: value, x, y, xx, xy, yy; what is linear treats them alike."""
+        """``(..., 6)`` value, x, y, xx, xy, yy, for linear operations on all six."""
         rows: NDArray[np.float64] | None = getattr(self, "_rows", None)
         if rows is None:
             return np.concatenate([self.value[..., None], self.gradient, self.hessian], axis=-1)
@@ -38,7 +38,7 @@ class Derivatives:
 
 
 def rounded_length(offset_m: NDArray[np.float64], width_m: float) -> Derivatives:
-    """Return the length of `offset_m` (..., 2), rounded within `width_m` > 0 of zero."""
+    """Return the length of `offset_m` (..., 2), smoothed within `width_m` > 0 of zero."""
     distance = np.hypot(offset_m[..., 0], offset_m[..., 1])
     return radial(offset_m, *rounded_radius(distance, width_m))
 
@@ -49,8 +49,8 @@ def radial(
     slope: NDArray[np.float64],
     bend: NDArray[np.float64],
 ) -> Derivatives:
-    """Return derivatives of f(|x|) at offsets x (..., 2)."""
-    # Shapes: value, slope, bend (...).
+    """Return f(|x|) with derivatives by x at offsets (..., 2)."""
+    # Shapes: value f, slope f' / r, bend (f'' - f' / r) / r^2, all (...).
     rows = np.empty((*value.shape, 6))
     rows[..., 0] = value
     steep = slope[..., None]
@@ -65,7 +65,7 @@ def radial(
 def add_products(
     hessian: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
 ) -> None:
-    """Add a b' + b a' to `hessian` (..., 3), given as xx, xy, yy; `a` and `b` are (..., 2)."""
+    """Add a b' + b a' to `hessian` (..., 3) with entries xx, xy, yy; a and b are (..., 2)."""
     crossed = a * b
     crossed += crossed
     hessian[..., ::2] += crossed
@@ -76,9 +76,9 @@ def add_products(
 def rounded_positive_part(
     x: NDArray[np.float64], width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return max{0, x} with two derivatives, rounded for ``|x| < width``.
+    """Return max{0, x} with two derivatives, smoothed for ``|x| < width``.
 
-    Larger than max{0, x} by at most 3/16 of `width`. Shapes as `x`.
+    The result exceeds max{0, x} by at most 3/16 of `width`. Shapes are those of `x`.
     """
     value, slope, bend = rounded_radius(np.abs(x), width)
     return 0.5 * (x + value), 0.5 * (1.0 + slope * x), 0.5 * (slope + bend * x * x)
@@ -87,11 +87,11 @@ def rounded_positive_part(
 def rounded_radius(
     r: NDArray[np.float64], width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return a rounded radius rho(r) with slope and bend for :func:`radial`; finite at 0."""
+    """Return a smoothed radius rho(r) with slope and bend for :func:`radial`; finite at 0."""
     if r.min(initial=np.inf) >= width:
         inverse = 1.0 / r
         return r, inverse, -inverse * inverse * inverse
-    # From the width on the polynomial's values at s = 1 are 1, 1 / width and -1 / width^3.
+    # For r >= width, s = 1 and the factors below are those of the exact radius.
     far = np.maximum(r, width)
     s = r / far
     s *= s

@@ -1,7 +1,7 @@
-"""The sensor of a robot: the noise of measuring the target by its distance.
+"""Sensor model of a robot: measurement noise as a function of the distance to the target.
 
-[GM11] gives ``tr Phi^-1 = 1 / g(r)`` and not Phi itself. Here Phi = 2 g I_2, which has that
-trace: noise alike in every direction, g half the variance of a coordinate.
+[GM11] specifies ``tr Phi^-1 = 1 / g(r)`` but not Phi. Here Phi = 2 g I_2, which satisfies this
+trace: the noise is isotropic, and g is half the variance per axis.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from planopt.errors import InputError
 from planopt.targets.rounding import Derivatives, radial, rounded_radius
 
 CUSP_SHARE = 0.1
-"""The derivatives round the cusp at the target within this share of the sweet spot's radius."""
+"""Radius within which the cusp at the target is smoothed, as a share of `sweet_spot_m`."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """The sensor model ``g(r) = varpi (r - r_s)^2 + nu`` (equation 4.8)."""
+    """Sensor with noise ``g(r) = varpi (r - r_s)^2 + nu`` at distance r (equation 4.8)."""
 
-    growth: float  # varpi > 0: how fast noise grows away from the sweet spot, m^2 per m^2
+    growth: float  # varpi > 0: growth of the noise away from the sweet spot, m^2 per m^2
     least_noise_m2: float  # nu > 0: g at the sweet spot
-    sweet_spot_m: float  # r_s >= 0: the distance to the target that is best
+    sweet_spot_m: float  # r_s >= 0: distance to the target with the least noise
 
     def __post_init__(self) -> None:
         for key in ("growth", "least_noise_m2", "sweet_spot_m"):
@@ -38,7 +38,7 @@ def sensing_information(
 ) -> NDArray[np.float64]:
     """Return the information of a packet, ``tr Phi^-1(q, p) = 1 / g(|q - p|)``, per m^2."""
     # Shapes: positions_m (..., 2); target_m (..., 2).
-    # In place: searches ask for all nodes within reach, step after step.
+    # Computed in place, because searches evaluate all reachable nodes at every step.
     found = np.asarray(positions_m[..., 0] - target_m[..., 0])
     found *= found
     across = np.asarray(positions_m[..., 1] - target_m[..., 1])
@@ -62,11 +62,11 @@ def noise_covariance_m2(
 
 def sense(
     sensor: Sensor,
-    positions_m: NDArray[np.float64],  # (n, 2) where the robots are
-    target_m: NDArray[np.float64],  # (2,) where the target is
+    positions_m: NDArray[np.float64],  # (n, 2) positions of the robots
+    target_m: NDArray[np.float64],  # (2,) position of the target
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw measured positions z = p + noise of covariance Phi(q, p), one a robot."""
+    """Draw one measured target position per robot, z = p + noise of covariance Phi(q, p)."""
     deviation = np.sqrt(2.0 / sensing_information(sensor, positions_m, target_m))
     return target_m + deviation[:, None] * generator.standard_normal(positions_m.shape)
 
@@ -76,20 +76,20 @@ def sensing_derivatives(
 ) -> Derivatives:
     """Return 1 / g with gradient and Hessian by q.
 
-    Exact from `CUSP_SHARE` r_s of the target on. Closer than that the distance is rounded
-    (:mod:`planopt.targets.rounding`) in the value too, so that it belongs to its derivatives; g is
-    then smaller than the exact one by at most 3/4 `CUSP_SHARE` varpi r_s^2.
+    The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller
+    distances, the value and its derivatives use the smoothed distance of
+    :mod:`planopt.targets.rounding`; g is then too small by at most 3/4 `CUSP_SHARE` varpi r_s^2.
     """
     offset = positions_m - target_m
     sweet = sensor.sweet_spot_m
     square = np.einsum("...i,...i->...", offset, offset)
-    # Without a sweet spot g has no cusp, and the length's factor below is zero.
+    # If r_s = 0, g has no cusp and the factor of the length below is zero.
     width = CUSP_SHARE * sweet if sweet > 0.0 else 1.0
     length, slope, bend = rounded_radius(np.sqrt(square), width)
     growth = 2.0 * sensor.growth
     loss = growth * (0.5 * square - sweet * length + 0.5 * sweet**2) + sensor.least_noise_m2
     information = 1.0 / loss
-    # Slope and bend of g, then of its reciprocal.
+    # Slope and bend of g, then of 1 / g.
     steep, bent = growth - (growth * sweet) * slope, (-growth * sweet) * bend
     falling = -information * information
     slope = falling * steep

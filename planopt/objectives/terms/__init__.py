@@ -1,1 +1,1 @@
-"""The terms that an objective is the weighted sum of: one file a term, open to further ones."""
+"""Terms of the weighted-sum objective: one module per group of terms, extensible."""

@@ -1,4 +1,4 @@
-"""The inputs of a term: the planning step, many paths at once, one path of a solver, a lattice."""
+"""Inputs of a term: the step context, a batch of paths, a solver's path, or a lattice."""
 
 from __future__ import annotations
 
@@ -24,54 +24,54 @@ from planopt.targets.rounding import Derivatives
 Made = TypeVar("Made")
 
 Part = Derivatives | PathDerivatives
-"""A value with derivatives: by stage where it adds up over them, else of the whole path."""
+"""Value with derivatives: per stage if it is a sum over stages, else of the whole path."""
 
 LENGTH_ROUNDING_SHARE = 0.01
-"""Width of the rounding of a length at zero, as a share of the longest step."""
+"""Width within which a length near zero is rounded, as a share of the longest step."""
 
 
 class SteeredPath(Protocol):
-    """The path that a robot is steered along."""
+    """Route that a robot is steered along."""
 
     @property
     def turns_m(self) -> NDArray[np.float64]:
-        """``(m, 2)`` its start, its turns and its end."""
+        """``(m, 2)`` start, turns and end of the route."""
         ...
 
     @property
     def end_m(self) -> NDArray[np.float64]:
-        """``(2,)`` its end."""
+        """``(2,)`` end of the route."""
         ...
 
     @property
     def rest_m(self) -> NDArray[np.float64]:
-        """``(m,)`` its length from each turn on."""
+        """``(m,)`` remaining length from each turn."""
         ...
 
     @property
     def lattice_m(self) -> NDArray[np.float64] | None:
-        """``(ny, nx)`` length of the shortest path to its end from each node, where known."""
+        """``(ny, nx)`` shortest path length from each node to the end; None if unknown."""
         ...
 
     def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the number of the turn that each place (n, 2) goes straight to."""
+        """Return the index of the turn that each position (n, 2) heads for in a straight line."""
         ...
 
     def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the length of the path from each place (n, 2) to the end; (n,)."""
+        """Return the path length from each position (n, 2) to the end; ``(n,)``."""
         ...
 
     def gained_m(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return by how much the places of paths (..., N, 2) are nearer than the start, summed."""
+        """Return the summed progress of the positions of paths (..., N, 2) towards the end."""
         ...
 
 
 class TermContext(Protocol):
-    """The context in which a robot plans one step."""
+    """Step context: the data from which a robot plans one step."""
 
     @property
     def position_m(self) -> NDArray[np.float64]:
-        """``(2,)`` where the robot is."""
+        """``(2,)`` position of the robot."""
         ...
 
     @property
@@ -91,133 +91,133 @@ class TermContext(Protocol):
 
     @property
     def stations(self) -> tuple[ChannelPosterior, ...]:
-        """Belief of each station's channel."""
+        """Channel posterior of each station."""
         ...
 
     @property
     def anticipated(self) -> tuple[ChannelPosterior, ...]:
-        """Beliefs after the other robots of a team have measured along their plans."""
+        """Channel posteriors after the other robots' planned measurements."""
         ...
 
     @property
     def others_m(self) -> tuple[NDArray[np.float64], ...]:
-        """``(N, 2)`` each: places after each step of the plans of other robots."""
+        """``(N, 2)`` each: planned positions of the other robots after each step."""
         ...
 
     @property
     def thresholds_dbm(self) -> tuple[float, ...]:
-        """Least power of a connection to each station."""
+        """Minimum power of a connection to each station."""
         ...
 
     @property
     def target_m(self) -> NDArray[np.float64] | None:
-        """``(N, 2)`` expected position of the target after each step; None without target."""
+        """``(N, 2)`` expected target position after each step; None without a target."""
         ...
 
     @property
     def information(self) -> NDArray[np.float64] | None:
-        """``(4, 4)`` information matrix of the station's filter; None without target."""
+        """``(4, 4)`` information matrix of the station's filter; None without a target."""
         ...
 
     @property
     def held(self) -> Held | None:
-        """The robot's unsent target measurements; None where packets have no estimates."""
+        """Unsent target measurements of the robot; None if packets contain no estimates."""
         ...
 
     @property
     def target_motion(self) -> TargetModel:
-        """Return how the target moves."""
+        """Motion model of the target."""
         ...
 
     @property
     def steering(self) -> SteeredPath | None:
-        """The path that the robot is steered along, if any."""
+        """Route that the robot is steered along, if any."""
         ...
 
     @property
     def region(self) -> Region:
-        """Return the region whose map is wanted."""
+        """Region to be mapped."""
         ...
 
     @property
     def near_region(self) -> Region:
-        """The same, finer where a plan can change it."""
+        """Region to be mapped, refined where a plan can change the map."""
         ...
 
     @property
     def measuring(self) -> MeasuringRule:
-        """Return the rule by which places of a path bring a measurement."""
+        """Rule that decides at which positions of a path a measurement is taken."""
         ...
 
     @property
     def near_measuring(self) -> MeasuringRule:
-        """The same rule for places that a plan can reach."""
+        """Measuring rule restricted to positions that a plan can reach."""
         ...
 
     @property
     def probing(self) -> MeasuringRule:
-        """Return the rule by which places of a path are probed for connection."""
+        """Rule that decides which positions of a path are probed for connection."""
         ...
 
     @property
     def links(self) -> KnownLinks:
-        """Places whose connection is known."""
+        """Positions whose connection is known."""
         ...
 
     @property
     def workspace_diagonal_m(self) -> float:
-        """Length from corner to corner of the bounds."""
+        """Length of the diagonal of the bounds."""
         ...
 
     @property
     def decorrelation_m(self) -> float:
-        """The longest decorrelation distance of the stations' shadowing."""
+        """Largest decorrelation distance of the stations' shadowing."""
         ...
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the serving power at places (n, 2)."""
+        """Return the predicted serving power at positions (n, 2)."""
         ...
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the serving power from each station's power."""
+        """Combine the powers of the stations into the serving power."""
         ...
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
-        """Return the probability of connection at one place (2,), known links included."""
+        """Return the probability of connection at a position (2,), including known links."""
         ...
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return the result of `make`, called once a step for each key."""
+        """Return the result of `make`, cached by key for the current step."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Many paths of one step, with predictions along them."""
+    """Batch of c paths in one step context, with predictions along them."""
 
     at: TermContext
-    paths_m: NDArray[np.float64]  # (c, N, 2) places after each step
-    stations: Sequence[LocalPaths]  # Each station's power along all of them
-    moments: Sequence[Moments]  # Of measuring each station's anticipated channel along them
+    paths_m: NDArray[np.float64]  # (c, N, 2) positions after each step
+    stations: Sequence[LocalPaths]  # Power prediction of each station along the paths
+    moments: Sequence[Moments]  # Moments of measurements of each anticipated channel
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of paths, and of steps."""
+        """Number of paths c and of steps N."""
         return self.stations[0].shape
 
     @cached_property
     def each(self) -> list[Prediction]:
-        """Each station's power at every place, those of a path together; ``(c N,)``."""
+        """Power of each station at every position, path by path; ``(c N,)``."""
         return [batch.power for batch in self.stations]
 
     @cached_property
     def power(self) -> Prediction:
-        """Serving power at every place; ``(c N,)``."""
+        """Serving power at every position, path by path; ``(c N,)``."""
         return self.at.combined(self.each)
 
     @cached_property
     def chance(self) -> NDArray[np.float64]:
-        """Probability of a connection after every step; ``(c, N)``."""
+        """Probability of connection after every step; ``(c, N)``."""
         found = connection_probability(
             self.power.mean_db, self.power.deviation_db, self.at.thresholds_dbm[0]
         )
@@ -225,31 +225,31 @@ class Paths:
 
     @cached_property
     def legs_m(self) -> NDArray[np.float64]:
-        """Lengths of the steps of every path, ``(c, N)``."""
+        """Step lengths of every path, ``(c, N)``."""
         return legs_m(self.at, self.paths_m)
 
 
 def legs_m(at: TermContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the lengths of the steps of paths ``(c, N, 2)`` from where the robot is; (c, N)."""
+    """Return the step lengths of paths (c, N, 2) from the robot's position; ``(c, N)``."""
     ends = np.concatenate([np.broadcast_to(at.position_m, (len(paths_m), 1, 2)), paths_m], axis=1)
     return np.linalg.norm(np.diff(ends, axis=1), axis=2)
 
 
 @dataclass(frozen=True, eq=False)
 class NearPath:
-    """One path of a solver, near the path that it began from."""
+    """Path of a solver, close to its initial guess."""
 
     at: TermContext
-    places_m: NDArray[np.float64]  # (N, 2) places after each step
+    places_m: NDArray[np.float64]  # (N, 2) positions after each step
     predicted: Callable[[], StagePower]  # Predicts the serving power
-    # Each station's channel near the path, if terms couple its places
+    # Local channel of each station, if a term couples positions
     channels: Sequence[LocalChannel]
-    # Anticipated channels near the path, and the map that is averaged, if any
+    # Anticipated local channels, each with the grid of the averaged map, if any
     anticipated: Sequence[tuple[LocalChannel, LocalGrid | None]]
-    gates: Gates | None  # How much of a measurement each place brings; None where no term measures
-    # (N,) number of the turn of the steered path that each place goes to; None if nothing steers
+    gates: Gates | None  # Gates of the measurements; None if no term measures
+    # (N,) index of the route turn that each position heads for; None without a route
     ahead: NDArray[np.intp] | None
-    # (N,) which places are tries for connection; None where no term tries
+    # (N,) True where connection is probed; None if no term probes
     probed: NDArray[np.bool_] | None
 
     @cached_property
@@ -259,7 +259,7 @@ class NearPath:
 
     @cached_property
     def measured(self) -> list[LocalPath]:
-        """Moments of measuring each station's anticipated channel along the path."""
+        """Moments of measurements of each anticipated channel along the path."""
         return [
             LocalPath(channel, self.places_m, self.gates, grid)
             for channel, grid in self.anticipated
@@ -267,7 +267,7 @@ class NearPath:
 
     @property
     def rounding_m(self) -> float:
-        """Lengths are rounded within this of zero."""
+        """Width in metres within which lengths near zero are rounded."""
         return LENGTH_ROUNDING_SHARE * self.at.step_length_m
 
 
@@ -276,17 +276,17 @@ class NodeChannel(Protocol):
 
     @property
     def mean_db(self) -> NDArray[np.float64]:
-        """``(ny, nx)``."""
+        """``(ny, nx)`` predicted mean power."""
         ...
 
     @property
     def deviation_db(self) -> NDArray[np.float64]:
-        """``(ny, nx)``."""
+        """``(ny, nx)`` predictive standard deviation of the power."""
         ...
 
     @property
     def trend(self) -> NDArray[np.float64]:
-        """``(ny, nx, 2)`` regressors of the path loss less what measurements say of them."""
+        """``(ny, nx, 2)`` path-loss regressors less the part predicted from measurements."""
         ...
 
 
@@ -300,10 +300,10 @@ class Nodes(Protocol):
 
     @property
     def stations(self) -> Sequence[NodeChannel]:
-        """Each station's own predictions at the nodes."""
+        """Predictions of each station at the nodes."""
         ...
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Rows and columns of the nodes within reach."""
+        """Row and column slices of the reachable nodes."""
         ...

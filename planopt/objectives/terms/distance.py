@@ -1,4 +1,4 @@
-"""Terms of distances: ``goal`` (gained along the steered path) and ``motion_energy`` (driven)."""
+"""Distance terms: ``goal`` (progress along the steered path) and ``motion_energy``."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from planopt.targets.rounding import Derivatives, rounded_length
 
 @dataclass(frozen=True)
 class SteeredTerm(Term):
-    """Base of terms whose value is the metres gained by the places of a path, summed."""
+    """Base class of terms that sum the progress of a path's positions in metres."""
 
     @property
     def structure(self) -> Structure:
-        """Distances add up over the steps."""
+        """Return ``stagewise``: the value is a sum over steps."""
         return "stagewise"
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return by how much the places of a path are nearer to the end than the robot, summed."""
+        """Return the progress towards the route's end, summed over the positions of one path."""
         return 0.0 if at.steering is None else float(at.steering.gained_m(path_m))
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the same of many paths."""
+        """Return the values of many paths."""
         if paths.at.steering is None:
             return np.zeros(paths.shape[0])
         return paths.at.steering.gained_m(paths.paths_m)
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return minus the distance of every place to the next turn of the steered path."""
+        """Return minus the distance from each position to the next turn of the steered path."""
         steering, places = path.at.steering, path.places_m
         if path.ahead is None or steering is None:
             count = len(places)
@@ -45,7 +45,7 @@ class SteeredTerm(Term):
         return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return derivatives of :meth:`values` by the places of paths."""
+        """Return derivatives of :meth:`values` by the positions of paths."""
         steering, ways = paths.at.steering, paths.paths_m
         if steering is None:
             return Pull()
@@ -55,7 +55,7 @@ class SteeredTerm(Term):
         return Pull(by_position=offset / length[:, :, None])
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
-        """Return minus the distance that is left from each node of a lattice; ``(ny, nx)``."""
+        """Return minus the remaining distance from each lattice node; ``(ny, nx)``."""
         shape, steering = nodes.grid_m.shape[:2], at.steering
         if steering is None:
             return np.zeros(shape)
@@ -66,10 +66,10 @@ class SteeredTerm(Term):
 
 @dataclass(frozen=True)
 class GoalTerm(SteeredTerm):
-    """Metres by which the end of each step is nearer to the robot's goal (equation 4.20).
+    """Progress in metres towards the robot's goal at the end of each step (equation 4.20).
 
-    The distance is that of the shortest path that keeps ``p_min`` at every place, or leaves contact
-    as little as can be. The run ends once every robot stands within ``goal_radius_m`` of its goal.
+    Distance is measured along the shortest path that keeps ``p_min`` everywhere, or else has the
+    least length out of contact. The run ends once all robots rest within ``goal_radius_m``.
     """
 
     kind: ClassVar[str] = "goal"
@@ -77,13 +77,13 @@ class GoalTerm(SteeredTerm):
 
     @property
     def steers(self) -> Steers | None:
-        """The robot is steered to its goal."""
+        """Return ``goal``: the robot is steered to its goal."""
         return "goal"
 
 
 @dataclass(frozen=True)
 class MotionEnergyTerm(Term):
-    """Energy of motion, a cost: k1 a metre and k2 a second while moving, in joules."""
+    """Energy of motion in joules, a cost: k1 per metre and k2 per second while moving."""
 
     per_metre_j_m: Annotated[float, Field(ge=0, le=1e9, description="k1 in J/m.")]
     power_w: Annotated[float, Field(ge=0, le=1e9, description="k2 in W while moving.")] = 0.0
@@ -94,7 +94,7 @@ class MotionEnergyTerm(Term):
 
     @property
     def structure(self) -> Structure:
-        """A step couples its two ends."""
+        """Return ``chain``: each step couples its two end positions."""
         return "chain"
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
@@ -107,14 +107,14 @@ class MotionEnergyTerm(Term):
         return -self._spent_j(paths.legs_m, paths.at.standstill_m, paths.at.step_s).sum(axis=1)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return minus the energy of the length; that of moving at all hardly depends on where."""
+        """Return minus the energy per length; the energy of moving hardly depends on positions."""
         offsets = np.diff(np.vstack([path.at.position_m, path.places_m]), axis=0)
         lengths = rounded_length(offsets, path.rounding_m)
         each = np.full(len(offsets), -self.per_metre_j_m)
         return PathDerivatives(float(each @ lengths.value), *by_lengths(lengths, each))
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return derivatives by the lengths of the steps."""
+        """Return derivatives of the energy of the step lengths by positions."""
         by_length = np.full(paths.shape, -self.per_metre_j_m)
         return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
 
@@ -125,6 +125,6 @@ class MotionEnergyTerm(Term):
     def _spent_j(
         self, lengths_m: NDArray[np.float64], standstill_m: float, step_s: float
     ) -> NDArray[np.float64]:
-        """Return the energy of each step (...) (4.12); at a standstill no power is drawn."""
+        """Return the energy of each step (equation 4.12); a stationary robot draws no power."""
         moving_s = np.where(lengths_m > standstill_m, step_s, 0.0)
         return self.per_metre_j_m * lengths_m + self.power_w * moving_s

@@ -1,4 +1,4 @@
-"""Terms whose value is a CasADi expression of the path: ``casadi``, and those from outside."""
+"""Terms defined by a CasADi expression of the path: ``casadi`` and user-defined kinds."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True)
 class CasadiTerm(Term):
-    """A user's own value of a path, written by :func:`planopt.extend.casadi_term`."""
+    """User-defined value of a path, created by :func:`planopt.extend.casadi_term`."""
 
     weight: Annotated[
         float,
@@ -51,7 +51,7 @@ class CasadiTerm(Term):
     summary: ClassVar[str] = "A value of one's own, made large."
 
     def check(self, setting: TermSetting) -> None:
-        """Require a program for the planned number of steps, with inputs that the problem has."""
+        """Require a program for the planned horizon whose inputs the problem provides."""
         for name in ("mean_db", "deviation_db"):
             if setting.stations > 1 and name in names_in(self.program):
                 raise InputError(
@@ -79,7 +79,7 @@ class CasadiTerm(Term):
             )
 
     def known(self, at: TermContext, steps: int) -> dict[str, NDArray[np.float64]]:
-        """Return the inputs that do not depend on the path: the start, and the target if any."""
+        """Return the inputs that do not depend on the path: start, and target if any."""
         if self.steps != steps:
             raise InputError(
                 f"an expression is for {self.steps} steps, the plan has {steps}",
@@ -92,7 +92,7 @@ class CasadiTerm(Term):
         return known
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return the expression of one path."""
+        """Return the value of the expression for one path."""
         power = at.power(path_m)
         chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
         inputs = self.known(at, len(path_m)) | {
@@ -112,7 +112,7 @@ class CasadiTerm(Term):
         return value
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the expression of many paths; those without a finite value come last."""
+        """Return the values for many paths; non-finite values become -inf."""
         count, steps = paths.shape
         inputs = {"positions_m": paths.paths_m} | {
             name: np.broadcast_to(values, (count, *values.shape))
@@ -128,7 +128,7 @@ class CasadiTerm(Term):
         return np.where(np.isfinite(found), found, -np.inf)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return the expression with derivatives by CasADi and the chain rule."""
+        """Return the value with derivatives from CasADi and the chain rule."""
         places, power = path.places_m, path.stage_power
         straight = np.zeros((len(places), 3))
         own = {
@@ -147,35 +147,35 @@ class CasadiTerm(Term):
 def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTerm:
     """Return a term that maximises an expression of the path and the predicted channel.
 
-    The expression is kept as text, so that problems, plans and runs with it are saved, checked and
-    sent to other processes like any other.
+    The expression is stored as text. Problems, plans and runs that use it are therefore saved,
+    checked and sent to other processes like any other.
 
     Parameters
     ----------
     expression
-        A function from :class:`planopt.objectives.expression.PathSymbols` (``positions_m``,
+        Function from :class:`planopt.objectives.expression.PathSymbols` (``positions_m``,
         ``mean_db``, ``deviation_db``, ``connectivity``, ``target_m``, ``start_m``) to a scalar
-        CasADi expression, twice differentiable; or a `casadi.Function` of inputs of these names
-        and shapes with one output.
+        CasADi expression, twice differentiable; or a `casadi.Function` with inputs of these names
+        and shapes and one output.
     horizon
-        N, the number of steps that it is for.
+        Number of steps N of the path.
     weight
         Factor in the sum of terms; negative for a cost.
 
     Raises
     ------
     InputError
-        The expression is no scalar of these symbols.
+        The expression is not a scalar function of these symbols.
     """
     return CasadiTerm(horizon, program_of(expression, horizon), weight=weight)
 
 
 @dataclass(frozen=True)
 class OwnTerm(Term):
-    """Base class of a term of one's own: a frozen dataclass with a ``kind`` and an expression.
+    """Base class of user-defined terms: frozen dataclasses with a ``kind`` and an expression.
 
-    The fields of a subclass are the keys of its table in a problem file. Values of many paths and
-    derivatives follow from the expression.
+    The fields of a subclass are the keys of its table in a problem file. Batch values and
+    derivatives are computed from the expression.
 
     Attributes
     ----------
@@ -184,27 +184,27 @@ class OwnTerm(Term):
     """
 
     def __post_init__(self) -> None:
-        """Make lists and arrays tuples: terms are compared."""
+        """Convert lists and arrays to tuples, so that terms can be compared."""
         make_plain(self)
 
     def expression(self, path: PathSymbols) -> Any:
-        """Return the value of a path, to be made large: a scalar CasADi expression of `path`."""
+        """Return the value to be maximised as a scalar CasADi expression of `path`."""
         raise self._without("expression")
 
     def check(self, setting: TermSetting) -> None:
-        """Raise what keeps the expression from being planned for, as for any expression."""
+        """Raise an error if the problem does not support the expression."""
         _written(self, setting.horizon).check(setting)
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return the expression of one path."""
+        """Return the value of the expression for one path."""
         return _written(self, len(path_m)).value(at, path_m)
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the expression of many paths."""
+        """Return the values of the expression for many paths."""
         return _written(self, paths.shape[1]).values(paths)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return the expression with derivatives by CasADi."""
+        """Return the value with derivatives from CasADi."""
         return _written(self, len(path.places_m)).derivatives(path)
 
 

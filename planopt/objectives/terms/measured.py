@@ -1,4 +1,4 @@
-"""Terms whose value is the information of measurements: ``path_loss_learning`` and ``mapping``."""
+"""Terms that reward the information gain of measurements: ``path_loss_learning``, ``mapping``."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ from planopt.objectives.terms.term import Steers, Structure, Term, TermSetting
 
 @dataclass(frozen=True)
 class MeasuredTerm(Term):
-    """Base of terms that are sums of gains over stations: information of independent ones adds."""
+    """Base class of terms that sum measurement gains over independent stations."""
 
     @property
     def is_measured(self) -> bool:
-        """The value is what measurements tell."""
+        """Return True: the value is the gain of measurements."""
         return True
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
-        """Return the gain of measurements of one station."""
+        """Return the gain model of one station's measurements."""
         raise self._without("gain")
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
-        """Return the gain of a measurement at each node alone; (ny, nx)."""
+        """Return the gain of a single measurement at each node; ``(ny, nx)``."""
         raise self._without("node_gain")
 
     def _gain(self, at: TermContext, number: int) -> Gain:
-        """Return the gain of a station by its number, made once a step."""
+        """Return the gain model of station `number`, cached for the step."""
         posterior = at.anticipated[number]
         return at.once((MeasuredTerm, self, number), lambda: self.gain(at, posterior))
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return the gain of the measurements along one path, by the exact posterior."""
+        """Return the gain of measurements along one path, by the exact posterior."""
         taken = at.measuring.takes(path_m)
         if not taken.any():
             return 0.0
@@ -77,22 +77,22 @@ class MeasuredTerm(Term):
         return total
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the same of many paths, by local channels."""
+        """Return the gains of many paths, by local channels."""
         each = [self._gain(paths.at, k).value(moments) for k, moments in enumerate(paths.moments)]
         return np.sum(each, axis=0)
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the derivatives of :meth:`values` by the moments of one station."""
+        """Return the derivatives of :meth:`values` by the moments of station `number`."""
         moments: Moments = paths.moments[number]
         return moments.without_gates(self._gain(paths.at, number).pull(moments))
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return the value of one path near the channel of its start."""
+        """Return the value of one path with derivatives, by the local channel of its guess."""
         found = [self._gain(path.at, k).derivatives(local) for k, local in enumerate(path.measured)]
         return by_positions(reduce(PathDerivatives.plus, found), path.gates)
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
-        """Return the summed gain of a measurement at each node alone; (ny, nx)."""
+        """Return the gain of a single measurement at each node, summed over stations; (ny, nx)."""
         near = nodes.grid_m[nodes.window]
         found = np.sum(
             [
@@ -106,7 +106,7 @@ class MeasuredTerm(Term):
             ],
             axis=0,
         )
-        # A measured node brings nothing.
+        # Nodes near earlier measurements yield no gain.
         is_open = np.ones(found.shape, dtype=np.bool_)
         is_open[nodes.window] = at.near_measuring.is_open(near.reshape(-1, 2)).reshape(
             near.shape[:2]
@@ -117,7 +117,7 @@ class MeasuredTerm(Term):
 
 @dataclass(frozen=True, eq=False)
 class _Anticipated:
-    """A station's predictions at the nodes, the others' measurements counted within reach."""
+    """Node predictions of a station, including other robots' measurements at reachable nodes."""
 
     mean_db: NDArray[np.float64]
     deviation_db: NDArray[np.float64]
@@ -144,12 +144,12 @@ LearningCriterion = Literal["T", "D", "A", "V"]
 
 @dataclass(frozen=True)
 class LearningTerm(MeasuredTerm):
-    """Information on the path loss that measurements along the path give.
+    """Information gain on the path loss from measurements along the path.
 
-    All criteria rest on M_{t+h}^-1 = M_t^-1 + B' S^-1 B, which is exact. [GM11] maximises the trace
-    of the increment, T, which (10 log10 d)^2 dominates, so that the robot drives to the far walls;
-    D, the default, and A and V count what remains unknown. If the measurements do not identify
-    theta, the posterior's weak prior is part of M_t, so that every criterion is finite.
+    All criteria use the exact update M_{t+h}^-1 = M_t^-1 + B' S^-1 B. [GM11] maximises the trace of
+    the increment (T). The term (10 log10 d)^2 dominates it, so the robot drives to the far walls.
+    D (default), A and V measure the remaining uncertainty instead. If the measurements do not
+    identify theta, the weak prior in M_t keeps every criterion finite.
     """
 
     criterion: Annotated[
@@ -165,7 +165,7 @@ class LearningTerm(MeasuredTerm):
     task: ClassVar[str | None] = "learn"
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
-        """Return the gain of the criterion over measuring nowhere (equations 4.1 and 4.2)."""
+        """Return the gain model of the criterion (equations 4.1 and 4.2)."""
         if self.criterion == "T":
             return VarianceRemoved(np.eye(2), universal=False)
         require_estimated_path_loss(posterior)
@@ -177,7 +177,7 @@ class LearningTerm(MeasuredTerm):
         return VarianceRemoved(spread @ square_root(map_criterion(posterior, at.region)))
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
-        """Return the trace for T, and the information of D for all others."""
+        """Return the trace for criterion T, and the information gain of D otherwise."""
         trend, covariance = station.trend, posterior.theta_covariance
         spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
         latent = np.maximum(station.deviation_db**2 - spread, 1e-12)
@@ -189,20 +189,20 @@ class LearningTerm(MeasuredTerm):
 MappingForm = Literal["two_layer", "path", "information", "average"]
 
 FORMS_WITH_KEYS: tuple[MappingForm, ...] = ("path", "two_layer")
-"""The forms that weigh the variance above a threshold by its distance (J_CH)."""
+"""Forms that weight the variance above a threshold by distance (J_CH)."""
 
 FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")
-"""The keys that only these have."""
+"""Keys that only `FORMS_WITH_KEYS` accept."""
 
 DISTANCE = SteeredTerm()
-"""Value of the two-layer form: distance gained towards the place that is steered to."""
+"""Term that evaluates the two-layer form: progress towards the steering point."""
 
 Nonnegative = Annotated[float, Field(ge=0, le=1e6)]
 
 
 @dataclass(frozen=True)
 class MappingTerm(MeasuredTerm):
-    """Uncertainty of the channel that measurements along the path remove."""
+    """Reduction of the channel's uncertainty by measurements along the path."""
 
     form: Annotated[
         MappingForm,
@@ -227,7 +227,7 @@ class MappingTerm(MeasuredTerm):
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Refuse threshold and closeness with other forms than their two."""
+        """Reject threshold and closeness for forms that do not use them."""
         for key in FORM_KEYS:
             if key in given & term.left_out:
                 return f'has {key}, which goes only with form = "path" and "two_layer"'
@@ -235,36 +235,36 @@ class MappingTerm(MeasuredTerm):
 
     @property
     def left_out(self) -> frozenset[str]:
-        """The keys that other forms have."""
+        """Keys that only other forms use."""
         return frozenset() if self.form in FORMS_WITH_KEYS else frozenset(FORM_KEYS)
 
     @property
     def structure(self) -> Structure:
-        """Only distances to the steering place add up over the steps."""
+        """Return ``stagewise`` for the two-layer form, which sums distances, else ``full``."""
         return "stagewise" if self.form == "two_layer" else "full"
 
     @property
     def is_measured(self) -> bool:
-        """The two-layer form counts distances, the others measurements."""
+        """Return whether the form rewards measurements; the two-layer form rewards distances."""
         return self.form != "two_layer"
 
     @property
     def averages_map(self) -> bool:
-        """The form ``average`` does."""
+        """Return whether the form is ``average``."""
         return self.form == "average"
 
     @property
     def variance_threshold(self) -> float | None:
-        """Forms of J_CH have one."""
+        """Variance threshold of forms that use J_CH, in dB^2; None for the others."""
         return self.variance_threshold_db2 if self.form in FORMS_WITH_KEYS else None
 
     @property
     def steers(self) -> Steers | None:
-        """The two-layer form steers to the place of the largest J_CH."""
+        """Return ``variance`` for the two-layer form, which steers to the maximum of J_CH."""
         return "variance" if self.form == "two_layer" else None
 
     def check(self, setting: TermSetting) -> None:
-        """Refuse the two-layer form with several stations."""
+        """Reject the two-layer form with several stations."""
         if self.form == "two_layer" and setting.stations > 1:
             raise InputError(
                 f"two_layer steers by one station's map, and there are {setting.stations}",
@@ -273,14 +273,14 @@ class MappingTerm(MeasuredTerm):
             )
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
-        """Return the gain of the form (equations 4.4 to 4.6)."""
+        """Return the gain model of the form (equations 4.4 to 4.6)."""
         if self.form == "path":
             x, y = (float(each) for each in at.position_m)
             return PathUncertainty((x, y), self.variance_threshold_db2, self.closeness_per_m)
         return Information() if self.form == "information" else VarianceRemoved()
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
-        """Return the gain of the form at each node alone; the variance there for averages."""
+        """Return the form's gain of one measurement per node; the variance for ``average``."""
         variance = station.deviation_db**2
         match self.form:
             case "path":
@@ -292,25 +292,25 @@ class MappingTerm(MeasuredTerm):
                 return variance
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return the gain of the measurements along one path, or the metres gained."""
+        """Return the gain of measurements along one path, or the progress in metres."""
         return DISTANCE.value(at, path_m) if self.form == "two_layer" else super().value(at, path_m)
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the same of many paths."""
+        """Return the values of many paths."""
         return DISTANCE.values(paths) if self.form == "two_layer" else super().values(paths)
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return the value of one path near the channel of its start."""
+        """Return the value of one path with derivatives, by the local channel of its guess."""
         return DISTANCE.derivatives(path) if self.form == "two_layer" else super().derivatives(path)
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return derivatives of :meth:`values` by one station's moments, or by the places."""
+        """Return derivatives of :meth:`values` by one station's moments, or by positions."""
         if self.form == "two_layer":
             return DISTANCE.slope(paths, number)
         return super().slope(paths, number)
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
-        """Return the gain of measuring at each node alone, or minus the distance to go."""
+        """Return the gain of one measurement per node, or minus the remaining distance."""
         if self.form == "two_layer":
             return DISTANCE.node_reward(at, nodes)
         return super().node_reward(at, nodes)

@@ -1,8 +1,8 @@
-"""The base class of a term of the objective, and the registry of all kinds.
+"""Base class of objective terms, and the registry of all kinds.
 
-A term is a frozen dataclass whose fields are the keys of its table in a problem file: types and
-ranges stand in their annotations. A subclass with a ``kind`` is registered by being defined, inside
-planopt (every module of this package is read) or outside (import it before its problems are read).
+A term is a frozen dataclass whose fields are the keys of its table in a problem file; annotations
+define types and ranges. Defining a subclass with a ``kind`` registers it. Every module of this
+package is imported; import a module outside planopt before reading problems that use its terms.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ Weight = Annotated[
 ]
 
 Structure = Literal["stagewise", "chain", "full"]
-"""What the Hessian of a value is made of: a 2 x 2 block of each stage; these and one between each
-stage and the next; or everything."""
+"""Sparsity of the Hessian of a value: 2 x 2 blocks per stage; these plus blocks between successive
+stages; or dense."""
 
 Steers = Literal["variance", "connection", "goal"]
-"""What a robot is steered to: the place of largest variance, a place to try for connection, or its
-goal."""
+"""Steering point of a robot: the position of largest variance, a position to probe for connection,
+or its goal."""
 
 
 @dataclass(frozen=True)
 class TermSetting:
-    """The parts of a problem that decide whether a term can be planned for in it."""
+    """Properties of a problem that decide whether it supports a term."""
 
-    horizon: int  # N, the steps of a plan
-    stations: int  # How many there are
+    horizon: int  # N, the number of steps of a plan
+    stations: int  # Number of base stations
     has_target: bool  # Whether there is a target
-    has_dynamics: bool = False  # Whether a robot has inertia or a heading
-    is_free: bool = False  # Whether the term is the only one, and nothing is asked of connectivity
-    has_estimates: bool = False  # Whether packets have estimates of a target
+    has_dynamics: bool = False  # Whether any robot has dynamics (inertia or a heading)
+    is_free: bool = False  # Whether it is the only term, with no chance constraint
+    has_estimates: bool = False  # Whether packets contain target estimates
 
 
 @dataclass(frozen=True)
 class Term:
-    """One summand of an objective that is to be maximised.
+    """Summand of an objective to be maximised.
 
     Attributes
     ----------
@@ -66,9 +66,9 @@ class Term:
     kind: ClassVar[str]
     """Name of the term in problem files."""
     summary: ClassVar[str] = "A term of one's own."
-    """One sentence for the description of the schema."""
+    """One-sentence description in the schema."""
     task: ClassVar[str | None] = "custom"
-    """Task of a problem whose objective begins with this term; None if no task does."""
+    """Task of a problem whose first term is of this kind; None if there is no such task."""
 
     def __init_subclass__(cls) -> None:
         """Register a subclass that has a kind."""
@@ -78,34 +78,34 @@ class Term:
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Return why the keys `given` in a table do not go with the rest of it, or None."""
+        """Return why the keys `given` conflict with the rest of the table, or None."""
         return None
 
     @property
     def left_out(self) -> frozenset[str]:
-        """Fields that a saved table must not have."""
+        """Fields to omit from a saved table."""
         return frozenset()
 
     def planned(self, setting: TermSetting) -> Term:
-        """Return the term as plans take it in a problem."""
+        """Return the term as planned in a problem with this `setting`."""
         return self
 
     @property
     def structure(self) -> Structure:
-        """Return how the value of a path couples its places."""
+        """Return how the value of a path couples its positions."""
         return "full"
 
     @property
     def probes_end(self) -> bool:
-        """Return whether the end of a path is a place that is tried: :meth:`probe_values` is there.
+        """Return whether the end of a path is probed, so that :meth:`probe_values` is defined.
 
-        Such values are not smooth where paths end.
+        Such values are not smooth in the end of a path.
         """
         return False
 
     @property
     def is_measured(self) -> bool:
-        """Return whether the value is information that measurements along the path give."""
+        """Return whether the value is the information gain of measurements along the path."""
         return False
 
     @property
@@ -115,30 +115,30 @@ class Term:
 
     @property
     def variance_threshold(self) -> float | None:
-        """Stopping condition: variance in dB^2 up to which a place is known; None without one."""
+        """Stopping condition: variance in dB^2 up to which a position is known, if any."""
         return None
 
     @property
     def sensor(self) -> Sensor | None:
-        """The sensor that the target is tracked by; None for terms without target."""
+        """Sensor that tracks the target; None for terms without a target."""
         return None
 
     @property
     def steers(self) -> Steers | None:
-        """Return what a robot is steered to before its plan is made; None if nothing steers."""
+        """Return the kind of steering point chosen before planning; None without steering."""
         return None
 
     def check(self, setting: TermSetting) -> None:
-        """Raise what keeps the term from being planned for.
+        """Raise an error if the problem does not support the term.
 
         Raises
         ------
         InputError
-            Its key is the field at fault.
+            The key names the invalid field.
         """
 
     def _without(self, method: str) -> InputError:
-        """Return the error of a class that lacks a method."""
+        """Return the error for a class that lacks `method`."""
         return InputError(
             f"{class_name(self)} has no method {method}",
             remedy=f"define {method}, or derive the class from planopt.extend.OwnTerm and define "
@@ -146,38 +146,38 @@ class Term:
         )
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return the value of one path (N, 2), from all measurements: what is reported."""
+        """Return the reported value of one path (N, 2), from all measurements."""
         raise self._without("value")
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the values of many paths at once, ``(c,)``: what searches compare."""
+        """Return the values of c paths at once, which searches compare; ``(c,)``."""
         raise self._without("values")
 
     def probe_values(
         self, at: TermContext, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the values of paths (c, N, 2) by guessed chances of connection (c, N); ``(c,)``.
+        """Return the values of paths (c, N, 2) for approximate P(connected) (c, N); ``(c,)``.
 
-        Of terms that try places: searches rank hundreds of ways by it.
+        Searches rank hundreds of paths by it if the term probes path ends.
         """
         raise self._without("probe_values")
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return the value of one path with its derivatives, as a solver asks for it."""
+        """Return the value of a solver's path with its derivatives."""
         raise self._without("derivatives")
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return derivatives of :meth:`values` by the moments of one station, given its number.
+        """Return derivatives of :meth:`values` by the moments of station `number`.
 
-        Terms that are no sum over stations are only asked for the first.
+        For terms that are not a sum over stations, only the first station is requested.
         """
         raise self._without("slope")
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64] | None:
-        """Return what ending a step at each node is worth by itself, (ny, nx), at any stage.
+        """Return the reward of ending a step at each node, (ny, nx), at any stage.
 
-        Rewards of nodes stand in for the value in the search of the lattice. They are exact for
-        terms that add up over steps; for others the path that comes out is only a first guess.
+        The lattice search maximises these rewards in place of the value. They are exact for terms
+        that are sums over steps; for other terms the resulting path is only an initial guess.
         """
         return None
 
@@ -188,15 +188,15 @@ class Term:
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
     ) -> NDArray[np.float64] | None:
-        """Return the reward of ending step `stage`, from 0 on, at places (..., 2)."""
+        """Return the reward of ending step `stage` (from 0) at positions (..., 2)."""
         return None
 
     def largest_stage_reward(self, at: TermContext) -> float:
-        """Return an upper limit of :meth:`stage_reward`."""
+        """Return an upper bound of :meth:`stage_reward`."""
         return 0.0
 
     def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
-        """Return what moves of these lengths are worth in themselves."""
+        """Return the rewards of moves of these lengths, independent of position."""
         return np.zeros(len(lengths_m))
 
 
@@ -204,7 +204,7 @@ _kinds: dict[str, type[Term]] = {}
 
 
 def register(term: type[Term]) -> None:
-    """Make the kind of a term known to problem files."""
+    """Register the kind of a term for problem files."""
     kind = require_name(term.kind, f"the term {class_name(term)}")
     known = _kinds.get(kind)
     if known is not None and class_name(known) != class_name(term):
@@ -216,7 +216,7 @@ def register(term: type[Term]) -> None:
 
 
 def require_kind(term: Term, key: str) -> None:
-    """Refuse a term whose class problem files could not name or fill."""
+    """Reject a term whose class cannot be saved in a problem file."""
     made = type(term)
     if not hasattr(made, "kind"):
         raise InputError(
@@ -236,13 +236,13 @@ def require_kind(term: Term, key: str) -> None:
 
 
 def registered_terms() -> tuple[type[Term], ...]:
-    """Return every known class of terms, in the order of their kinds."""
+    """Return all registered term classes, sorted by kind."""
     for module in pkgutil.iter_modules(own_terms.__path__):
         importlib.import_module(f"{own_terms.__name__}.{module.name}")
     return tuple(_kinds[kind] for kind in sorted(_kinds))
 
 
 def outside_terms() -> tuple[type[Term], ...]:
-    """Return the known classes of terms that are not planopt's, for worker processes."""
+    """Return the registered term classes from outside planopt, for worker processes."""
     home = f"{own_terms.__name__}."
     return tuple(term for term in registered_terms() if not term.__module__.startswith(home))

@@ -1,4 +1,4 @@
-"""The term ``tracking``: information on a target that the packets of a path bring."""
+"""Term ``tracking``: information on a target from the packets sent along a path."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from planopt.targets.rounding import Derivatives, add_products
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 LONGEST_ADDITIVE = 10
-"""Horizon up to which ``auto`` is ``additive`` beside other terms, under a chance constraint and
-for robots with dynamics; a longer additive plan gambles on packets from the target's side."""
+"""Longest horizon at which ``auto`` is ``additive`` with other terms, a chance constraint or robots
+with dynamics. A longer additive plan relies on uncertain packets sent close to the target."""
 
 TrackingForm = Literal["auto", "additive", "recourse"]
 
 LONGEST_ADDITIVE_OF_ESTIMATES = 1
-"""The same where packets have estimates: ``additive`` values them as single measurements."""
+"""Same limit for packets with estimates, which ``additive`` values as single measurements."""
 
 
 @dataclass(frozen=True)
 class TrackingTerm(Term):
-    """The information on the target that packets of a path bring to the station.
+    """Information on the target from packets that a path delivers to the station.
 
-    A packet sent at distance r of the target's predicted position has the information 1 / g(r),
-    ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
+    A packet sent at distance r from the predicted target position carries information 1 / g(r),
+    with ``g(r) = noise_curvature (r - sweet_spot_m)^2 + noise_floor_m2``.
     """
 
     noise_curvature: Annotated[
@@ -104,7 +104,7 @@ class TrackingTerm(Term):
         make_plain(self)
 
     def planned(self, setting: TermSetting) -> TrackingTerm:
-        """Return the term with the form that ``auto`` stands for."""
+        """Return the term with ``auto`` replaced by the selected form."""
         if self.form != "auto":
             return self
         longest = 1
@@ -115,7 +115,7 @@ class TrackingTerm(Term):
 
     @property
     def structure(self) -> Structure:
-        """Steps add up in the additive form only."""
+        """Return ``stagewise`` for the additive form, which sums over steps, else ``full``."""
         return "full" if self.probes_end else "stagewise"
 
     @property
@@ -125,11 +125,11 @@ class TrackingTerm(Term):
 
     @property
     def sensor(self) -> Sensor:
-        """Its variance grows away from the best distance."""
+        """Sensor whose variance is smallest at the distance `sweet_spot_m`."""
         return Sensor(self.noise_curvature, self.noise_floor_m2, self.sweet_spot_m)
 
     def check(self, setting: TermSetting) -> None:
-        """Require a criterion that the form has, and a step with a weight."""
+        """Require a criterion that the form supports, and a positive step weight."""
         if self.criterion != "trace" and self.form == "additive":
             raise InputError(
                 f"{self.criterion} is no criterion of the form additive",
@@ -142,7 +142,7 @@ class TrackingTerm(Term):
             )
 
     def settings(self, at: TermContext) -> Tracking:
-        """Return the target and the sensor of one step."""
+        """Return the tracking problem of one step."""
         target = at.target_m
         if target is None:
             raise AssertionError("a tracking term needs a target")
@@ -154,18 +154,18 @@ class TrackingTerm(Term):
         )
 
     def weights_of(self, steps: int) -> NDArray[np.float64]:
-        """Return the weights of a plan of so many steps; ``(steps,)``."""
+        """Return the step weights of a plan, including the terminal weight; ``(steps,)``."""
         found = self._step_weights_of(steps)
         found[-1] *= self.terminal_weight
         return found
 
     def _step_weights_of(self, steps: int) -> NDArray[np.float64]:
-        """Return the weights of so many steps without that of the last one as such."""
+        """Return the step weights without the terminal weight; ``(steps,)``."""
         weights = np.array(self.step_weights or (1.0,))
         return weights[np.minimum(np.arange(steps), len(weights) - 1)]
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return the information, or the covariance removed, of one path's packets."""
+        """Return the information, or covariance reduction, from the packets of one path."""
         chance = _chance(at, path_m)
         if self.probes_end:
             return float(self.probe_values(at, path_m[None], chance[None])[0])
@@ -176,7 +176,7 @@ class TrackingTerm(Term):
     def probe_values(
         self, at: TermContext, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the values of the form ``recourse`` for predicted probabilities (c, N)."""
+        """Return the ``recourse`` values for predicted probabilities of connection (c, N)."""
         settings, retreats, others, idle = at.once(
             (TrackingTerm, "probes", self), lambda: self._probing(at)
         )
@@ -187,7 +187,7 @@ class TrackingTerm(Term):
     def _probing(
         self, at: TermContext
     ) -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
-        """Return the filter, retreats, the others' packets, and the cost without own packets."""
+        """Return filter, retreats, information of others' packets, and cost without own packets."""
         own = self._filtered(at)
         target_m = own.tracking.target_m
         places = np.vstack([target_m, *at.others_m])
@@ -203,31 +203,31 @@ class TrackingTerm(Term):
         return own, retreats, others, float(left(0.5 * others, own))
 
     def _filtered(self, at: TermContext) -> FilteredTracking:
-        """Return the station's filter over the horizon and the steps beyond it."""
+        """Return the station's filter settings over the horizon and the steps beyond."""
         if at.information is None:
             raise AssertionError("this form of tracking needs the station's filter")
         settings = self.settings(at)
         found = FilteredTracking(
             settings, at.target_motion, at.information, self.criterion, at.held
         ).extended(RECOURSE_STEPS if at.held is None else STEPS_OF_ESTIMATES)
-        # The terminal weight is that of the horizon's last step alone.
+        # The terminal weight applies only to the last step of the horizon.
         steps, count = len(settings.weight), len(found.tracking.weight)
         beyond = self._step_weights_of(count)[steps:]
         found = found.weighted(np.append(settings.weight, beyond))
         return found if at.held is None else discounted(found)
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the same of many paths."""
+        """Return the values of many paths."""
         if self.probes_end:
             return self.probe_values(paths.at, paths.paths_m, paths.chance)
         settings = self.settings(paths.at)
-        # Paths of fewer steps than the horizon come from planners that add step to step.
+        # Incremental planners pass paths with fewer steps than the horizon.
         steps = int(paths.paths_m.shape[1])
         sensing = sensing_information(settings.sensor, paths.paths_m, settings.target_m[:steps])
         return (paths.chance * sensing) @ settings.weight[:steps]
 
     def derivatives(self, path: NearPath) -> Derivatives:
-        """Return the additive value by stages, which also refines paths to probed places."""
+        """Return the additive value per stage; it also refines paths to probed positions."""
         settings = self.settings(path.at)
         chance = connectivity_derivatives(*path.stage_power, settings.threshold_dbm)
         sensing = sensing_derivatives(settings.sensor, path.places_m, settings.target_m)
@@ -245,7 +245,7 @@ class TrackingTerm(Term):
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return the expected information of one packet."""
+        """Return the expected weighted information of a packet sent at each position."""
         settings = self.settings(at)
         reward = sensing_information(settings.sensor, places_m, settings.target_m[stage])
         reward *= chance
@@ -253,12 +253,12 @@ class TrackingTerm(Term):
         return reward
 
     def largest_stage_reward(self, at: TermContext) -> float:
-        """Return the information of a packet from the best distance at the heaviest step."""
+        """Return the maximum information of a packet times the largest step weight."""
         heaviest = max(self.step_weights, default=1.0) * max(self.terminal_weight, 1.0)
         return heaviest / self.noise_floor_m2
 
 
 def _chance(at: TermContext, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the predicted probability of connection at places (n, 2)."""
+    """Return the predicted probability of connection at positions (n, 2)."""
     power = at.power(places_m)
     return connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])

@@ -1,4 +1,4 @@
-"""The term ``until_connected``: expected distance until connected, subtracted."""
+"""Term ``until_connected``: minus the expected distance until connected."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from planopt.targets.rounding import Derivatives, rounded_length
 
 @dataclass(frozen=True)
 class UntilConnectedTerm(Term):
-    """Expected distance until connected, a cost."""
+    """Expected distance until connected, counted as a cost."""
 
     beyond_m: Annotated[
         float | None,
@@ -44,11 +44,11 @@ class UntilConnectedTerm(Term):
 
     @property
     def steers(self) -> Steers | None:
-        """The robot is steered to a place to try."""
+        """Return ``connection``: the robot is steered to a position to probe."""
         return "connection"
 
     def search(self, at: TermContext) -> Search:
-        """Return the settings of a search; the robot's own position is no probe."""
+        """Return the search settings; the robot's current position is not a probe."""
         x, y = at.position_m
         return Search(
             (float(x), float(y)),
@@ -58,41 +58,41 @@ class UntilConnectedTerm(Term):
         )
 
     def _after_try_m(self, at: TermContext) -> float:
-        """Return the expected metres beyond the end of the steered path.
+        """Return the expected search length beyond the end of the steered path, in metres.
 
-        R - D of :func:`planopt.objectives.until_connected.search_length_m`, from that path alone,
-        so that a saved plan has the same.
+        It is R - D of :func:`planopt.objectives.until_connected.search_length_m`. It depends on
+        that path only, so it can be recomputed from a saved plan.
         """
         steered = at.steering
         if steered is None:
             return at.workspace_diagonal_m if self.beyond_m is None else self.beyond_m
         chance = np.array([at.chance(steered.end_m)])
         after = self.search_length_m(at, steered.rest_m[:1], chance) - steered.rest_m[0]
-        # A plan is not charged more: probabilities of a thousandth are not believed.
+        # The cost is capped, because probabilities near a thousandth are unreliable.
         most_m = at.workspace_diagonal_m if self.beyond_m is None else np.inf
         return max(min(float(after[0]), most_m), 0.0)
 
     def search_length_m(
         self, at: TermContext, length_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the expected length of a search by probes at these distances; ``(k,)``.
+        """Return the expected search lengths for first probes at these distances; ``(k,)``.
 
-        :func:`planopt.objectives.until_connected.search_length_m`, or D + (1 - P) `beyond_m`.
+        The length is R of :mod:`planopt.objectives.until_connected`, or D + (1 - P) `beyond_m`.
         """
         if self.beyond_m is not None:
             return length_m + (1.0 - chance) * self.beyond_m
         return search_length_m(length_m, chance, at.decorrelation_m)
 
     def charged_beyond_m(self, at: TermContext, ends_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the cost of a plan that ends at each place (n, 2) without connection; (n,).
+        """Return the cost-to-go of plans that end at `ends_m` (n, 2) without connection; (n,).
 
-        The rest of the steered path, and the expected length of the search from there.
+        It is the remaining length of the steered path plus the expected search length beyond it.
         """
         after = np.full(len(ends_m), self.search(at).beyond_m)
         return after if at.steering is None else after + at.steering.distance_m(ends_m)
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
-        """Return minus the expected metres of a search along one path."""
+        """Return minus the expected search length in metres along one path."""
 
         def charged_m() -> float:
             beyond = float(self.charged_beyond_m(at, path_m[-1:])[0])
@@ -102,7 +102,7 @@ class UntilConnectedTerm(Term):
         return -at.once((UntilConnectedTerm, "charged", self, path_m.tobytes()), charged_m)
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the same of many paths, by recursive filtering."""
+        """Return the values of many paths, by recursive filtering."""
         settings = self.search(paths.at)
         missing_db = np.where(paths.at.probing.takes(paths.paths_m), 0.0, NOT_PROBED_DB)
         powers = [
@@ -119,7 +119,7 @@ class UntilConnectedTerm(Term):
         return -charged_distances_m(powers, legs, beyond)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return the value of one path near the channel of its start."""
+        """Return the value of one path with derivatives, by the local channel of its guess."""
         search = self.search(path.at)
         found = charged_distance_derivatives(
             path.channels,
@@ -138,16 +138,16 @@ class UntilConnectedTerm(Term):
         stage: int | NDArray[np.intp],
         chance: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return the distance that connection at each place saves if it is the only probe."""
+        """Return the expected distance saved if each position were the only probe."""
         return self.search(at).beyond_m * chance
 
     def largest_stage_reward(self, at: TermContext) -> float:
-        """Return the distance that certain connection saves."""
+        """Return the distance saved by certain connection."""
         return self.search(at).beyond_m
 
 
 def _beyond(path: NearPath, search: Search) -> Derivatives | None:
-    """Return the cost beyond the last place, with derivatives by it; None if nothing steers."""
+    """Return the cost-to-go with derivatives by the last position; None without steering."""
     steering = path.at.steering
     if path.ahead is None or steering is None:
         return None

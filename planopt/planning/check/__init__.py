@@ -1,1 +1,1 @@
-"""Checks of saved plans and runs from their files alone."""
+"""Verification of saved plans and runs from their files alone."""

@@ -1,9 +1,9 @@
-"""Check a saved plan or run from its files alone, or read it as an object.
+"""Verification of a saved plan or run from its files alone, and loading of results.
 
-The initial data are drawn again from problem and seed, the channel is fitted again, the saved
-trajectories are driven and verified again (:mod:`planopt.planning.check.replay`), and the resulting
-document is compared with the saved one. A difference from the library's problem of the same name is
-a remark, no reason to reject.
+The initial data are regenerated from problem and seed, the channel is fitted again, and the saved
+trajectories are executed and verified again (:mod:`planopt.planning.check.replay`). The resulting
+document is compared with the saved one. A difference from the library's problem of the same name
+leads to a remark, not to a rejection.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from planopt.short_repr import short_repr
 
 
 def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
-    """Return how a saved problem differs from the library's of its name, drawn with `seed`.
+    """Return differences between a saved problem and the library's of that name, drawn with `seed`.
 
-    Horizon, planner and cost-to-go may differ: the file has them next to the problem.
+    Horizon, planner and cost-to-go are exempt because the file stores them separately.
     """
     original = library_folder() / f"{problem.name}{SUFFIX}"
     if not original.is_file():
@@ -73,7 +73,7 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
 
 
 def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return tables without the settings that the command line may change."""
+    """Return tables without the settings that the command line may override."""
     without = {"planner": ("horizon", "name"), "objective": ("cost_to_go",)}
     return {
         table: {key: value for key, value in keys.items() if key not in without[table]}
@@ -85,12 +85,12 @@ def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """The outcome of a check."""
+    """Result of a check."""
 
-    verdict: Verdict  # verified if there is nothing to object, else violated; none for no plan
-    # From the verifier: one for a plan, one a step for a run
+    verdict: Verdict  # verified without objections, else violated; none if there is no plan
+    # From the verifier: one for a plan, one per step for a run
     certificates: tuple[Certificate, ...]
-    reasons: tuple[str, ...]  # Every objection; empty if verified
+    reasons: tuple[str, ...]  # All objections; empty if verified
     # Parts that could not be checked, and differences from the library's problem of that name
     remarks: tuple[str, ...] = ()
 
@@ -106,7 +106,7 @@ class CheckResult:
 
 @one_blas_thread()
 def check_motion(file: Path, data: Mapping[str, Any]) -> CheckResult:
-    """Check a saved plan or run, of which the JSON object has been read."""
+    """Check a saved plan or run whose JSON object is already loaded."""
     saved = saved_from(file, data)
     name = saved.file.name
     remarks = library_remarks(name, saved.problem, saved.record.seed)
@@ -155,7 +155,7 @@ def _objections(saved: Saved, result: Solution | Run) -> list[str]:
 
 def _different(saved: Saved, found: Contents) -> list[str]:
     """Return the differences of all files from those of the replay."""
-    # The problem is not compared: library_remarks describes it.
+    # The problem is excluded because library_remarks compares it.
     data = {**found.data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
     reasons = in_words(found.name, differences(saved.data, data))
     for name, (_, table) in found.tables.items():
@@ -181,7 +181,7 @@ def _no_plan_reasons(saved: Saved) -> list[str]:
 
 
 def _worst(certificates: Sequence[Certificate]) -> Certificate:
-    """Return the worst of a run's certificates in each respect."""
+    """Return the worst values over a run's certificates."""
     missed = [
         (step, certificate)
         for step, certificate in enumerate(certificates, start=1)
@@ -198,7 +198,7 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
 
 @one_blas_thread()
 def load_motion_result(file: Path, data: Mapping[str, Any]) -> Solution | Run:
-    """Read a saved plan or run, as :func:`planopt.load_result` does."""
+    """Load a saved plan or run, as :func:`planopt.load_result` does."""
     saved = saved_from(file, data)
     if isinstance(saved.record, NoPlanRecord):
         raise NoPlanError(saved.record.message)

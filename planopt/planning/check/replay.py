@@ -1,8 +1,8 @@
-"""Replay a saved plan or run: its trajectories are driven again, and each plan is verified again.
+"""Replay of a saved plan or run: its trajectories are executed and its plans verified again.
 
-The loop is that of the simulation, with the saved trajectories in place of a planner. Ground truth
-and first measurements are drawn again where the problem has a truth; otherwise they are those of
-the files. Nothing is planned.
+The loop is that of the simulation, with the saved trajectories in place of a planner. If the
+problem has a ground truth, it is drawn again together with the initial measurements; otherwise the
+files supply them. Nothing is planned.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ from planopt.world.clearance import index_obstacles
 from planopt.world.lattice import RoadMap
 
 VALUES, NOISE = "values_db", "noise_variance_db2"
-"""Arrays of the Gaussian sites."""
+"""Array names of the EP sites."""
 
 
 def initial_belief(problem: Problem, first: Sequence[Measurements], saved: SavedBelief) -> Belief:
-    """Return the belief before the first step: fitted again, with the saved parameters.
+    """Return the belief before the first step: fitted again, but with the saved parameters.
 
-    A fit on another machine differs a little; the parameters are compared with those fitted again.
+    Fits on different machines differ slightly; saved and refitted parameters are compared.
     """
     learnt = learn_stations(problem, first)
     each = [
@@ -67,7 +67,7 @@ def initial_belief(problem: Problem, first: Sequence[Measurements], saved: Saved
 
 
 def _with_parameters(belief: Belief, saved: SavedBelief) -> Belief:
-    """Return a belief conditioned with the saved parameters."""
+    """Return a belief conditioned on the saved parameters."""
     learnt = belief.posterior
     if saved.parameters == learnt.parameters:
         return belief
@@ -80,7 +80,7 @@ def _with_parameters(belief: Belief, saved: SavedBelief) -> Belief:
 
 
 def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
-    """Return the differences of the saved arrays from those found again."""
+    """Return the differences between the saved arrays and the recomputed ones."""
     record = {
         station_prefix(station) + name: array
         for station, own in enumerate(saved.stations)
@@ -94,7 +94,7 @@ def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
 
 
 def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return arrays as lists, and Gaussian sites in natural units, in which they converge."""
+    """Return arrays as lists, and EP sites in natural parameters, in which they converge."""
     lists: dict[str, Any] = {name: array.tolist() for name, array in arrays.items()}
     for name, variance in arrays.items():
         values = arrays.get(name.removesuffix(NOISE) + VALUES)
@@ -107,7 +107,7 @@ def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 SAME_PLACE_M = 1e-6
-"""A saved measurement belongs to the place of a step that is nearer than this."""
+"""Maximum distance between a saved measurement and the position of its step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ class Start:
 
 
 def start_of(saved: Saved) -> Start:
-    """Draw the initial data again, or take them from the files."""
+    """Draw the initial data again, or read them from the files."""
     problem, seed = saved.problem, saved.record.seed
     first = [own.measurements.take(slice(own.first)) for own in saved.beliefs[0].stations]
     remarks: list[str] = []
@@ -130,7 +130,7 @@ def start_of(saved: Saved) -> Start:
         remarks.append(f"first measurements are taken from the file, as none can be drawn: {error}")
         try:
             data = draw_initial_data(problem, seed, first)
-        except InputError:  # A file that the truth is read from is gone
+        except InputError:  # A file of the ground truth is missing
             data = InitialData((), tuple(first))
     if not data.truths:
         remarks.append("true powers are taken from the file, which has no ground truth")
@@ -162,7 +162,7 @@ def _road_maps(problem: Problem) -> list[RoadMap]:
 
 
 def _saved_world(saved: Saved) -> World:
-    """Return a world of the true powers, measurements and costs in the files."""
+    """Return a world with the true powers, measurements and costs in the files."""
     problem = saved.problem
 
     def serving_dbm(number: int, step: int, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -192,7 +192,7 @@ def _saved_world(saved: Saved) -> World:
 
 
 def _taken(own: SavedBelief, step: int, place_m: NDArray[np.float64]) -> Measurements:
-    """Return the saved measurements of a step at a place."""
+    """Return the saved measurements of a step at a position."""
     counts = [*own.known_before_step.tolist(), len(own.measurements)]
     rows = np.arange(*(counts[step - 1 : step + 1] if step < len(counts) else (0, 0)))
     away = np.linalg.norm(own.measurements.positions_m[rows] - place_m, axis=1)
@@ -200,7 +200,7 @@ def _taken(own: SavedBelief, step: int, place_m: NDArray[np.float64]) -> Measure
 
 
 def _planning(saved: Saved) -> Planning:
-    """Return what releases the saved trajectories step by step, each verified again."""
+    """Return a planning function that releases the saved trajectories, each verified again."""
     by_robot = saved.plans
 
     def made(problem: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
@@ -245,9 +245,9 @@ def _planning(saved: Saved) -> Planning:
 def _no_plan(
     saved: Saved, owns: Sequence[Problem], states: Sequence[NDArray[np.float64]]
 ) -> BlockedError:
-    """Return the saved reason for the end of a run if it is proven, else that nothing proves it.
+    """Return the saved reason why a run ended if it is proven, else an error that says it is not.
 
-    Obstacles that cut off a goal prove it, and a forbidden path that begins at a robot.
+    Proofs are obstacles that cut off a goal, and a forbidden path that starts at a robot.
     """
     steps = len(saved.plans[0])
     message = (
@@ -276,11 +276,11 @@ def _is_cut_off(problem: Problem, place_m: NDArray[np.float64]) -> bool:
 
 def _verified_again(
     context: VerifierContext,
-    region: Region | None,  # None on the way to a goal
+    region: Region | None,  # None for runs to a goal
     aim: Aim,
     saved: SavedPlan,
 ) -> Plan:
-    """Return a saved plan with everything that follows from its trajectory."""
+    """Return a saved plan with all quantities recomputed from its trajectory."""
     problem, record, drive, path_m = context.problem, saved.record, saved.drive, saved.path_m.copy()
     path_m[0] = context.state[:2]
     if drive is not None:
@@ -328,7 +328,7 @@ def _verified_again(
 
 
 def _reach_cost(context: VerifierContext, saved: SavedPlan, power: Prediction) -> float:
-    """Return the cost of a path to a goal, at the power that the verifier predicted along it."""
+    """Return the cost of a path to a goal, using the power predicted by the verifier."""
 
     def certified(places_m: NDArray[np.float64]) -> Prediction:
         if np.array_equal(places_m, saved.path_m):

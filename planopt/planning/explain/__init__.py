@@ -1,1 +1,1 @@
-"""Explanations why there is no verified plan, by the problem file's keys, and what helps."""
+"""Explanations of missing verified plans in terms of problem file keys, with helpful changes."""

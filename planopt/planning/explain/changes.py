@@ -1,4 +1,4 @@
-"""Changes of single keys that an explanation tries, and the solves that confirm them."""
+"""Changes of single keys that an explanation proposes, and the solves that confirm them."""
 
 from __future__ import annotations
 
@@ -13,58 +13,58 @@ from planopt.planning.plan import Plan, Verdict
 from planopt.problems.problem import Problem
 
 Missed = Literal["connection", "separation", "moving"]
-"""The connection, the separation of robots, or the clearance of moving obstacles."""
+"""Violated requirement: connection, separation of robots, or clearance of moving obstacles."""
 
 DIGITS = 5
 """Significant digits of a proposed value."""
 
 EXPLAINED_S = 6.0
-"""No solve begins later than this after the explanation."""
+"""Time in seconds after which an explanation starts no further solve."""
 
 EXTRA = (1.01, 1.03, 1.1, 1.5)
-"""Factors of the least amount that are solved for: planners keep small margins."""
+"""Factors of the estimated amount that are tried, since planners keep small margins."""
 
 SETTLING_HALVINGS = 40
 
 SETTLED = 1e-3
-"""The least amount is found to this share of itself."""
+"""Relative tolerance of the least amount."""
 
 LEAST_P_MIN = 0.01
-"""No smaller probability of connection is proposed."""
+"""Smallest probability of connection that is proposed."""
 
 MOST_DB = 200.0
-"""No threshold is lowered, and no slack widened, by more."""
+"""Maximum reduction of a threshold and maximum increase of slack, in dB."""
 
 MOST_FACTOR = 1e3
-"""Required data are not reduced by a larger factor."""
+"""Maximum factor by which required data are reduced."""
 
 MOST_OUTAGE = 1e6
-"""No longer outage is considered, in metres or seconds."""
+"""Maximum outage that is considered, in metres or seconds."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key with a number."""
+    """A key with a numeric value."""
 
-    name: str  # As in the problem file
+    name: str  # Name in the problem file
     unit: str  # Empty for a probability or a count
     value: float
     limit: float  # The loosest value that is considered, above or below `value`
 
     @property
     def most(self) -> float:
-        """Return the largest amount by which it is loosened."""
+        """Return the maximum amount of loosening."""
         return abs(self.limit - self.value)
 
     def loosened(self, amount: float) -> float:
-        """Return the value that is looser by `amount`, rounded to the looser side."""
+        """Return the value loosened by `amount`, rounded towards looser."""
         down = self.limit < self.value
         value = self.value + min(amount, self.most) * (-1.0 if down else 1.0)
         value = rounded(value, DIGITS, down=down)
         return max(value, self.limit) if down else min(value, self.limit)
 
     def changed(self, problem: Problem, value: float) -> Problem:
-        """Return a problem with another value of the key."""
+        """Return a problem with the key set to another value."""
         table, name = self.name.split(".")
         if table == "planner":
             return replace(problem, planner=replace(problem.planner, step_s=value))
@@ -97,15 +97,15 @@ class Key:
 
 @dataclass(frozen=True)
 class Trials:
-    """Solves changed problems until the time of an explanation is over."""
+    """Solver of changed problems within the time limit of an explanation."""
 
-    # Plans a changed problem for the robot of the explanation; None without a plan
+    # Function that plans a changed problem for the explained robot; None without a plan
     solve: Callable[[Problem], Plan | None]
-    ends_s: float  # In the process's own time, so that other programs change nothing
+    ends_s: float  # In process time, so that other programs have no influence
 
     @property
     def are_over(self) -> bool:
-        """Return whether no further solve may begin."""
+        """Return whether the time limit is reached."""
         return process_time() >= self.ends_s
 
     def plan(self, changed: Problem) -> Plan | None:
@@ -118,28 +118,28 @@ class Trials:
         return plan is not None and plan.verdict is Verdict.VERIFIED
 
     def first(self, problem: Problem, key: Key, least: float) -> float | None:
-        """Return the value near the least amount of loosening that has a verified plan."""
+        """Return the first value near the least loosening that has a verified plan."""
         values = dict.fromkeys(key.loosened(factor * least) for factor in EXTRA)
         return next((v for v in values if self.is_verified(key.changed(problem, v))), None)
 
 
 def deadline_s() -> float:
-    """Return the process time at which an explanation that begins now ends."""
+    """Return the process time at which an explanation started now must end."""
     return process_time() + EXPLAINED_S
 
 
 def rounded(value: float, digits: int, down: bool) -> float:
-    """Round to so many significant digits, down or up, to a number that can be typed in."""
+    """Round to a number of significant digits, down or up."""
     if value == 0.0 or not math.isfinite(value):
         return value
     unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
     found = (math.floor if down else math.ceil)(value / unit) * unit
-    # Decimal digits, not the remainder of multiplying by a power of ten.
+    # Formatting yields exact decimal digits, unlike multiplication by a power of ten.
     return float(f"{found:.{digits}g}")
 
 
 def least_amount(suffices: Callable[[float], bool], most: float) -> float | None:
-    """Return the least amount up to `most` that suffices, by bisection; None if none does."""
+    """Return the least sufficient amount up to `most`, by bisection; None if none suffices."""
     low, high = 0.0, most
     if not suffices(high):
         return None
@@ -152,7 +152,7 @@ def least_amount(suffices: Callable[[float], bool], most: float) -> float | None
 
 
 def constraint_key(problem: Problem, name: str, unit: str, limit: float) -> Key:
-    """Return a key of ``[constraints]``; an absent one of its rule counts as 0."""
+    """Return a key of ``[constraints]`` or of its rule; a missing value counts as 0."""
     constraints = problem.constraints
     owner = constraints if hasattr(constraints, name) else constraints.rule
     return Key(f"constraints.{name}", unit, float(getattr(owner, name) or 0.0), limit)
@@ -172,7 +172,7 @@ def connection_keys(problem: Problem) -> list[Key]:
 
 
 def violated_keys(problem: Problem, missed: Missed) -> list[Key]:
-    """Return the keys that state a missed requirement."""
+    """Return the keys that define a violated requirement."""
     if missed == "separation":
         return [constraint_key(problem, "separation_m", "m", 0.0)]
     if missed == "moving":
@@ -187,6 +187,6 @@ def violated_keys(problem: Problem, missed: Missed) -> list[Key]:
     ]
     if rule.data_mbit:
         keys.append(constraint_key(problem, "data_mbit", "Mbit", rule.data_mbit / MOST_FACTOR))
-    # Single steps without slack may be missed where nothing keeps them: slack 0 is not the same.
+    # Without slack_max_db, unattainable steps are excused; slack 0 would not excuse them.
     has_slack = rule.slack_max_db is not None or not rule.by_step
     return [*keys, *thresholds, *([slack] if has_slack else [])]

@@ -1,4 +1,4 @@
-"""Explain a problem without verified plan, and plans that cross coverage holes."""
+"""Explanation of problems without verified plan, and of plans that cross coverage holes."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from planopt.world.lattice import lattice_paths, route_from
 def explain(result: Solution | Problem, seed: int = 0) -> Explanation:
     """Return changes that would give every robot a verified plan, and why holes are crossed.
 
-    A verified plan needs no change, as ``print(explain(...))`` says.
+    If every plan is verified, no change is needed, and ``print(explain(...))`` says so.
 
     Each change suffices by itself and belongs to one robot. The problem is solved again with each
-    proposed value, for some seconds in all. For a verified plan that crosses coverage holes on its
-    path to a goal, these are listed with the length of the path that stays connected.
+    proposed value, for a few seconds in total. For a verified plan that crosses coverage holes on
+    its path to a goal, these are listed with the length of the path that stays connected.
 
     Parameters
     ----------
     result
-        From :func:`planopt.solve`; or a problem, which is solved first. If that raises a
+        Result of :func:`planopt.solve`, or a problem, which is solved first. If that raises a
         `NoPlanError`, changes that would open a path to the goal are returned.
     seed
-        Random seed that a problem is planned with; a solution has its own.
+        Random seed for planning a problem; a solution has its own.
 
     Examples
     --------
@@ -60,7 +60,7 @@ def explain(result: Solution | Problem, seed: int = 0) -> Explanation:
     try:
         solution = solve(result, seed=seed)
     except (NoPlanError, InputError) as error:
-        # A blocked path can be explained without measurements as well.
+        # A blocked path can be explained even without measurements.
         found = explain_no_plan(result, seed, ends_s)
         if not found and isinstance(error, InputError):
             raise
@@ -113,14 +113,14 @@ def explain_no_plan(
 ) -> tuple[Relaxation, ...]:
     """Return changes that would open a path to the goal of a problem without plan.
 
-    With several robots, to the goals of those that have no path if they are alone.
+    With several robots, each one that has no path on its own is considered.
     """
     owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
     ends_s = deadline_s() if ends_s is None else ends_s
     try:
         belief = prepare(problem, seed).belief
     except InputError:
-        # Nothing can be solved again without measurements; obstacles can still be named.
+        # Without measurements nothing can be solved, but blocking obstacles can be named.
         nothing = Trials(lambda _: None, ends_s)
         return tuple(
             one
@@ -144,7 +144,7 @@ def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Rel
         scene = build_scene(problem)
     except NoPlanError:
         return explain_no_path(problem, trials, joined=True)
-    # A chance constraint does not change the ground.
+    # The chance constraint does not affect the scene, which is reused.
     trials = Trials(partial(_planned, belief=belief, scenes=[scene]), ends_s)
     radio, p_min = problem.stations[0], problem.constraints.p_min
     margins = NodeMargins(scene.road_map, radio.threshold_dbm, p_min)
@@ -154,7 +154,7 @@ def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Rel
 
 
 CONNECTION_PRICE = 1e4
-"""Price of a metre out of contact at which connection dominates length."""
+"""Price per metre out of contact at which connection dominates length."""
 
 
 def crossings(
@@ -206,9 +206,9 @@ def _cheapest_path(
     start_m: NDArray[np.float64],
     surcharge: NDArray[np.float64],
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return cost and places (n, 2) of the cheapest path from a place to the goal.
+    """Return cost and positions (n, 2) of the cheapest path from a position to the goal.
 
-    A metre at each node costs one plus its `surcharge` (n,).
+    The cost per metre at each node is one plus its `surcharge` (n,).
     """
     road_map = scene.road_map
     paths = lattice_paths(road_map, scene.goal_node, 1.0 + surcharge)

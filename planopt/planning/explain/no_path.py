@@ -1,4 +1,4 @@
-"""Changes that would open a path to a goal: clearance, an obstacle, the step, or a hard bound."""
+"""Changes that would open a path to a goal: clearance, obstacle, time step, chance constraint."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from planopt.problems.problem import Problem
 from planopt.world.lattice import RoadMap
 
 CLEARANCES = 8
-"""Bisections of the clearance where the lattice misses a narrow gap."""
+"""Number of bisections of the clearance if the lattice misses a narrow gap."""
 
 MOST_OBSTACLES = 60
-"""Up to so many obstacles are removed on trial."""
+"""Maximum number of obstacles up to which removing each one is tried."""
 
 SHORTER, STEPS_TRIED = 0.9, 20
-"""The step, and with it the lattice, is refined by this factor at most so many times."""
+"""Refinement factor of the time step, and with it the lattice, and number of refinements."""
 
 
 def is_open(problem: Problem) -> bool:
@@ -48,9 +48,9 @@ def is_open(problem: Problem) -> bool:
 
 
 def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
-    """Return changes that would open a path to the goal, each by itself.
+    """Return changes each of which would open a path to the goal.
 
-    If the free space joins start and goal, only the lattice is too coarse.
+    If start and goal are connected in free space (`joined`), only the lattice is too coarse.
     """
     if joined:
         clearance_m = problem.constraints.clearance_m
@@ -61,7 +61,7 @@ def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Rel
 
 
 def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxation]:
-    """Propose the largest clearance up to the widest with which a path is found."""
+    """Propose the largest clearance, up to `widest`, for which a path is found."""
     key = constraint_key(problem, "clearance_m", "m", 0.0)
     low, high = 0.0, rounded(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
     if is_open(key.changed(problem, high)):
@@ -78,7 +78,7 @@ def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxati
 
 
 def _step(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Propose a shorter step, which makes the lattice fine enough for a path that exists."""
+    """Propose a shorter time step, which makes the lattice fine enough to find the path."""
     key = Key("planner.step_s", "s", problem.planner.step_s, 0.0)
     for power in range(1, STEPS_TRIED + 1):
         step_s = rounded(key.value * SHORTER**power, DIGITS, down=True)
@@ -97,7 +97,7 @@ def _opened(problem: Problem, trials: Trials, key: Key, value: float) -> Relaxat
 
 
 def _obstacles(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Return every obstacle without which there is a path."""
+    """Return every obstacle whose removal opens a path."""
     obstacles = problem.workspace.obstacles
     found: list[Relaxation] = []
     for obstacle in obstacles if len(obstacles) <= MOST_OBSTACLES else ():
@@ -115,7 +115,7 @@ def _obstacles(problem: Problem, trials: Trials) -> list[Relaxation]:
 def explain_blocked(
     problem: Problem,
     road_map: RoadMap,
-    first: NDArray[np.intp],  # (k,) nodes that the robot reaches first
+    first: NDArray[np.intp],  # (k,) nodes that the robot can reach first
     goal: int,  # node
     margins: NodeMargins,
     trials: Trials,
@@ -134,7 +134,7 @@ def explain_blocked(
         value = trials.first(problem, key, least) if 0.0 < least <= key.most else None
         if value is not None:
             found.append(key.relaxation(robot, value))
-    # Without slack_max_db the constraint may be missed at a price.
+    # Without slack_max_db, the constraint may be violated at a price.
     rule = replace(problem.constraints.rule, slack_max_db=None)
     if trials.is_verified(replace(problem, constraints=replace(problem.constraints, rule=rule))):
         found.append(keys[-1].relaxation(robot, None))
@@ -147,7 +147,7 @@ def widest(
     goal: int,
     score: NDArray[np.float64],  # (n,)
 ) -> float:
-    """Return the largest score that all nodes of some path to the goal have."""
+    """Return the maximum over paths to the goal of the minimum score along the path."""
     count = len(score)
     end, move = np.nonzero(road_map.sources < count)
     begin = road_map.sources[end, move]

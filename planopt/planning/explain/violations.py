@@ -1,6 +1,6 @@
 """Violated constraints of a plan, and the least change of each key that would satisfy them.
 
-The least amount is estimated on paths at hand, without solving, and confirmed by solving again.
+The change is estimated on existing paths without solving, and confirmed by solving again.
 """
 
 from __future__ import annotations
@@ -48,26 +48,26 @@ from planopt.world.motion import step_distances_m
 from planopt.world.moving_discs import MovingDiscs
 
 MOST_MOVING = 3
-"""Up to so many moving obstacles are removed on trial."""
+"""Maximum number of moving obstacles up to which removing each one is tried."""
 
 SLACK_PRICE = 1e5
-"""Price of a dB of slack that dominates the objective."""
+"""Price per dB of slack that dominates the objective."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
     """One robot's plan from the start of a run."""
 
-    problem: Problem  # With all robots
-    number: int  # Of the robot
-    posteriors: Sequence[ChannelPosterior]  # The belief that it was planned on, by station
+    problem: Problem  # Problem with all robots
+    number: int  # Number of the robot
+    posteriors: Sequence[ChannelPosterior]  # Belief that the plan is based on, by station
     plan: Plan
     # Moving obstacles, and the plans of other robots if a separation is required
     moving: MovingDiscs
 
     @property
     def own(self) -> Problem:
-        """Return the problem with this robot alone."""
+        """Return the problem restricted to this robot."""
         return problem_of_robot(self.problem, self.number)
 
 
@@ -76,13 +76,13 @@ class Fault:
     """A constraint that a plan violates."""
 
     missed: Missed
-    stages: tuple[int, ...]  # Its steps; 1 is the first
-    shortfall: float  # The violation
-    unit: str  # Of the shortfall; empty for a probability
+    stages: tuple[int, ...]  # Violating steps, counted from 1
+    shortfall: float  # Amount of the violation
+    unit: str  # Unit of the shortfall; empty for a probability
 
 
 def _met_nowhere(case: Case) -> bool:
-    """Return whether p_min is required of single steps without slack, and all miss it."""
+    """Return whether every counted step misses a p_min that applies per step without slack."""
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
@@ -100,7 +100,7 @@ def _connection(case: Case) -> Fault | None:
         unit, steps = "" if result.unit == "probability" else result.unit, len(case.plan.t_s) - 1
         level = problem.constraints.p_min
         if not rule.kind.holds_steps:
-            # The probability that equal steps would need.
+            # The required probability if all steps were equal.
             level = common_level(rule_of(problem, np.ones(steps)), level, BEGINNING, steps)
         stages = _stages(case.plan.connectivity[1:] < level)
         return Fault("connection", stages, result.missing, unit)
@@ -115,18 +115,18 @@ def _connection(case: Case) -> Fault | None:
     stages = tuple(step for step, _ in missed)
     short_db = max(missing for _, missing in missed)
     if _met_nowhere(case) or is_priced(problem):
-        # The shortfall of the best place, if that is negative itself.
+        # If even the best reachable position misses the level, its shortfall is reported.
         best_db = best_margin_db(problem, case.posteriors)
         short_db = -best_db if best_db < 0.0 else short_db
     elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
-        return None  # nothing within reach keeps these steps, which excuses them
+        return None  # no reachable position satisfies these steps, which excuses them
     return Fault("connection", stages, short_db, "dB")
 
 
 def _distances(case: Case) -> list[Fault]:
-    """Return violated distances of robots and moving obstacles at equal times.
+    """Return violated distances to robots and moving obstacles at equal times.
 
-    Violations while a robot brakes after the last step belong to the last step.
+    Violations while a robot brakes after the last step count towards the last step.
     """
     discs, planned = case.moving, len(case.plan.positions_m) - 1
     motion = braked_motion(case.plan.positions_m, case.plan.drive, case.problem.planner.step_s)
@@ -156,7 +156,7 @@ def _stages(which: NDArray[np.bool_]) -> tuple[int, ...]:
 
 
 def best_probability(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> float:
-    """Return the largest ``p_min`` that a counted step can satisfy at any reachable place."""
+    """Return the largest ``p_min`` that a counted step can satisfy at a reachable position."""
     radio, p_min = problem.stations[0], problem.constraints.p_min
 
     def excess(power: Prediction) -> NDArray[np.float64]:
@@ -167,7 +167,7 @@ def best_probability(problem: Problem, posteriors: Sequence[ChannelPosterior]) -
 
 
 def best_margin_db(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> float:
-    """Return the largest margin in dB that a counted step can have at any reachable place."""
+    """Return the largest margin in dB that a counted step can have at a reachable position."""
     return _best_score(problem, posteriors, partial(margins_asked_db, problem))
 
 
@@ -176,9 +176,9 @@ def _best_score(
     posteriors: Sequence[ChannelPosterior],
     score: Callable[[Prediction], NDArray[np.float64]],
 ) -> float:
-    """Return the largest score of a counted step within reach; the search refines negative ones.
+    """Return the largest score of a counted step at a reachable position.
 
-    If steps may miss p_min at a price, the whole workspace is within reach.
+    If steps may violate p_min at a price, the whole workspace counts as reachable.
     """
     law, index = connectivity_law(problem, posteriors), index_obstacles(problem.workspace)
     if is_priced(problem):
@@ -199,7 +199,7 @@ def _best_score(
 
 
 def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
-    """Return changes that would let all constraints be satisfied, each by itself."""
+    """Return changes each of which would satisfy all constraints."""
     found: dict[str, Relaxation] = {}
     connection = _connection(case)
     for fault in (*([] if connection is None else [connection]), *_distances(case)):
@@ -233,7 +233,7 @@ def _entry(
 
 
 def _elastic(case: Case, trials: Trials) -> list[Case]:
-    """Return the plan that misses the rule least; none if slack has no price."""
+    """Return the plan with the least violation of the rule; none if slack has no price."""
     problem, rule = case.problem, case.problem.constraints.rule
     if problem.task == "reach" or (rule.by_step and rule.slack_max_db is None):
         return []
@@ -268,7 +268,7 @@ def _is_kept(case: Case, key: Key, amount: float) -> bool:
     rule = problem.constraints.rule
     power = Prediction(plan.mean_dbm[1:], plan.deviation_db[1:])
     if len(case.posteriors) > 1:
-        # The law that replaces several powers depends on thresholds and on p_min.
+        # The distribution that combines several stations depends on thresholds and on p_min.
         law = stations_law(problem, case.posteriors)
         power, _ = certified_prediction(law, plan.positions_m[1:])
     if not rule.by_step:

@@ -1,1 +1,1 @@
-"""Plans and runs as files."""
+"""Files of plans and runs."""

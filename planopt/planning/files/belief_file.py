@@ -1,7 +1,7 @@
-"""The belief about the channel as ``belief.npz``: measurements, parameters and their origin.
+"""Belief about the channel in ``belief.npz``: measurements, parameters and their origin.
 
-Measurements are in the order taken. The arrays of the first station have plain names; those of
-further stations begin with ``stations[1].`` and so on.
+Measurements are in chronological order. Array names of further stations have the prefix
+``stations[1].`` and so on; those of the first station have none.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from planopt.planning.loop.results import Run
 BELIEF_FILE = "belief.npz"
 
 PARAMETER_NAMES = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
-"""Order of the arrays ``parameters`` and ``standard_errors``."""
+"""Order of the parameters in the arrays ``parameters`` and ``standard_errors``."""
 
 TINY = float(np.finfo(float).tiny)
-"""Least positive number."""
+"""Smallest positive normal float."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -41,9 +41,9 @@ class _Stored:
 
     name: str
     source: Callable[[Belief], object]
-    # None is any size, "n" the number of measurements; arrays that are only compared have no shape
+    # None is any size, "n" the number of measurements; arrays without a shape are only compared
     shape: tuple[int | str | None, ...] | None = None
-    kind: str = "f"  # Kinds of data type
+    kind: str = "f"  # NumPy kind codes of the data type
     least: float = -LARGEST
     largest: float = LARGEST
 
@@ -88,37 +88,37 @@ STORED = (
     _Stored("fit_status", lambda own: own.fit.status),
     _Stored("fit_warnings", lambda own: np.array(own.fit.warnings, dtype=np.str_)),
 )
-"""The arrays of a station, but for the counts of measurements known before each step."""
+"""Arrays of a station, except for the measurement counts before each step."""
 
 KNOWN = _Stored("known_before_step", lambda _: (), (None,), "iu")
 
 
 @dataclass(frozen=True, eq=False)
 class SavedBelief:
-    """A belief as it stands in its file."""
+    """Belief as read from its file."""
 
     file: Path  # The file
-    parameters: ChannelParameters  # As fitted from the first measurements
-    measurements: Measurements  # All, in the order taken
-    first: int  # How many of them the fit and the first posterior rest on
-    # (steps,) how many were known when each step of a run was planned; empty for a plan
+    parameters: ChannelParameters  # Fitted to the initial measurements
+    measurements: Measurements  # All, in chronological order
+    first: int  # Number of measurements used by the fit and the first posterior
+    # (steps,) number of measurements known when each step was planned; empty for a plan
     known_before_step: NDArray[np.int64]
-    arrays: Mapping[str, NDArray[Any]]  # All that the file has, by name
-    further: tuple[SavedBelief, ...] = ()  # Of each further station, in the problem's order
+    arrays: Mapping[str, NDArray[Any]]  # All arrays of the file by name
+    further: tuple[SavedBelief, ...] = ()  # Beliefs of further stations, in the problem's order
 
     @property
     def stations(self) -> tuple[SavedBelief, ...]:
-        """Return what there is of each station, the first one's first."""
+        """Return the beliefs of all stations, in order."""
         return (self, *self.further)
 
 
 def station_prefix(station: int) -> str:
-    """Return what names of a station's arrays begin with."""
+    """Return the prefix of a station's array names."""
     return f"stations[{station}]." if station else ""
 
 
 def write(path: Path, arrays: Arrays) -> None:
-    """Save arrays, whole or not at all."""
+    """Save arrays atomically."""
 
     def write_to(temporary: Path) -> None:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
@@ -127,12 +127,12 @@ def write(path: Path, arrays: Arrays) -> None:
 
 
 def belief_of_plan(belief: Belief) -> Arrays:
-    """Return the arrays of what a plan was made from."""
+    """Return the arrays of the belief that a plan is based on."""
     return _of_stations(belief, lambda _own, _first: np.zeros(0, dtype=np.int64))
 
 
 def beliefs_of_run(run: Run) -> list[Arrays]:
-    """Return the arrays of each robot's belief, with what was known before each step."""
+    """Return the arrays of each robot's belief, with the measurement counts before each step."""
     tracks = [one.log.positions_m for one in run.runs]
     shared = run.problem.channel.share_measurements
     return [
@@ -157,9 +157,9 @@ def known_before_steps(
     first: int,
     tracks_m: Sequence[NDArray[np.float64]],  # (steps + 1, 2) each
 ) -> NDArray[np.int64]:
-    """Return how many measurements (steps,) each step was planned on.
+    """Return the number of measurements (steps,) that each step was planned with.
 
-    Measurements of a run are taken at driven places, in order, each place at most once a visit.
+    Measurements of a run are taken at visited positions, in order, at most one per visit.
     """
     taken = belief.posterior.measurements.positions_m
     count = first
@@ -179,7 +179,7 @@ def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> Array
 
 
 def read_belief(path: Path, stations: int = 1) -> SavedBelief:
-    """Read the belief about so many stations."""
+    """Read the belief about `stations` stations."""
     try:
         arrays = read_npz(path)
     except InputError as error:
@@ -201,7 +201,7 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
         return InputError(message, file=path, key=prefix + name, remedy=REMEDY)
 
     count = len(np.atleast_1d(arrays.get("power_dbm", np.zeros(0))))
-    # Other arrays are measured by the one that counts.
+    # The powers come first because their length defines that of the other arrays.
     for stored in sorted((*STORED, KNOWN), key=lambda each: each.name != "power_dbm"):
         if stored.shape is None:
             continue

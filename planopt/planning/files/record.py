@@ -1,7 +1,7 @@
-"""Records: JSON objects of results, each key declared once with its type and its source.
+"""Records: JSON objects of results, whose keys are declared once with type and source.
 
-The value of a key is the attribute of that name, or what its `Source` returns. A replay reads the
-typed keys; it computes those of type `Computed` again and compares them.
+By default the value of a key is the attribute of the same name; a `Source` overrides this. A replay
+reads the typed keys; keys of type `Computed` are recomputed and compared.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from planopt.keys import input_error
 
 @dataclass(frozen=True)
 class Source:
-    """From the object that is saved to the value of a key."""
+    """Function from the saved object to the value of a key."""
 
     value: Callable[[Any], object]
 
 
 OMITTED = object()
-"""Value of a key that an object does not have."""
+"""Value of a key that is omitted for an object."""
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -44,7 +44,7 @@ class Record(BaseModel):
 
     @classmethod
     def written(cls, source: object, **values: object) -> dict[str, Any]:
-        """Return the JSON data of an object; `values` go before its own."""
+        """Return the JSON data of an object; `values` take precedence over its attributes."""
         found: dict[str, Any] = {}
         for name, declared in cls.model_fields.items():
             if name not in values:
@@ -56,7 +56,7 @@ class Record(BaseModel):
 
     @classmethod
     def read(cls, data: Mapping[str, Any], file: Path) -> Self:
-        """Return the typed contents of a file."""
+        """Return the validated content of a file."""
         try:
             return cls.model_validate(data)
         except ValidationError as error:
@@ -64,7 +64,7 @@ class Record(BaseModel):
 
 
 class Places(Record):
-    """The places of a path."""
+    """Positions along a path."""
 
     x_m: list[Number] = Field(default=[], max_length=10**6)
     y_m: list[Number] = Field(default=[], max_length=10**6)
@@ -77,10 +77,10 @@ class Places(Record):
 
     @property
     def positions_m(self) -> NDArray[np.float64]:
-        """``(n, 2)``."""
+        """Positions (n, 2)."""
         return np.stack([self.x_m, self.y_m], axis=1).reshape(-1, 2)
 
 
 def xy(positions_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the keys of places (n, 2)."""
+    """Return positions (n, 2) as JSON keys."""
     return {"x_m": positions_m[:, 0], "y_m": positions_m[:, 1]}

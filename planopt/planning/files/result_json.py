@@ -1,7 +1,7 @@
-"""Plans and runs as JSON objects: what commands print, and ``plan.json`` and ``run.json`` hold.
+"""Plans and runs as JSON objects, as printed and as saved in ``plan.json`` and ``run.json``.
 
-Keys of a whole plan are sums over the robots, the worst, or one text of all. A saved run also has
-every released plan, so that each can be verified again on what was believed when it was made.
+Keys of a plan for several robots are sums, worst values or joined texts. A saved run also contains
+every released plan, so that each can be verified again with the belief it was based on.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from planopt.problems.problem import Problem
 
 
 class PivotRecord(Record):
-    """The terminal waypoint beyond the horizon."""
+    """Terminal waypoint beyond the horizon."""
 
     x_m: Annotated[Number, Source(lambda pivot: pivot.position_m[0])]
     y_m: Annotated[Number, Source(lambda pivot: pivot.position_m[1])]
@@ -55,7 +55,7 @@ class PivotRecord(Record):
 
     @property
     def pivot(self) -> Pivot:
-        """Return it as the planner has it."""
+        """Return the waypoint as the planner's type."""
         return Pivot(np.array([self.x_m, self.y_m]), self.cost_m, self.metre_cost)
 
 
@@ -65,9 +65,9 @@ class AimRecord(Record):
     target_x_m: Annotated[Computed, Source(lambda aim: _column(aim.target_m, 0))]
     target_y_m: Annotated[Computed, Source(lambda aim: _column(aim.target_m, 1))]
     steering_m: Annotated[Computed, Source(lambda aim: _last(aim.steering_turns_m))]
-    # From the start of the path to its end
+    # In the order of travel
     steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
-    # Places of each plan of another robot that counts
+    # Positions of each relevant plan of another robot
     pending_m: Annotated[
         list[list[Place]], Source(lambda aim: aim.pending.planned_m or OMITTED)
     ] = Field(default=[])
@@ -82,7 +82,7 @@ def _last(turns_m: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
 
 
 class HoleRecord(Record):
-    """A stretch of a path that misses the chance constraint, by its two ends."""
+    """A path segment that violates the chance constraint, given by its two ends."""
 
     x_m: Annotated[Place, Source(lambda hole: (hole.from_m[0], hole.to_m[0]))]
     y_m: Annotated[Place, Source(lambda hole: (hole.from_m[1], hole.to_m[1]))]
@@ -94,25 +94,25 @@ class HoleRecord(Record):
 
     @property
     def hole(self) -> Hole:
-        """Return it as the planner has it."""
+        """Return the hole as the planner's type."""
         from_m, to_m = zip(self.x_m, self.y_m, strict=True)
         return Hole(from_m, to_m, self.length_m, self.min_connectivity, self.to_end)
 
 
 class BlockedRecord(Places):
-    """The cheapest path of a robot to its goal, which a hard chance constraint forbids."""
+    """Cheapest path of a robot to its goal, forbidden by a hard chance constraint."""
 
     robot: str
     holes: Annotated[list[HoleRecord], Source(lambda way: _holes(way.holes))]
 
     @property
     def way(self) -> BlockedWay:
-        """Return it as the planner has it."""
+        """Return the path as the planner's type."""
         return BlockedWay(self.robot, self.positions_m, tuple(each.hole for each in self.holes))
 
 
 class CrossingRecord(Record):
-    """The cost of a path that crosses coverage holes, and of the one with the best connection."""
+    """Cost of a path that crosses coverage holes, and cost of the path with the best connection."""
 
     robot: str
     outage_price: Computed
@@ -123,7 +123,7 @@ class CrossingRecord(Record):
 
 
 class Trajectory(Places):
-    """A plan: its places, the robot's own first, and what only its planner knows."""
+    """A plan: its positions, the current one first, and data known only to its planner."""
 
     x_m: list[Number] = Field(min_length=2)
     drive: Annotated[
@@ -147,13 +147,13 @@ class Trajectory(Places):
 
 
 class Residual(Record):
-    """The part of a certificate that only the solver knows."""
+    """Part of a certificate that only the solver knows."""
 
     kkt_residual: NotNegative | None
 
 
 class RobotPlan(Trajectory):
-    """One robot's plan of ``plan.json``."""
+    """One robot's plan in ``plan.json``."""
 
     name: Annotated[Computed, Source(lambda plan: plan.robot)]
     t_s: Computed
@@ -174,10 +174,9 @@ class RobotPlan(Trajectory):
 
 
 class ReleasedPlan(Trajectory):
-    """A released plan of a run, with the steps that miss the chance constraint.
+    """A released plan of a run, with the steps that violate the chance constraint.
 
-    Steps of a plan to a goal are excused by its cost and that of the cheapest path that the
-    verifier found.
+    For plans to a goal, the path cost and the verifier's cheapest cost justify these steps.
     """
 
     kkt_residual: Annotated[NotNegative | None, Source(lambda plan: plan.certificate.kkt_residual)]
@@ -194,7 +193,7 @@ class ReleasedPlan(Trajectory):
 
 
 def _written(record: type[Trajectory], problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
-    """Return one robot's plan; only one to a goal has a pivot, a route and costs."""
+    """Return one robot's plan; only a plan to a goal has a terminal waypoint, a route and costs."""
     to_goal = ("pivot", "route", "holes", "path_cost_m", "best_cost_m")
     omitted = dict.fromkeys(to_goal if problem.task != "reach" else (), OMITTED)
     values = {**xy(plan.positions_m), "aim": AimRecord.written(aim), **omitted}
@@ -202,14 +201,14 @@ def _written(record: type[Trajectory], problem: Problem, plan: Plan, aim: Aim) -
 
 
 class Asked(NamedTuple):
-    """A problem and the seed that it is planned with."""
+    """A problem and its random seed."""
 
     problem: Problem
     seed: int
 
 
 class Question(Record):
-    """The settings that a result answers."""
+    """Settings of a result."""
 
     problem: Annotated[Computed, Source(lambda of: of.problem.name)]
     horizon: Annotated[Computed, Source(lambda of: of.problem.planner.horizon)]
@@ -223,7 +222,7 @@ def _total(name: str) -> Source:
 
 
 def _worst(name: str) -> Source:
-    """Return the worst label of all plans: every kind names its members from good to bad."""
+    """Return a source of the worst label of all plans; labels are ordered from good to bad."""
 
     def worst(solution: Solution) -> StrEnum:
         labels: list[StrEnum] = [getattr(plan, name) for plan in solution.plans]
@@ -251,7 +250,7 @@ Explanation = Annotated[tuple[Relaxation, ...], BeforeValidator(_RELAXATIONS.val
 
 
 class PlanRecord(Question):
-    """A solved problem; ``bound`` and ``gap`` are null: no bound on the objective is proven."""
+    """A solved problem; ``bound`` and ``gap`` are null because no bound is proven."""
 
     termination: Annotated[Computed, _worst("termination")]
     verdict: Computed
@@ -273,7 +272,7 @@ class PlanRecord(Question):
 
 
 class NoPlanRecord(Record):
-    """The typed keys of a result without plan."""
+    """Typed keys of a result without plan."""
 
     seed: int = Field(ge=0)
     message: str
@@ -282,7 +281,7 @@ class NoPlanRecord(Record):
 
 
 def solution_json(solution: Solution) -> dict[str, Any]:
-    """Return the JSON keys of ``solve``."""
+    """Return the JSON object of ``solve``."""
     entries = solution.explanation
     return PlanRecord.written(
         solution,
@@ -302,7 +301,7 @@ def no_plan_json(
     explanation: Iterable[Relaxation] = (),
     blocked: Iterable[BlockedWay] = (),
 ) -> dict[str, Any]:
-    """Return the same keys where there provably is no plan, with the reason in `message`."""
+    """Return the same object for a problem that provably has no plan; `message` is the reason."""
     return {
         **dict.fromkeys(PlanRecord.model_fields),
         **Question.written(Asked(problem, seed)),
@@ -333,7 +332,7 @@ def _certificate(plans: Iterable[Plan]) -> dict[str, Any]:
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
-    """Return a certificate; a rule has a key only if it is not p_min at each step."""
+    """Return a certificate; the rule is included unless it is p_min at each step."""
     found: dict[str, Any] = encoded(certificate)
     if found["rule"] is None:
         del found["rule"]
@@ -341,14 +340,14 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
 
 
 def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
-    """Return the keys of a certificate where there is no plan to certify, with the reasons."""
+    """Return the keys of a certificate for a result without plan, with the reasons."""
     names = [part.name for part in fields(Certificate) if part.name != "rule"]
     lists = dict[str, Any](relaxed_steps=[], relaxation_db=[], best_margin_db=[])
     return {**dict.fromkeys(names), **lists, "reasons": list(reasons)}
 
 
 class BinRecord(Record):
-    """Predicted against realised connection; the ends of a missing interval are null."""
+    """Predicted against true connection; the bounds of a missing interval are null."""
 
     low: Computed
     high: Computed
@@ -361,7 +360,7 @@ class BinRecord(Record):
 
 
 class SummaryRecord(Record):
-    """A run without its steps, as comparisons list it."""
+    """Summary of a run without its steps, as listed by comparisons."""
 
     problem: Computed
     horizon: Computed
@@ -377,7 +376,7 @@ class SummaryRecord(Record):
 
 
 class RobotPlans(Record):
-    """The released plans of one robot."""
+    """Released plans of one robot."""
 
     robot: str
     released: list[ReleasedPlan]
@@ -393,7 +392,7 @@ class RunRecord(SummaryRecord):
 
 
 class RobotRunRecord(Record):
-    """One robot's trajectory and metrics, the steps excused, and the holes that it crossed."""
+    """Trajectory and metrics of one robot, its excused steps, and the coverage holes it crossed."""
 
     name: Annotated[Computed, Source(lambda run: run.robot)]
     t_s: Annotated[Computed, Source(lambda run: run.log.t_s)]
@@ -414,7 +413,7 @@ class RobotRunRecord(Record):
 
 
 def run_json(run: Run) -> dict[str, Any]:
-    """Return the JSON keys of ``simulate``."""
+    """Return the JSON object of ``simulate``."""
 
     def robot(one: RobotRun, plans: Iterable[Plan]) -> dict[str, Any]:
         excused = excused_steps([plan.certificate for plan in plans])
@@ -431,7 +430,7 @@ def run_json(run: Run) -> dict[str, Any]:
 
 
 def released_plans_json(run: Run) -> list[dict[str, Any]]:
-    """Return the key ``plans`` of a saved run: released plans by robot, in order."""
+    """Return the value of ``plans`` in a saved run: released plans by robot, in order."""
     return [
         {
             "robot": one.robot,
@@ -445,7 +444,7 @@ def released_plans_json(run: Run) -> list[dict[str, Any]]:
 
 
 def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
-    """Return the keys of :func:`run_json` where there provably is no plan."""
+    """Return the object of :func:`run_json` for a problem that provably has no plan."""
     names = [name for name in RunRecord.model_fields if name not in ("plans", "blocked")]
     return {
         **dict.fromkeys(names),
@@ -461,12 +460,12 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
 
 
 def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
-    """Return predicted against realised connection by bin."""
+    """Return predicted against true connection by bin."""
     return [BinRecord.written(one) for one in bins]
 
 
 def summary_json(summary: RunSummary) -> dict[str, Any]:
-    """Return a run without its steps."""
+    """Return the summary of a run as JSON."""
     return SummaryRecord.written(summary)
 
 

@@ -1,7 +1,7 @@
-"""The tables of a saved plan or run: ``steps.csv``, ``target.csv`` and ``knowledge.csv``.
+"""Tables of a saved plan or run: ``steps.csv``, ``target.csv`` and ``knowledge.csv``.
 
-``steps.csv`` has a row for every place of every robot; ``target.csv`` and ``knowledge.csv`` hold
-the target and the known channel over a run. Row 0 is the start.
+``steps.csv`` has a row for every position of every robot; ``target.csv`` and ``knowledge.csv``
+contain the target track and the channel estimation errors of a run. Row 0 is the start.
 """
 
 from __future__ import annotations
@@ -127,12 +127,12 @@ def target_columns(problem: Problem) -> tuple[Column, ...]:
 
 
 def drive_names(dynamics: Dynamics) -> tuple[str, ...]:
-    """Return the names of a robot's states beyond the position, and of its inputs."""
+    """Return the names of a robot's states other than position, and of its inputs."""
     return (*dynamics.state_names[2:], *dynamics.input_names)
 
 
 def drive_table(drive: Drive | None) -> dict[str, NDArray[np.float64]]:
-    """Return columns (N + 1,) of states and inputs; the first row has no input."""
+    """Return states and inputs as columns (N + 1,); the first row has no input."""
     if drive is None:
         return {}
     inputs = np.vstack([np.full((1, drive.inputs.shape[1]), np.nan), drive.inputs])
@@ -147,7 +147,7 @@ def drive_of(
     file: Path,
     key: str,
 ) -> Drive | None:
-    """Return the drive of saved columns; None for a single integrator."""
+    """Return states and inputs from saved columns; None for a single integrator."""
     if robot.moves_freely:
         return None
     dynamics = robot.dynamics
@@ -167,14 +167,14 @@ def drive_of(
 
 
 def _robots(result: Solution | Run) -> list[tuple[str, StepLog, Drive | None]]:
-    """Return name, log and drive of each robot; true powers of plans are unknown."""
+    """Return name, log and drive of each robot; plans have no true powers."""
     if isinstance(result, Run):
         return [(run.robot, run.log, run.drive) for run in result.runs]
     return [(plan.robot, _log_of_plan(plan), plan.drive) for plan in result.plans]
 
 
 def _log_of_plan(plan: Plan) -> StepLog:
-    """Return a plan as the log of a run that would follow it."""
+    """Return the log of a run that would follow a plan exactly."""
     unknown = np.full(len(plan.t_s), np.nan)
     return StepLog(
         t_s=plan.t_s,
@@ -205,7 +205,7 @@ def _steps(result: Solution | Run) -> tuple[Sequence[Column], Data]:
 
 
 def tables_of(result: Solution | Run) -> dict[str, tuple[Sequence[Column], Data]]:
-    """Return columns and data of every table of a result, by the name of its file."""
+    """Return columns and data of every table of a result, by file name."""
     problem = result.problem
     tables = {STEPS_FILE: _steps(result)}
     if isinstance(result, Run):
@@ -223,7 +223,7 @@ def steps_dataframe(result: Solution | Run) -> Any:
 
 
 def columns_of_run(problem: Problem) -> dict[str, Sequence[Column]]:
-    """Return the columns of every table that a run of a problem has, by file name."""
+    """Return the columns of every table of a run, by file name."""
     columns: dict[str, Sequence[Column]] = {STEPS_FILE: step_columns(problem)}
     if problem.task != "reach":
         columns[KNOWLEDGE_FILE] = KNOWLEDGE_COLUMNS

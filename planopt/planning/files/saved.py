@@ -1,4 +1,4 @@
-"""Saved plans and runs: folders of ``plan.json`` or ``run.json``, tables and beliefs.
+"""Saved plans and runs: folders with ``plan.json`` or ``run.json``, tables and beliefs.
 
 The files of a folder are replaced together (:mod:`planopt.files.writing`).
 """
@@ -63,17 +63,17 @@ PLAN_OR_RUN = (
     *(PLAN_FILE, RUN_FILE, STEPS_FILE, BELIEF_FILE, "belief_*.npz", TARGET_FILE),
     *(KNOWLEDGE_FILE, "plan.png", "run.png", "run.gif", "series.png", "belief.png"),
 )
-"""The files of a plan or run with its pictures: a folder has one of either."""
+"""Files of a plan or run, including figures; a folder contains either a plan or a run."""
 
 FORMAT = 3
 """Version of ``plan.json`` and ``run.json``."""
 
 HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
-"""Escapes of which JSON may have one without its other half."""
+"""JSON escapes that may be one half of a surrogate pair."""
 
 
 def belief_files(problem: Problem) -> tuple[str, ...]:
-    """Return the names of the files that a run's beliefs are saved as, by robot."""
+    """Return the file names of a run's beliefs, by robot."""
     if len(problem.robots) == 1:
         return (BELIEF_FILE,)
     return tuple(f"belief_{robot.name}.npz" for robot in problem.robots)
@@ -81,16 +81,16 @@ def belief_files(problem: Problem) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Contents:
-    """The files of a result but for digest and problem."""
+    """Content of all files of a result, except for digest and problem."""
 
-    name: str  # Of the JSON file
+    name: str  # Name of the JSON file
     data: dict[str, Any]
     tables: dict[str, tuple[Sequence[Column], Data]]  # By file name
     beliefs: dict[str, Arrays]
 
 
 def contents(result: Solution | Run) -> Contents:
-    """Return the files of a solution, or of a run with a belief for each robot."""
+    """Return the file contents of a solution, or of a run with one belief per robot."""
     if isinstance(result, Run):
         name, data = RUN_FILE, {**run_json(result), "plans": released_plans_json(result)}
         beliefs = dict(zip(belief_files(result.problem), beliefs_of_run(result), strict=True))
@@ -101,7 +101,7 @@ def contents(result: Solution | Run) -> Contents:
 
 
 def save_result(result: Solution | Run, folder: Path) -> None:
-    """Save a result in place of the plan or run that the folder had, with its pictures."""
+    """Save a result; it replaces the plan or run in the folder, including figures."""
     files = contents(result)
     with replaced_results(folder, PLAN_OR_RUN) as new:
         for name, arrays in files.beliefs.items():
@@ -111,25 +111,25 @@ def save_result(result: Solution | Run, folder: Path) -> None:
 
 
 def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str) -> None:
-    """Save that there is no plan, as `PLAN_FILE` or `RUN_FILE`, in place of what there was."""
+    """Save a result without plan as `PLAN_FILE` or `RUN_FILE`, in place of the previous one."""
     with replaced_results(folder, PLAN_OR_RUN) as new:
         write_result({"format": FORMAT, **data}, problem, new / name)
 
 
 def write_result(data: dict[str, Any], problem: Problem, path: Path) -> None:
-    """Write the JSON object of a plan or run with its digest and the problem in full."""
+    """Write the JSON object of a plan or run, with its digest and the complete problem."""
     tables = problem_to_dict(problem)
     write_text(path, strict_text({**data, DIGEST: digest(data), "problem_file": tables}))
 
 
 @dataclass(frozen=True, eq=False)
 class SavedPlan:
-    """One robot's plan as read."""
+    """One robot's plan as read from a file."""
 
-    record: RobotPlan | ReleasedPlan  # What only its planner knows
+    record: RobotPlan | ReleasedPlan  # Data known only to the planner
     path_m: NDArray[np.float64]  # (N + 1, 2)
     drive: Drive | None
-    motion: TimedMotion  # Along the path, and braking after it
+    motion: TimedMotion  # Motion along the path, and braking after it
 
     @property
     def pivot(self) -> Pivot | None:
@@ -152,16 +152,16 @@ class Saved:
     """A saved plan or run, read but not verified."""
 
     file: Path  # The JSON file
-    data: Mapping[str, Any]  # Its contents
-    record: PlanRecord | RunRecord | NoPlanRecord  # The keys that a replay reads
-    problem: Problem  # Rebuilt from it
+    data: Mapping[str, Any]  # Content of the JSON file
+    record: PlanRecord | RunRecord | NoPlanRecord  # Typed keys needed by a replay
+    problem: Problem  # Reconstructed from the JSON file
     tables: Mapping[str, Data] = field(default_factory=dict[str, Data])  # By file name
-    beliefs: tuple[SavedBelief, ...] = ()  # One for each robot of a run
+    beliefs: tuple[SavedBelief, ...] = ()  # One per robot of a run
     plans: tuple[tuple[SavedPlan, ...], ...] = ()  # By robot and step
     blocked: tuple[BlockedWay, ...] = ()
 
     def explanation(self, plans: Sequence[Plan]) -> tuple[Relaxation | Crossing, ...]:
-        """Return the explanation of a plan; crossings have the holes of verified `plans`."""
+        """Return the explanation of a plan; crossings get the holes of the verified `plans`."""
         if not isinstance(self.record, PlanRecord):
             return ()
         holes = {plan.robot: plan.holes for plan in plans if plan.verdict is Verdict.VERIFIED}
@@ -184,19 +184,19 @@ class Saved:
 def read_saved(path: Path) -> Saved:
     """Read a saved plan or run.
 
-    An InputError says what cannot be read; whether it is true is for a replay to find out.
+    Unreadable content raises an InputError. A replay is needed to verify the content.
     """
     return saved_from(*read_object(path))
 
 
 def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
-    """Return the JSON file of a saved plan or run, and its contents."""
+    """Return the JSON file of a saved plan or run, and its content."""
     file = _json_file(path)
     return file, _read_json(file)
 
 
 def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
-    """Return the plan or run of a JSON file that has been read."""
+    """Return the plan or run of a JSON file that is already loaded."""
     if data.get("format") != FORMAT:
         message = f"is {data['format']!r}, should be {FORMAT}" if "format" in data else "is missing"
         raise _damaged(file, "format", message)
@@ -272,7 +272,7 @@ def _json_file(path: Path) -> Path:
 
 
 def _read_json(file: Path) -> Mapping[str, Any]:
-    """Return a JSON object without duplicate keys: readers differ in which of two they take."""
+    """Return a JSON object without duplicate keys, since readers differ in the one they use."""
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         table = dict(pairs)
@@ -299,5 +299,5 @@ def _read_json(file: Path) -> Mapping[str, Any]:
 
 
 def _damaged(file: Path, key: str, message: str) -> InputError:
-    """Return the error that a saved file contradicts itself at `key`."""
+    """Return the error for a saved file that contradicts itself at `key`."""
     return InputError(message, file=file, key=key, remedy=REMEDY)

@@ -1,1 +1,1 @@
-"""The closed loop: move, measure, learn, and the log of it."""
+"""Closed loop: motion, measurement, belief update and logging."""

@@ -1,8 +1,8 @@
-"""The true cost of a run to a goal, and the cost of a clairvoyant that knows the mean power.
+"""Realised cost of a run to a goal, and cost of a clairvoyant planner with known mean power.
 
-A path costs its length plus the outage price for each metre that is truly out of contact. The
-clairvoyant plans on the true power without small-scale fading, which nobody can know beforehand,
-but its cost includes that fading, like the robot's.
+A path costs its length plus the outage price for each metre truly out of contact. The clairvoyant
+plans on the true power without small-scale fading, which is unpredictable, but its cost includes
+fading, like the robot's.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_cle
 from planopt.world.lattice import RoadMap, cheapest_paths, route_from
 
 SHORTCUT_NODES = 40
-"""Largest number of lattice nodes that a straight stretch of the clairvoyant's path skips."""
+"""Maximum number of lattice nodes that a straight segment of the clairvoyant's path may skip."""
 COST_CELLS = 0.1
-"""Spacing of places at which costs are evaluated, in cells of the true map."""
+"""Sampling interval of costs, in cells of the true map."""
 SEARCHED_CELLS = 0.5
-"""Spacing of places in the clairvoyant's search, in cells."""
+"""Sampling interval in the clairvoyant's search, in cells."""
 
 IsOut = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
-"""From places (n, 2) to whether each is out of contact (n,)."""
+"""Function from positions (n, 2) to flags (n,) that are true out of contact."""
 
 
 def run_costs(
     problem: Problem,
     road_maps: Sequence[RoadMap],
     truths: Sequence[Truth],
-    tracks_m: Sequence[NDArray[np.float64]],  # (n + 1, 2) places of each robot
+    tracks_m: Sequence[NDArray[np.float64]],  # (n + 1, 2) positions of each robot
     outcome: Outcome,
 ) -> dict[str, float]:
-    """Return the costs of a run to goals, of the clairvoyants, and their ratio, summed over robots.
+    """Return the total costs of a run to goals and of the clairvoyants, and their ratio.
 
-    Each robot's clairvoyant is alone; the ratio is NaN for runs that did not arrive.
+    Each clairvoyant ignores the other robots; the ratio is NaN for runs that did not arrive.
     """
     if not road_maps:
         return {}
@@ -60,7 +60,7 @@ def run_costs(
 def realised_cost_m(
     problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
 ) -> float:
-    """Return the length of a driven path (n + 1, 2) plus the price of its metres out of contact."""
+    """Return the length of a path (n + 1, 2) plus the outage price of its metres out of contact."""
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
         return true_serving_dbm(problem, truths, places) < problem.stations[0].true_threshold_dbm
@@ -75,7 +75,7 @@ def clairvoyant_path(
     index: ObstacleIndex,
     truths: Sequence[Truth],
 ) -> NDArray[np.float64]:
-    """Return the corners (k, 2) of the cheapest path from the robot's start to its goal."""
+    """Return the waypoints (k, 2) of the cheapest path from the robot's start to its goal."""
     thresholds = [radio.true_threshold_dbm for radio in problem.stations]
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -108,7 +108,7 @@ def _costs_m(
     ends_m: NDArray[np.float64],
     spacing_m: float,
 ) -> NDArray[np.float64]:
-    """Return the costs (n,) of straight stretches, evaluated at places `spacing_m` apart."""
+    """Return the costs (n,) of straight segments, sampled at intervals of `spacing_m`."""
     lengths = np.linalg.norm(ends_m - begins_m, axis=1)
     counts = np.maximum(np.ceil(lengths / spacing_m), 1.0).astype(np.intp)
     owner = np.repeat(np.arange(len(counts)), counts)
@@ -125,14 +125,14 @@ def _straightened(
     places_m: NDArray[np.float64],
     cost_m: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
 ) -> NDArray[np.float64]:
-    """Return the cheapest clear path over some of a path's places (n, 2)."""
+    """Return the cheapest collision-free path through a subset of a path's points (n, 2)."""
     count = len(places_m)
     first, second = np.triu_indices(count, 1)
     near = second - first <= SHORTCUT_NODES
     first, second = first[near], second[near]
     wanted = problem.constraints.clearance_m
     clear = segments_clear(index, places_m[first], places_m[second], wanted)
-    # The lattice's own moves are clear already.
+    # Moves of the lattice are collision-free by construction.
     clear |= second == first + 1
     first, second = first[clear], second[clear]
     cost = cost_m(places_m[first], places_m[second])

@@ -47,7 +47,7 @@ def simulate(
 ) -> Run:
     """Simulate the closed loop; arguments as for :func:`planopt.simulate`.
 
-    Runs of one seed may share `scenes` and `prepared`: robot geometry, ground truth, first belief.
+    Runs of one seed may share `scenes` (geometry) and `prepared` (ground truth, initial belief).
     """
     problem, measured = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)

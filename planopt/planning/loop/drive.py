@@ -1,6 +1,6 @@
-"""The loop of a run: plan, move, measure, update the belief, until the task has ended.
+"""Closed loop of a run: plan, move, measure and update the belief until the task ends.
 
-A simulation and the replay of a saved run differ in the source of plans and in the world.
+A simulation and the replay of a saved run differ in the source of plans and in the `World`.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from planopt.world.lattice import RoadMap
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The radio channel that robots drive in."""
+    """Radio channel in which the robots move."""
 
-    truths: tuple[Truth, ...]  # Ground truth of each station; empty if it is unknown
-    # From a robot's number, a step, and its places (n, 2) from then on, to the serving power (n,)
+    truths: tuple[Truth, ...]  # Ground truth by station; empty if unknown
+    # Function of robot number, step and positions (n, 2) from that step on: serving power (n,)
     serving_dbm: Callable[[int, int, NDArray[np.float64]], NDArray[np.float64]]
-    # From a step and the robots' places (robots, 2) to measurements by robot and station
+    # Function of step and robot positions (robots, 2): measurements by robot and station
     measured: Callable[[int, NDArray[np.float64]], list[list[Measurements]]]
-    # From a step, posteriors by station, and places (n, 2), to the row of the channel log
+    # Function of step, posteriors by station and positions (n, 2): row of the channel log
     channel_row: Callable[[int, Sequence[ChannelPosterior], NDArray[np.float64]], tuple[float, ...]]
-    # From tracks (steps + 1, 2) by robot to true costs by metric; empty without goals
+    # Function of tracks (steps + 1, 2) by robot: true costs by metric; empty without goals
     costs: Callable[[Sequence[NDArray[np.float64]], Outcome], dict[str, float]]
 
 
 def true_world(
     problem: Problem,
     truths: tuple[Truth, ...],
-    road_maps: Callable[[], Sequence[RoadMap]],  # Of each robot with a goal
+    road_maps: Callable[[], Sequence[RoadMap]],  # One per robot with a goal
 ) -> World:
-    """Return the world of a known ground truth."""
+    """Return the world for a known ground truth."""
     return World(
         truths=truths,
         serving_dbm=lambda _number, _step, places: true_serving_dbm(problem, truths, places),
@@ -69,14 +69,14 @@ def drive(
     world: World,
     planning: Planning,
     target: TargetWatch | None,
-    generator: np.random.Generator,  # Of the noise of target sensors
+    generator: np.random.Generator,  # Noise of target sensors
     *,
     on_start: Callable[[Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
-    """Drive all robots until :func:`planopt.planning.loop.ending.run_ending` ends the run."""
+    """Run the loop until :func:`planopt.planning.loop.ending.run_ending` ends it."""
     robots = Stepper(problem, belief, planning, target)
-    # Errors over the whole workspace are slow to compute, and irrelevant to a path to a goal.
+    # Errors over the whole workspace are slow to compute and irrelevant to runs to a goal.
     known_at = None if problem.task == "reach" else workspace_region(problem).grid_m
     rows: list[tuple[float, ...]] = []
     if known_at is not None:
@@ -132,7 +132,7 @@ def first_steps(
 ) -> tuple[list[list[Plan]], list[list[NDArray[np.float64]]]]:
     """Return the plans and states of the first steps of a run, by step and robot.
 
-    Robots are moved to recorded states, if any, so that rounding differences do not accumulate.
+    Robots are set to recorded states, if any, so that rounding errors do not accumulate.
     """
     robots = Stepper(problem, belief, planning, target)
     made: list[list[Plan]] = []
@@ -156,7 +156,7 @@ def _observe(
     world: World,
     generator: np.random.Generator,
 ) -> None:
-    """Move the robots to states, and take in what they measure and see there."""
+    """Set the robots to new states, and update their beliefs with the measurements taken there."""
     step, watch = len(robots.connected) + 1, robots.watches[-1]
     here = np.array([state[:2] for state in states])
     serving = [world.serving_dbm(number, step, place[None])[0] for number, place in enumerate(here)]
@@ -169,7 +169,7 @@ def _observe(
 
 
 def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
-    """Return how a run ends where its robots are now; None if it goes on."""
+    """Return the outcome of a run at the current states; None if it continues."""
     progress = [
         Progress(own, driven, measured, made, belief.posteriors)
         for own, driven, measured, made, belief in zip(

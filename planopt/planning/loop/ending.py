@@ -1,4 +1,4 @@
-"""The end of a closed loop: its task is done, a standstill, or no step is left."""
+"""Termination of a closed loop: task completed, robots stalled, or step limit reached."""
 
 from __future__ import annotations
 
@@ -26,26 +26,25 @@ from planopt.world.clearance import index_obstacles
 from planopt.world.lattice import build_lattice
 
 STALL_STEPS = 30
-"""A robot that learns nothing new for this many steps and stays within two longest steps of one
-place has stalled."""
+"""Steps without new measurements, spent within two maximum step lengths, that count as a stall."""
 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """The progress of one robot."""
+    """Progress of one robot."""
 
-    problem: Problem  # With this robot alone
-    # (s,) each, its place first: at the start and after each step
+    problem: Problem  # Problem restricted to this robot
+    # States (s,), position first: at the start and after each step
     states: Sequence[NDArray[np.float64]]
-    learnt: Sequence[bool]  # Whether something was measured after each step
-    plans: Sequence[Plan]  # The plan that each step was the first of
-    posteriors: Sequence[ChannelPosterior]  # What it believes of each station's channel now
+    learnt: Sequence[bool]  # Whether each step brought a measurement
+    plans: Sequence[Plan]  # The plan whose first step was executed, by step
+    posteriors: Sequence[ChannelPosterior]  # Current belief about each station's channel
 
 
 def run_ending(
     problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
-    """Return how a run ends after its last step so far, and why in words; None if it goes on."""
+    """Return the outcome of a run after its latest step and the reason; None if it continues."""
     # Shapes: connected (steps, robots).
     if problem.task == "reach":
         return goals_ending(problem, robots)
@@ -53,9 +52,9 @@ def run_ending(
 
 
 def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
-    """Return how a run to goals ends; it continues while any robot does.
+    """Return the outcome of a run to goals, which continues while any robot does.
 
-    Robots that have arrived or that wait may still give way to others.
+    Robots that have arrived or wait may still give way to others.
     """
     ends = [
         goal_ending(each.problem, each.states, each.learnt, each.plans[-1] if each.plans else None)
@@ -90,7 +89,7 @@ def goal_ending(
     learnt: Sequence[bool],
     plan: Plan | None,
 ) -> tuple[Outcome, str] | None:
-    """Return how a run of one robot to its goal ends, with the reason; None if it goes on."""
+    """Return the outcome of a run of one robot to its goal and the reason; None if it continues."""
     if _has_arrived(problem, track[-1]):
         where = "the start is within" if plan is None else "within"
         return Outcome.REACHED, f"{where} goal_radius_m of the goal"
@@ -110,12 +109,12 @@ def standstill(
     *,
     alone: bool = True,
 ) -> str | None:
-    """Return why a robot will stand or circle from now on; None if it may move on."""
+    """Return why a robot will stand still or circle from now on; None if it may move on."""
     unit = np.array(problem.robots[0].dynamics.unit_m(problem.planner.step_s))
     stood = bool(np.linalg.norm((track[-1] - track[-2]) * unit) <= STANDSTILL_M)
-    # A plan that drives on after waiting is another initial guess for the next one.
+    # A plan that moves after waiting gives the next plan another initial guess.
     waits = np.linalg.norm(plan.positions_m - plan.positions_m[0], axis=1).max() > STANDSTILL_M
-    # With the same place, belief, obstacles and time, the next plan is the same.
+    # At the same position, belief, obstacles and time, the next plan is the same.
     again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
     again &= problem.planner.budget_s is None
     if stood and not waits and not learnt[-1] and again:
@@ -129,7 +128,7 @@ def _circling(
     learnt: Sequence[bool],
     plan: Plan,
 ) -> str | None:
-    """Return that a robot stays about one place and learns nothing; None if it does not."""
+    """Return the reason if a robot stays near one position without new measurements, else None."""
     if any(learnt[-STALL_STEPS:]) or not _stays(track, problem.step_length_m):
         return None
     return (
@@ -139,7 +138,7 @@ def _circling(
 
 
 def _stays(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
-    """Return whether a robot has stayed within two steps of one place for `STALL_STEPS`."""
+    """Return whether a robot stayed within two steps of one position for `STALL_STEPS`."""
     if len(track) <= STALL_STEPS:
         return False
     recent = np.array(track[-STALL_STEPS - 1 :])[:, :2]
@@ -149,11 +148,11 @@ def _stays(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
 def terms_ending(
     problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
-    """Return how a run for a sum of terms ends, as :func:`run_ending`.
+    """Return the outcome of a run for a sum of terms, as :func:`run_ending`.
 
-    It ends once all robots that are to connect are connected, or those with goals have arrived;
-    once no robot will do anything more, which is a failure unless nothing is left to learn; and
-    after `planner.max_steps`. A run has also stalled if some robots do nothing more by then.
+    The run ends if all robots that are to connect are connected, if all with goals have arrived, if
+    no robot can make progress, or after `planner.max_steps`. It has stalled if all robots are stuck
+    (at the step limit: any robot), unless nothing is left to learn.
     """
     # Shapes: connected (steps, robots).
     steps, term = len(connected), problem.terms[0]
@@ -189,15 +188,15 @@ def terms_ending(
 
 
 def _has_arrived(problem: Problem, state: NDArray[np.float64]) -> bool:
-    """Return whether a robot stands at its goal."""
+    """Return whether a robot is at rest at its goal."""
     return is_at_goal(problem, state[:2]) and stands(problem, state)
 
 
 def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:
-    """Return why a robot will do nothing more for its task; None if it may.
+    """Return why a robot can make no further progress; None if it can.
 
-    A tracking robot does its task while it stands as long as packets arrive. For other terms
-    standing still may be optimal if plans are verified.
+    A stationary tracking robot does its task as long as packets arrive. For custom terms, standing
+    still may be optimal if plans are verified.
     """
     recent, term = slice(-STALL_STEPS, None), robot.problem.terms[0]
     if term.sensor is not None and connected[recent].any():
@@ -213,7 +212,7 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
 
 
 def _others_of(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
-    """Return the driven places of the other robots if the objective depends on them."""
+    """Return the past positions of the other robots if the objective depends on them."""
     if not counts_others(problem):
         return NOTHING_PENDING
     driven = [np.array(each.states)[1:, :2] for each in robots]
@@ -222,7 +221,7 @@ def _others_of(problem: Problem, robots: Sequence[Progress], robot: Progress) ->
 
 
 def _has_left(robot: Progress, others: Pending) -> bool:
-    """Return whether some place is left to measure for a robot, beyond those of the others."""
+    """Return whether a robot has positions left to measure, in addition to those of the others."""
     problem, states = robot.problem, robot.states
     spacing = problem.channel.measure_spacing_m
     posteriors = anticipated(robot.posteriors, others, states[-1][:2], spacing)
@@ -237,7 +236,7 @@ def _has_left(robot: Progress, others: Pending) -> bool:
 
 
 def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:
-    """Return the robots that stand or circle, with reasons."""
+    """Return the robots that stand still or circle, with reasons, as text."""
     unmeasured = any(learns(robot.problem) for robot, _ in stuck)
     whys = [
         f"{robot.problem.robots[0].name}: {why}" if len(problem.robots) > 1 else why

@@ -1,4 +1,4 @@
-"""Logs of a closed loop: each robot's steps, the target, and how well the channel was known."""
+"""Logs of a closed loop: the steps of each robot, the target, and the channel estimation errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from planopt.targets.sensor import noise_covariance_m2
 
 
 class Outcome(StrEnum):
-    """The outcome of a closed loop."""
+    """Outcome of a closed loop."""
 
     REACHED = "reached"
     STALLED = "stalled"
@@ -36,19 +36,19 @@ class Outcome(StrEnum):
 class StepLog:
     """Columns over the steps of one robot's run; row 0 is the start.
 
-    All arrays have length ``steps + 1``. ``rung`` and ``verdict`` of a row belong to the plan
-    that led there (row 0: ``plan``/``verified`` by convention).
+    All arrays have length ``steps + 1``. ``rung`` and ``verdict`` of a row belong to the plan that
+    led there (row 0: ``plan``/``verified`` by convention).
 
     Attributes
     ----------
     t_s, positions_m
         Time and ``(x, y)``.
     predicted_dbm, deviation_db, connectivity
-        Prediction for this place *before* it was measured, by the plan that led there.
+        Prediction at this position *before* it was measured, by the plan that led there.
     true_dbm, connected
-        True power and connection at this place.
+        True power and connection at this position.
     step_s
-        Wall time that planning this step took; row 0 is 0.
+        Wall time spent planning this step; row 0 is 0.
     polish_gain_s
         Gain of the released path over the lattice path, in the objective's unit; row 0 is 0.
     relaxation_db
@@ -73,26 +73,26 @@ class StepLog:
 
 @dataclass(frozen=True)
 class Metrics:
-    """The metrics of a run.
+    """Metrics of a run.
 
     Attributes
     ----------
     goal_time_s
         Time to the goal; NaN if it was not reached.
     path_m
-        Driven length.
+        Path length.
     true_connected_share
-        Share of steps connected in truth.
+        Share of steps with a true connection.
     longest_outage_m
-        Longest driven length without a true connection.
+        Longest path segment without a true connection.
     predicted_min_connectivity
-        Least predicted P(connected) over the released steps.
+        Minimum predicted P(connected) over the released steps.
     polish_gain
         Mean relative gain of refined plans over their lattice paths.
     measured_steps
-        Number of steps that brought a measurement.
+        Number of steps with a measurement.
 
-    Metrics over steps are NaN if none was driven.
+    Metrics over steps are NaN if the run has none.
     """
 
     goal_time_s: float
@@ -111,9 +111,9 @@ class RobotRun:
     Attributes
     ----------
     robot
-        Its name.
+        Name of the robot.
     outcome, reason
-        How the closed loop ended, and why in words.
+        Outcome of the closed loop, and its reason as text.
     log, metrics
         See their types.
     drive
@@ -138,7 +138,7 @@ class RobotRun:
 
     @property
     def rungs(self) -> dict[str, int]:
-        """Return how often each fallback released a step."""
+        """Return the number of steps released by each fallback."""
         counts: dict[str, int] = {}
         for rung in self.log.rung[1:]:
             counts[rung.value] = counts.get(rung.value, 0) + 1
@@ -147,20 +147,20 @@ class RobotRun:
 
 @dataclass(frozen=True, eq=False)
 class TargetLog:
-    """A target over a run, row 0 at the start."""
+    """Track of a target over a run; row 0 is the start."""
 
     # (steps + 1, 2) true position, and the station's estimate
     true_m: NDArray[np.float64]
     station_mean_m: NDArray[np.float64]
-    # (steps + 1,) trace of the station's covariance of its position
+    # (steps + 1,) trace of the covariance of the station's position estimate
     station_variance_m2: NDArray[np.float64]
     station_determinant_m4: NDArray[np.float64]  # (steps + 1,) determinant of that covariance
     # (steps + 1,) e' P^-1 e with the error e of the station's position estimate
     nees: NDArray[np.float64]
-    # (steps, robots) nu' S^-1 nu, the innovation nu of each robot's filter and its covariance S;
-    # NaN without measurement
+    # (steps, robots) nu' S^-1 nu with innovation nu and innovation covariance S of each robot's
+    # filter; NaN without measurement
     nis: NDArray[np.float64]
-    delivered: NDArray[np.bool_]  # (steps, robots) whose packets arrived
+    delivered: NDArray[np.bool_]  # (steps, robots) whether the packet arrived
 
     __repr__ = short_repr
 
@@ -170,23 +170,23 @@ class TargetLog:
 
     @property
     def normalised_trace_p(self) -> NDArray[np.float64]:
-        """``(steps + 1,)`` trace of the station's covariance over that of the first estimate."""
+        """``(steps + 1,)`` trace of the station's covariance relative to the first estimate."""
         return self.station_variance_m2 / self.station_variance_m2[0]
 
 
 @dataclass(frozen=True, eq=False)
 class ChannelLog:
-    """Errors of the first robot's channel after each step; row 0 at the start."""
+    """Errors of the first robot's channel estimate after each step; row 0 is the start."""
 
     # (steps + 1,) root mean square error of the predicted power over the workspace
     rms_db: NDArray[np.float64]
-    # (steps + 1,) average normalised mean square error of [GM11], dB; unreliable near 0 dBm
+    # (steps + 1,) average normalised mean square error of [GM11] in dB; unreliable near 0 dBm
     anmse_db: NDArray[np.float64]
-    # (steps + 1,) trace of M over |theta|^2, in dB (Fig. 2 of [GM11]); NaN for known path loss
+    # (steps + 1,) tr(M) / |theta|^2 in dB (Fig. 2 of [GM11]); NaN for known path loss
     theta_variance_db: NDArray[np.float64]
     # (steps + 1,) log det M in nats (criterion D); NaN if a path loss parameter is known
     log_det_m: NDArray[np.float64]
-    # (steps + 1,) as `rms_db`, against path loss and shadowing alone
+    # (steps + 1,) as `rms_db`, against path loss and shadowing without multipath
     rms_without_multipath_db: NDArray[np.float64]
     # (steps + 1,) mean over the workspace of the path loss variance gamma^T M gamma
     path_loss_variance_db2: NDArray[np.float64]
@@ -201,14 +201,14 @@ class ChannelLog:
 def channel_row(
     posteriors: Sequence[ChannelPosterior],
     truths: Sequence[Truth],
-    places_m: NDArray[np.float64],  # (n, 2) where powers are predicted
+    places_m: NDArray[np.float64],  # (n, 2) positions of the predictions
 ) -> tuple[float, ...]:
-    """Return a row of the log, in the order of :class:`ChannelLog`, over all stations."""
+    """Return a row of the log over all stations, in the field order of :class:`ChannelLog`."""
     power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
     shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
     predicted = np.stack([search_power(each, places_m).mean_db for each in posteriors])
     error = predicted - power
-    # [GM11], section III-A2. The ratio is infinite at a true power of 0 dBm, which never occurs.
+    # [GM11], section III-A2. The ratio is singular at 0 dBm, which never occurs in practice.
     ratio = error / np.where(power == 0.0, np.finfo(float).tiny, power)
     covariances = [each.theta_covariance for each in posteriors]
     spread = sum(float(np.trace(covariance)) for covariance in covariances)
@@ -219,7 +219,7 @@ def channel_row(
         np.einsum("ni,ij,nj->n", row, covariance, row)
         for row, covariance in zip(rows, covariances, strict=True)
     ]
-    # Known path loss has no spread and no determinant in dB.
+    # A known path loss has neither variance nor determinant in dB.
     return (
         float(np.sqrt((error**2).mean())),
         float(10.0 * np.log10((ratio**2).mean())),
@@ -231,7 +231,7 @@ def channel_row(
 
 
 def channel_log(rows: Sequence[tuple[float, ...]]) -> ChannelLog:
-    """Return the log of rows of :func:`channel_row`."""
+    """Return the log made of rows of :func:`channel_row`."""
     return ChannelLog(*np.asarray(rows, dtype=np.float64).T)
 
 
@@ -239,7 +239,7 @@ def target_log(
     watches: Iterable[TargetWatch | None],
     delivered: NDArray[np.bool_],  # (steps, robots)
 ) -> TargetLog | None:
-    """Return the log of a target after each step, the start first; None without target."""
+    """Return the log of a target at the start and after each step; None without target."""
     known = [watch for watch in watches if watch is not None]
     if not known:
         return None

@@ -1,4 +1,4 @@
-"""Each robot's part of a run, and metrics of robots and of the whole run."""
+"""Per-robot results of a run, and metrics of robots and of the whole run."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from planopt.problems.robot import Robot
 from planopt.robots.dynamics import Drive
 
 COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
-"""True costs of a run to goals (:mod:`planopt.planning.loop.clairvoyant`)."""
+"""Realised costs of a run to goals (:mod:`planopt.planning.loop.clairvoyant`)."""
 
 _SHARES = (
     *("true_connected_share", "predicted_min_connectivity", "target_lost", "delivered"),
@@ -49,10 +49,10 @@ _NOT_NEGATIVE = (
     *COSTS,
 )
 POSSIBLE = dict.fromkeys(_SHARES, (0.0, 1.0)) | dict.fromkeys(_NOT_NEGATIVE, (0.0, np.inf))
-"""Least and largest possible value of a metric; others have the range `ANY`."""
+"""Range of each metric; metrics not listed have the range `ANY`."""
 
 LOST_RATIO = 3.0
-"""A target counts as lost if tr P ever exceeds that of the first estimate by this factor."""
+"""Ratio of tr P to that of the first estimate above which a target counts as lost."""
 
 ANY = (-np.inf, np.inf)
 
@@ -63,9 +63,9 @@ def metrics_of(
     learnt: Sequence[bool],
     arrival: int | None,
 ) -> Metrics:
-    """Return the metrics of a robot; metrics over steps are NaN without any.
+    """Return the metrics of a robot; metrics over steps are NaN if there are none.
 
-    `learnt` flags steps that brought a measurement; `arrival` is the step of arrival at the goal.
+    `learnt` flags steps with a measurement; `arrival` is the step of arrival at the goal.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     connected = log.connected[1:]
@@ -89,7 +89,7 @@ def run_metrics(
     channel: ChannelLog | None,
     costs: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return the metrics of all robots together, by name."""
+    """Return the metrics of all robots combined, by name."""
     found: dict[str, float] = {}
     each = [run.metrics for run in runs]
     led = [robot.goal_m is not None for robot in problem.robots]
@@ -125,7 +125,7 @@ def run_metrics(
     step_s = problem.planner.step_s
     motions = [driven_motion(run.log.positions_m, run.drive, step_s) for run in runs]
     if len(motions) > 1 and problem.constraints.separation_m > 0.0:
-        # One that drove no step has no distance during a step.
+        # A robot without steps has no separation during a step.
         apart_m = least_separations_m(motions)
         found["min_separation_m"] = float(np.min(apart_m)) if apart_m.size else float("nan")
     if problem.workspace.moving and len(runs[0].log.t_s) > 1:
@@ -135,7 +135,7 @@ def run_metrics(
 
 
 def _mean_of_known(values: Sequence[float]) -> float:
-    """Return the mean of the values that are not NaN; NaN without any."""
+    """Return the mean of the values that are not NaN; NaN if there are none."""
     known = [value for value in values if not np.isnan(value)]
     return float(np.mean(known)) if known else float("nan")
 
@@ -143,13 +143,13 @@ def _mean_of_known(values: Sequence[float]) -> float:
 def nis_interval(count: int) -> tuple[float, float]:
     """Return the 95 % interval of the mean NIS of `count` measurements for a consistent filter.
 
-    Each value is chi-square with two degrees of freedom (equation 4.19), independent of the others.
+    The values are independent and chi-square with two degrees of freedom (equation 4.19).
     """
     return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
 
 
 def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
-    """Return the metric of the connectivity rule, for the worst robot; NaN without steps."""
+    """Return the metric of the connectivity rule for the worst robot; NaN without steps."""
     connected = [log.connected[1:] for log in logs]
     return rule_of(problem).run_metrics(problem, connected)
 
@@ -162,13 +162,13 @@ def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:
 
 
 def run_holes(run: RobotRun) -> tuple[Hole, ...]:
-    """Return the stretches of a driven path whose steps missed p_min when they were planned."""
+    """Return the segments of the executed path whose steps missed p_min when they were planned."""
     log = run.log
     return holes_along(log.positions_m, log.connectivity, log.relaxation_db > 0.0)
 
 
 def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_]) -> float:
-    """Return the longest driven length between connected places."""
+    """Return the length of the longest path segment out of contact."""
     # Shapes: lengths_m (n,); connected (n,).
     return float(longest_run(lengths_m, ~connected))
 
@@ -176,9 +176,9 @@ def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_
 def true_serving_dbm(
     problem: Problem, truths: Sequence[Truth], positions_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the serving station's true power (n,) at places (n, 2), for the first threshold.
+    """Return the serving station's true power (n,) at positions (n, 2), for the first threshold.
 
-    A robot is connected from ``problem.stations[0].true_threshold_dbm`` on.
+    A robot is connected if it is at least ``problem.stations[0].true_threshold_dbm``.
     """
     powers = np.stack([true_power_dbm(truth, positions_m) for truth in truths])
     return serving_power_dbm(powers, [radio.true_threshold_dbm for radio in problem.stations])
@@ -186,11 +186,11 @@ def true_serving_dbm(
 
 def step_log(
     problem: Problem,
-    track_m: NDArray[np.float64],  # (steps + 1, 2) where the robot was, the start first
-    true_dbm: NDArray[np.float64],  # (steps + 1,) the true power there
+    track_m: NDArray[np.float64],  # (steps + 1, 2) robot positions, the start first
+    true_dbm: NDArray[np.float64],  # (steps + 1,) true power there
     plans: Sequence[Plan],
 ) -> StepLog:
-    """Return the log of a run; row 0 is the start, as the first plan predicts it."""
+    """Return the log of a run; row 0 is the start, as predicted by the first plan."""
     first = plans[:1]
 
     def column(at_start: float, values: list[float]) -> NDArray[np.float64]:
@@ -244,7 +244,7 @@ def robot_run(
     learnt: Sequence[bool],
     ended: tuple[Outcome, str],
 ) -> RobotRun:
-    """Return one robot's part of a run, from its track and the plans that led along it."""
+    """Return one robot's part of a run, from its track and the executed plans."""
     # Shapes: track_m, true_dbm (steps + 1, 2).
     log = step_log(problem, track_m, true_dbm, plans)
     drive = driven(problem.robots[0], plans)

@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 _Entry = TypeVar("_Entry")
 
 ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
-"""Outcomes of runs that did their task."""
+"""Outcomes of runs that completed their task."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(ABC):
-    """A result of motion planning: the problem as solved, overrides applied, and the seed."""
+    """Result of motion planning: the problem with overrides applied, and the seed."""
 
     problem: Problem
     seed: int
@@ -56,9 +56,9 @@ class Result(ABC):
         Returns
         -------
         matplotlib.figure.Figure
-            Notebooks show it; ``figure.savefig("result.png")`` writes it.
+            Figure; notebooks show it and ``figure.savefig("result.png")`` writes it.
         """
-        # Named, not imported: the packages of figures and files are above this one.
+        # Accessed by name because the packages of figures and files depend on this one.
         return getattr(import_module("planopt.report"), self._drawn_by)(self)
 
     def save(self, folder: Path | str) -> None:
@@ -67,20 +67,20 @@ class Result(ABC):
         Parameters
         ----------
         folder
-            Made if it is missing; a plan or run that it had is replaced.
+            Folder, created if missing; a plan or run in it is replaced.
 
         Raises
         ------
         OutputError
-            The folder cannot be written; what it had is still there.
+            The folder cannot be written; its previous content is kept.
         InputError
-            The problem has parts from Python, which no file can hold.
+            The problem has parts from Python, which cannot be saved.
         """
         saved = import_module("planopt.planning.files.saved")
         saved.save_result(self, path_of("folder", folder, A_FOLDER))
 
     def to_dataframe(self) -> Any:
-        """Return a pandas DataFrame with a row for each place of each robot, the start first.
+        """Return a pandas DataFrame with one row per position of each robot, the start first.
 
         Returns
         -------
@@ -97,20 +97,20 @@ class Result(ABC):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Result):
-    """One solved problem of one or several robots.
+    """Solved problem of one or several robots.
 
     Attributes
     ----------
     problem
-        As solved (overrides applied).
+        Problem as solved, with overrides applied.
     seed
-        Random seed of fading, measured places and the first estimate of a target.
+        Random seed of fading, measurement positions and the first estimate of a target.
     belief
-        The channel estimate that all plans were made from.
+        Channel estimate that all plans are based on.
     plans, aims
         By robot: its plan, and the external inputs of its objective.
     explanation
-        From :func:`planopt.explain`, if it was called: changes that would give each robot a
+        Result of :func:`planopt.explain`, if it was called: changes that would give each robot a
         verified plan, and reasons why verified plans cross coverage holes.
 
     Examples
@@ -129,7 +129,7 @@ class Solution(Result):
     explanation: tuple[Relaxation | Crossing, ...] = ()
 
     def __repr__(self) -> str:
-        """Return the problem, and the verdict of each plan, in at most five lines."""
+        """Return the problem and the verdict of each plan, in at most five lines."""
         lines: list[str] = []
         for plan in self.plans:
             clearance = plan.certificate.min_clearance_m
@@ -150,7 +150,7 @@ class Solution(Result):
 
     @property
     def verdict(self) -> Verdict:
-        """The worst of the plans' verdicts."""
+        """Worst verdict of all plans."""
         return max((plan.verdict for plan in self.plans), key=list(Verdict).index)
 
     @property
@@ -166,22 +166,22 @@ class Run(Result):
     Attributes
     ----------
     problem
-        As run (overrides applied).
+        Problem as simulated, with overrides applied.
     seed
-        Random seed of everything that is drawn.
+        Random seed of the run.
     truths
         By station: the simulated ground truth; empty if that of a saved run is not available.
     runs, plans, aims, beliefs
-        By robot: its log, its released plans, one a step, the external inputs of their objectives,
-        and its channel estimate at the end.
+        By robot: its log, its released plans, one per step, the external inputs of their
+        objectives, and its channel estimate at the end.
     first_measurements
-        Number of a belief's measurements from before the run.
+        Number of measurements in a belief that were taken before the run.
     target
-        None if nothing is tracked.
+        Log of the target; None if nothing is tracked.
     channel
-        Errors of the channel estimate; None on the way to a goal.
+        Errors of the channel estimate; None for runs to a goal.
     costs
-        On the way to a goal: cost of the run at the outage price, by metric.
+        Realised costs of a run to a goal at the outage price, by metric.
     blocked
         The cheapest paths to goals, if a hard chance constraint forbids them and ended the run.
 
@@ -207,7 +207,7 @@ class Run(Result):
     blocked: tuple[BlockedWay, ...] = ()
 
     def __repr__(self) -> str:
-        """Return the problem, how each robot ended, and the metrics."""
+        """Return the problem, the outcome of each robot, and the metrics."""
         lines = [
             f"{run.robot}: {run.outcome.value} after {len(run.log.t_s) - 1} steps ({run.reason}), "
             + (
@@ -234,17 +234,17 @@ class Run(Result):
 
     @property
     def outcome(self) -> Outcome:
-        """Return how the run ended."""
+        """Return the outcome of the run."""
         return self.runs[0].outcome
 
     @property
     def reason(self) -> str:
-        """Return why it ended, in words."""
+        """Return the reason of the outcome as text."""
         return self.runs[0].reason
 
     @property
     def metrics(self) -> dict[str, float]:
-        """Metrics of all robots together, by name."""
+        """Metrics of all robots combined, by name."""
         return run_metrics(self.problem, self.runs, self.target, self.channel, self.costs)
 
     @property
@@ -254,15 +254,15 @@ class Run(Result):
 
     @property
     def rungs(self) -> dict[str, int]:
-        """Return how often each fallback released a step, over all robots."""
+        """Return the number of steps released by each fallback, over all robots."""
         return dict(sum((Counter(run.rungs) for run in self.runs), Counter[str]()))
 
     @property
     def exit_code(self) -> int:
-        """Return 0 if the task was done with every step verified, 3 if some was not, 4 if not."""
+        """Return 0 if the task was done with all steps verified, 3 with some not, 4 if not done."""
         if self.outcome not in ARRIVED:
             return 4
-        # The rate is NaN without steps, and then nothing is unverified.
+        # Without steps the rate is NaN, and no step is unverified.
         return 3 if self.verified_rate < 1.0 else 0
 
 
@@ -274,7 +274,7 @@ def _only(several: Sequence[_Entry], name: str) -> _Entry:
 
 
 def _listed(head: str, lines: Sequence[str], most: int) -> str:
-    """Return `head` and the first `most` of the lines below it."""
+    """Return `head`, followed by the first `most` lines."""
     if len(lines) > most:
         lines = [*lines[: most - 1], f"and {len(lines) - most + 1} more robots"]
     return "\n".join([head, *(f"  {line}" for line in lines)])
@@ -282,28 +282,28 @@ def _listed(head: str, lines: Sequence[str], most: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class RunSummary:
-    """A run without its steps, as comparisons list it."""
+    """Summary of a run without its steps, as listed by comparisons."""
 
     horizon: int
     planner: str
     cost_to_go: str | None  # None if there is no goal
     seed: int
     outcome: str
-    reason: str  # Why it ended, in words
-    # 0 if the task was done with every step verified, 3 if some was not, 4 if it was not done
+    reason: str  # Reason of the outcome as text
+    # 0 if the task was done with every step verified, 3 if some were not, 4 if it was not done
     exit_code: int
     metrics: dict[str, float]  # Over all robots, by name
     rungs: dict[str, int]  # Number of steps released by each fallback, over all robots
     verified_rate: float  # Share of released steps whose plan was verified; NaN if none can be
-    step_s: NDArray[np.float64]  # (steps x robots,) wall time of planning a step of one robot
+    step_s: NDArray[np.float64]  # (steps x robots,) wall time of planning per step and robot
     # (steps x robots,) predicted probability of connection after each step, and true connection;
     # empty for tasks without a channel
     connectivity: NDArray[np.float64]
     connected: NDArray[np.bool_]
     problem: str = ""  # Name of the problem
-    # Keys of the problem that a study changed, with their values
+    # Keys of the problem changed by a study, with their values
     sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    # (steps + 1,) each, by name: trace_p in m^2 and normalised_trace_p of the station's target
+    # Series (steps + 1,) by name: trace_p in m^2 and normalised_trace_p of the station's target
     # estimate; rms_db, rms_without_multipath_db and path_loss_variance_db2 of the channel
     traces: Mapping[str, NDArray[np.float64]] = field(
         default_factory=dict[str, NDArray[np.float64]]

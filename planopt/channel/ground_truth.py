@@ -1,9 +1,9 @@
-"""The simulated channel: small-scale fading by its distribution, and power everywhere.
+"""Ground truth: the simulated received power at all positions, with small-scale fading.
 
-Only the simulator reads the ground truth; planners have a posterior. Each fading law (lognormal,
-Nakagami-m, Rician) has unit mean power, and its mean in dB is subtracted, so that the predicted
-mean stays path loss plus shadowing (equation 1.5). Conversions between m, K and omega are exact.
-The pairs (m, omega) of [GM11] belong to Rician K = 5, 10 and 30: problem files name the law.
+Only the simulator reads the ground truth; planners use a posterior. Each fading law (lognormal,
+Nakagami-m, Rician) has unit mean power. Its mean in dB is subtracted, so that the predicted mean
+remains path loss plus shadowing (equation 1.5). Conversions between m, K and omega are exact. The
+pairs (m, omega) of [GM11] correspond to Rician K = 5, 10 and 30.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from planopt.world.raster import Raster, cell_centres_m, checked_raster, nearest
 DB_PER_NEPER = 10.0 / math.log(10.0)
 
 SERIES_DEVIATIONS = 12.0
-"""Half the range of the Rician series in standard deviations of its Poisson variable."""
+"""Half-width of the Rician series in standard deviations of its Poisson variable."""
 
 MIN_M = 0.5
-"""Least m of Nakagami's distribution; 1 is Rayleigh fading."""
+"""Minimum m of the Nakagami distribution; 1 is Rayleigh fading."""
 
 STRONGEST = 1e8
-"""Largest m and K of a search; omega is then below 0.001 dB."""
+"""Maximum m and K of a search; omega is then below 0.001 dB."""
 
 BISECTIONS = 60
 
 
 @dataclass(frozen=True)
 class Lognormal:
-    """Gaussian in dB.
+    """Lognormal fading: Gaussian in dB.
 
     Attributes
     ----------
     std_db
-        omega, at least 0.
+        Standard deviation omega in dB, at least 0.
     """
 
     std_db: float
@@ -62,12 +62,12 @@ class Lognormal:
 
 @dataclass(frozen=True)
 class Nakagami:
-    """Gamma distributed power.
+    """Nakagami-m fading: gamma-distributed power.
 
     Attributes
     ----------
     m
-        At least 0.5.
+        Shape parameter, at least 0.5.
     """
 
     m: float
@@ -89,12 +89,12 @@ class Nakagami:
 
 @dataclass(frozen=True)
 class Rician:
-    """A constant amplitude plus scatter.
+    """Rician fading: a constant (line-of-sight) amplitude plus scatter.
 
     Attributes
     ----------
     k_factor
-        K >= 0, ratio of their powers; 0 is Rayleigh fading.
+        Ratio K >= 0 of constant to scattered power; 0 is Rayleigh fading.
     """
 
     k_factor: float
@@ -116,9 +116,9 @@ class Rician:
         return self._moments()[1]
 
     def _moments(self) -> tuple[float, float]:
-        """Return mean and standard deviation in dB.
+        """Return mean and standard deviation in dB by a series over J.
 
-        With J Poisson of mean K, the power times K + 1 is Gamma(1 + J): a series over J.
+        With J Poisson of mean K, the power times K + 1 is Gamma(1 + J).
         """
         k_factor = self.k_factor
         reach = SERIES_DEVIATIONS * math.sqrt(k_factor)
@@ -146,25 +146,25 @@ def multipath_of(
     k: float | None = None,
     std_db: float | None = None,
 ) -> Multipath:
-    """Return the multipath of one kind from exactly one of m, K and omega.
+    """Return the fading law of a kind from exactly one of m, K and omega.
 
     Parameters
     ----------
     kind
-        ``rayleigh``, which takes no number, or one of the others.
+        Kind of fading; ``rayleigh`` takes no parameter.
     m
-        Nakagami's m. For ``rician`` the K of the same variance of the power, for ``lognormal`` the
-        exact standard deviation of Nakagami fading.
+        Nakagami m. For ``rician`` it is converted to the K with the same power variance, for
+        ``lognormal`` to the standard deviation of Nakagami fading.
     k
-        Rician K, linear. For ``nakagami`` the m of the same variance of the power, for
-        ``lognormal`` the exact standard deviation of Rician fading.
+        Rician K, linear. For ``nakagami`` it is converted to the m with the same power variance,
+        for ``lognormal`` to the standard deviation of Rician fading.
     std_db
-        omega, the standard deviation in dB; exact for every kind.
+        Standard deviation omega in dB; exact for every kind.
 
     Raises
     ------
     InputError
-        Not exactly one number is given, or no such multipath has it.
+        Not exactly one parameter is given, or the kind cannot have this value.
     """
     numbers = {"m": m, "k": k, "std_db": std_db}
     present = [name for name, value in numbers.items() if value is not None]
@@ -193,7 +193,7 @@ def _as_nakagami(source: Multipath) -> Nakagami:
         return Nakagami(_with_std(lambda m: Nakagami(m).std_db, MIN_M, source.std_db))
     if isinstance(source, Nakagami):
         return source
-    # (K + 1)^2 / (2 K + 1), written so that rounding cannot bring it below 1.
+    # (K + 1)^2 / (2 K + 1), in a form that rounding cannot bring below 1.
     return Nakagami(1.0 + source.k_factor**2 / (2.0 * source.k_factor + 1.0))
 
 
@@ -209,7 +209,7 @@ def _as_rician(source: Multipath) -> Rician:
 
 
 def _with_std(std_db: Callable[[float], float], least: float, wanted_db: float) -> float:
-    """Find the argument of a decreasing standard deviation by bisection on a logarithmic scale."""
+    """Invert a decreasing standard deviation by bisection on a logarithmic scale."""
     most_db, least_db = std_db(least), std_db(STRONGEST)
     if not least_db <= wanted_db <= most_db:
         raise InputError(
@@ -230,7 +230,7 @@ def _with_std(std_db: Callable[[float], float], least: float, wanted_db: float) 
 def multipath_field_db(
     shape: tuple[int, ...], multipath: Multipath, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw independent values in dB, of mean zero and standard deviation ``multipath.std_db``."""
+    """Draw independent fading in dB, with mean zero and standard deviation ``multipath.std_db``."""
     if isinstance(multipath, Lognormal):
         return multipath.std_db * generator.standard_normal(shape)
     if isinstance(multipath, Nakagami):
@@ -246,16 +246,16 @@ def multipath_field_db(
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Received power everywhere, fading included: repeated readings at a position agree.
+    """Ground truth of the received power, with fading fixed in each cell.
 
     Attributes
     ----------
     raster
-        Power in dBm at cell centres; a reading takes the nearest cell.
+        Power in dBm at cell centres; a measurement reads the nearest cell.
     floor_dbm
-        The receiver's floor, a lower bound of all values; None for none.
+        Sensitivity floor of the receiver, a lower bound of all values; None for none.
     mean_dbm
-        ``[iy, ix]`` power without small-scale fading, in the same cells.
+        ``[iy, ix]`` power without small-scale fading in the same cells.
     """
 
     raster: Raster
@@ -272,20 +272,20 @@ def raster_truth(
     multipath: Multipath | None,
     generator: np.random.Generator,
 ) -> Truth:
-    """Return the ground truth of a map of path gains, such as a ray tracer's.
+    """Return the ground truth from a map of path gains, for example a ray tracer's.
 
     Parameters
     ----------
     path_gain
-        Gains in dB; NaN where there is no signal.
+        Path gains in dB; NaN where there is no signal.
     transmit_power_dbm
-        Added to the gains.
+        Transmit power, added to the gains.
     floor_gain_db
-        The receiver's floor as a gain; smaller gains, fading included, are clipped to it.
+        Sensitivity floor of the receiver as a gain; smaller gains with fading are clipped to it.
     multipath
-        The fading drawn for each cell, or None for none.
+        Fading law of each cell; None for no fading.
     generator
-        Source of the fading.
+        Random number generator of the fading.
     """
     gain = np.asarray(path_gain.values, dtype=np.float64)
     # fmax prefers the floor to NaN.
@@ -310,17 +310,17 @@ def model_truth(
     Parameters
     ----------
     parameters
-        Path loss, shadowing and multipath, one value per cell.
+        Parameters of path loss, shadowing and multipath; one value is drawn per cell.
     bounds_m
-        ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left.
+        ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left corner.
     cell_m
-        Cell side.
+        Cell side in metres.
     floor_dbm
-        The receiver's floor, or None for none.
+        Sensitivity floor of the receiver; None for none.
     generator
-        Source of shadowing and multipath.
+        Random number generator of shadowing and multipath.
     multipath
-        Its law; None for a Gaussian one in dB with the standard deviation of `parameters`.
+        Fading law; None for lognormal fading with the standard deviation of `parameters`.
     """
     x_min, y_min, x_max, y_max = bounds_m
     x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
@@ -351,7 +351,7 @@ def fitted_truth(
 def _faded(
     mean: Raster, law: Multipath, floor_dbm: float | None, generator: np.random.Generator
 ) -> Truth:
-    """Add multipath to a raster of powers, and apply the receiver's floor."""
+    """Add multipath to a raster of powers and apply the receiver's floor."""
     power = mean.values
     faded = power + multipath_field_db(power.shape, law, generator)
     if floor_dbm is not None:
@@ -365,7 +365,7 @@ def power_truth(
     power_dbm: NDArray[np.float64],  # (ny, nx), NaN where there is no signal
     floor_dbm: float | None = None,
 ) -> Truth:
-    """Return the ground truth of arrays of received power, with or without small-scale fading."""
+    """Return the ground truth from a grid of received power, with or without small-scale fading."""
     # Shapes: x_m, y_m (nx,).
     raster = checked_raster(x_m, y_m, power_dbm, "power_dbm")
     if floor_dbm is not None and not abs(floor_dbm) <= MAX_POWER_DB:

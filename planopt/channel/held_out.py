@@ -1,18 +1,18 @@
-"""Predict whole walks that were held out: by the channel, by path loss alone, by plain baselines.
+"""Grouped cross-validation of the channel against path loss alone and simple baselines.
 
-Points next to a training point are easily predicted, so points held out at random flatter. Whole
-groups are held out instead.
+Measurements next to training data are easy to predict, so a random hold-out is optimistic. Whole
+groups, such as walks, are held out instead.
 
-A prediction is a normal distribution. Over many held-out powers its probability integral transform
-(PIT), the share of the distribution below the measured power, should be uniform, and a central
-interval of level p should contain a share p of them. A censored power has no PIT of its own: it
-counts in parts, uniformly between 0 and the PIT of its limit (Czado, Gneiting and Held, Biometrics
-65, 2009), so that leaving it out selects nothing.
+Each prediction is a normal distribution. Over many held-out powers the probability integral
+transform (PIT), the predictive distribution function at the measured power, should be uniform, and
+a central interval of level p should contain a share p of the powers. The PIT of a censored power is
+spread uniformly between 0 and the PIT of its limit (Czado, Gneiting and Held, Biometrics 65, 2009):
+dropping censored powers would bias the histogram.
 
-The baselines are a least-squares line and a plain Gaussian process; both leave censored powers out.
-The Gaussian process has a constant mean and no path loss; its kernel is exponential with white
-noise, and its parameters maximise the marginal likelihood on a grid. With days of a campus log held
-out that kernel had an RMSE of 6.3 dB, the squared-exponential one 7.0 dB.
+The baselines are a least-squares line and a plain Gaussian process; both ignore censored powers.
+The Gaussian process has a constant mean without path loss and an exponential kernel with white
+noise, whose parameters maximise the marginal likelihood on a grid. With days of a campus log held
+out, its RMSE was 6.3 dB; with a squared-exponential kernel it was 7.0 dB.
 """
 
 from __future__ import annotations
@@ -47,28 +47,28 @@ from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
-"""Levels of the central intervals."""
+"""Levels of the central prediction intervals."""
 
 PIT_BINS = 20
 
 Predictor = Callable[[Measurements], Prediction]
-"""Map measurements to their predicted powers; their own powers are not read."""
+"""Function that predicts the powers of measurements without using their measured powers."""
 
 PATH_LOSS = "path_loss"
-"""The predictor that others are compared with."""
+"""Name of the reference predictor."""
 
 MARGINAL_EXACT_LIMIT = 1000
-"""From more measurements the marginalised channel predicts by the nearest, as each of its some 15
-components would cost a factor. With days of the campus logs held out the RMSE of the channel itself
-is then 6.53 dB instead of 6.48."""
+"""Maximum number of measurements with factors in the marginalised channel, which needs one for each
+of its about 15 components. Beyond it the nearest measurements are used; on the campus logs, with
+days held out, this raises the RMSE of the channel itself from 6.48 to 6.53 dB."""
 
 
 def predictors_of(
     fit: Callable[[Measurements], ChannelFit],
 ) -> Callable[[Measurements], dict[str, Predictor]]:
-    """Return the predictors to compare: the fitted channel, path loss alone, and the baselines.
+    """Return a function that learns the predictors to compare from training measurements.
 
-    `fit` fits any measurements, once for all predictors.
+    They are the fitted channel, path loss alone and the baselines. `fit` is called once for all.
     """
 
     def learn(measurements: Measurements) -> dict[str, Predictor]:
@@ -88,7 +88,7 @@ def predictors_of(
 
 
 def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:
-    """Fit path loss alone by least squares, with the standard deviation of the residuals."""
+    """Learn a predictor by path loss alone: least squares and the residual standard deviation."""
     if measurements.censored.all():
         raise InputError("there is no line through upper limits alone")
     return _line_predictor(measurements, station)
@@ -98,9 +98,9 @@ LEAST_VARIANCE_DB2 = 1e-6
 
 
 def learn_plain_line(measurements: Measurements, station: Station) -> Predictor:
-    """Fit power by the logarithm of distance to powers that are no upper limits.
+    """Learn a line of power against log-distance from the uncensored powers.
 
-    At a single distance: their mean, with an assumed slope.
+    If all distances are equal, the slope is assumed.
     """
     exact = _uncensored(measurements)
     return _line_predictor(Measurements(exact.positions_m, exact.power_dbm), station, unbiased=True)
@@ -109,7 +109,7 @@ def learn_plain_line(measurements: Measurements, station: Station) -> Predictor:
 def _line_predictor(
     measurements: Measurements, station: Station, *, unbiased: bool = False
 ) -> Predictor:
-    """Predict by the least-squares line, its variance per degree of freedom if `unbiased`."""
+    """Learn a least-squares line; `unbiased` divides its variance by the degrees of freedom."""
     identifiable = examine(measurements, station).n_pl_reason is None
     model = mean_model(measurements.positions_m, ~measurements.censored, station, identifiable)
     line = least_squares(model, measurements)
@@ -128,24 +128,24 @@ def _line_predictor(
 
 
 MOST_LIKELIHOOD, MOST_CONDITIONED = 400, 4_000
-"""Maximum numbers of powers in the likelihood and in the posterior, a fixed draw of more: the cost
-grows with the cube."""
+"""Maximum numbers of powers in the likelihood and in the posterior; longer logs are subsampled,
+because the cost is cubic."""
 
 FEWEST_PLACES = 6
-"""In fewer places the process is independent noise about its mean."""
+"""Minimum number of distinct positions for a correlated process; below, it is white noise."""
 
 LENGTHS, LOGITS = 7, (-3.0, -1.5, 0.0, 1.5, 3.0)
-"""Number of length scales, and logits of the shares of noise, of the grid."""
+"""Number of length scales on the grid, and its logits of the noise share."""
 
 FINER = (-2.0 / 3.0, -1.0 / 3.0, 0.0, 1.0 / 3.0, 2.0 / 3.0)
-"""Offsets of the finer grid about the best point, in steps of the first one."""
+"""Offsets of the refined grid from the best point, in steps of the first grid."""
 
 Point = tuple[float, float]
-"""Logarithm of the length scale in metres, and logit of the share of noise."""
+"""Logarithm of the length scale in metres, and logit of the noise share."""
 
 
 def learn_plain_process(measurements: Measurements) -> Predictor:
-    """Fit a Gaussian process to powers that are no upper limits."""
+    """Learn a Gaussian process from the uncensored powers."""
     exact = _uncensored(measurements)
     exact = exact.take(thinned(len(exact), MOST_CONDITIONED))
     mean_db = float(exact.power_dbm.mean())
@@ -170,7 +170,7 @@ def learn_plain_process(measurements: Measurements) -> Predictor:
 
 
 def _uncensored(measurements: Measurements) -> Measurements:
-    """Return measurements that are no upper limits, in an order independent of the rows'."""
+    """Return the uncensored measurements, sorted by position."""
     if measurements.censored.all():
         raise InputError("there is nothing to learn from upper limits alone")
     placed = measurements.by_place()
@@ -180,18 +180,18 @@ def _uncensored(measurements: Measurements) -> Measurements:
 def _correlation(
     distance_m: NDArray[np.float64], length_m: float, noise: float
 ) -> NDArray[np.float64]:
-    """Return the correlation of powers (n, n) with a share of `noise` in their variance."""
+    """Return the correlation of powers (n, n); `noise` is the noise share of their variance."""
     correlation = (1.0 - noise) * np.exp(-distance_m / length_m)
     np.fill_diagonal(correlation, 1.0)
     return correlation
 
 
 def _most_likely(positions_m: NDArray[np.float64], centred_db: NDArray[np.float64]) -> Point:
-    """Return the most likely length scale and share of noise on a grid and a finer one."""
+    """Return the most likely length scale and noise share by a grid search with one refinement."""
     distance_m = pairwise_distance_m(positions_m, positions_m)
 
     def likelihood(point: Point) -> float:
-        """Return the log likelihood with the variance profiled out."""
+        """Return the log-likelihood with the variance profiled out."""
         lower = lower_factor(_correlation(distance_m, math.exp(point[0]), _logistic(point[1])))
         half = solve_lower(lower, centred_db)
         variance = max(float(half @ half) / len(half), LEAST_VARIANCE_DB2)
@@ -217,21 +217,21 @@ def _logistic(logit: float) -> float:
 
 @dataclass(frozen=True)
 class HeldOutScore:
-    """The errors of one predictor on held-out measurements.
+    """Accuracy and calibration of one predictor on held-out measurements.
 
     Attributes
     ----------
     rmse_db
-        Root mean squared error, censored powers left out.
+        Root mean squared error over the uncensored powers.
     of_path_loss
-        That over the RMSE of path loss alone, on the same powers.
+        Ratio of `rmse_db` to the RMSE of path loss alone on the same powers.
     coverage
-        By level, share of powers within the central interval; censored powers count in parts.
+        Share of powers within the central interval, by level; censored powers count fractionally.
     pit_share
-        ``(b,)`` histogram of the PIT, in bins of one width; shares sum to one.
+        ``(b,)`` histogram of the PIT in bins of equal width; the shares sum to one.
     reliability
-        Predicted probability of a power of at least the report's threshold, against how often it
-        was. Censored powers with a limit at or above the threshold are left out.
+        Predicted probability and observed frequency of powers of at least the report's threshold.
+        Censored powers with a limit at or above the threshold are left out.
     """
 
     rmse_db: GroupedRatio
@@ -243,20 +243,20 @@ class HeldOutScore:
 
 @dataclass(frozen=True)
 class HeldOutReport:
-    """Held-out measurements, and the errors of each predictor on them.
+    """Result of a grouped cross-validation.
 
     Attributes
     ----------
     groups
-        Number of groups held out whole.
+        Number of groups; each is held out as a whole.
     fold_sizes
-        Measurements held out at once, fold by fold.
+        Number of measurements in each fold.
     measurements, censored
-        How many in all, and how many of them are upper limits.
+        Number of measurements, and of censored ones among them.
     threshold_dbm
-        A power of at least this counts as connected.
+        Minimum power for a connection.
     scores
-        By predictor; `planopt.channel.held_out.PATH_LOSS` is one of them.
+        Scores by predictor, including `planopt.channel.held_out.PATH_LOSS`.
     """
 
     groups: int
@@ -277,27 +277,27 @@ def held_out_report(
     learn: Callable[[Measurements], Mapping[str, Predictor]],
     threshold_dbm: float | None = None,
 ) -> HeldOutReport:
-    """Predict every fold from the others, and score it.
+    """Predict every fold from the other folds, and score the predictions.
 
     Parameters
     ----------
     measurements
-        All of them.
+        Measurements of all folds.
     groups
-        ``(n,)`` label of the group of each.
+        ``(n,)`` group label of each measurement.
     fold_of
-        ``(n,)`` fold of each, as :func:`planopt.channel.held_out.deal` gives it.
+        ``(n,)`` fold of each measurement, from :func:`planopt.channel.held_out.deal`.
     learn
-        Learns predictors, as :func:`planopt.channel.predictors_of` makes it; path loss among them.
+        Function that learns predictors from training measurements, from
+        :func:`planopt.channel.predictors_of`. They must include path loss alone.
     threshold_dbm
-        A power of at least this counts as connected; None for the median power, so that half of
-        them are.
+        Minimum power for a connection; None for the median power.
 
     Raises
     ------
     InputError
-        Measurements, groups and folds do not belong together; a fit of a part of the measurements
-        is impossible; or there are upper limits only.
+        Shapes of measurements, groups and folds differ, a fit to the training measurements is
+        impossible, or all measurements are censored.
     """
     data = as_measurements(measurements)
     if groups.shape != (len(data),):
@@ -307,7 +307,7 @@ def held_out_report(
     labels, group_of = np.unique(groups, return_inverse=True)
     sizes, exact = _summed(1.0, group_of), _summed(~data.censored, group_of)
     edges = np.linspace(0.0, 1.0, PIT_BINS + 1).tolist()
-    # Whether a power reaches the threshold is unknown for a limit above it.
+    # A censored power with a limit above the threshold has an unknown outcome.
     known = ~data.censored | (data.power_dbm < threshold)
 
     def squares(prediction: Prediction) -> NDArray[np.float64]:
@@ -315,7 +315,7 @@ def held_out_report(
         return _summed(error**2, group_of)
 
     def score(prediction: Prediction) -> HeldOutScore:
-        # The probability that the predicted power is at most the measured one.
+        # The predictive distribution function at the measured power.
         error = data.power_dbm - prediction.mean_db
         pit = connection_probability(error, prediction.deviation_db, 0.0)
         inside = {
@@ -347,21 +347,21 @@ def held_out_report(
 def _summed(
     values: NDArray[np.float64] | NDArray[np.bool_] | float, group_of: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """Return the sum of values (n,) over each group."""
+    """Return the sum of values (n,) within each group."""
     weights = np.broadcast_to(values, group_of.shape)
     return np.bincount(group_of, weights=weights).astype(np.float64)
 
 
 def part_between(
-    pit: NDArray[np.float64],  # (n,) of each power, or of the limit of a censored one
+    pit: NDArray[np.float64],  # (n,) PIT of each power, or of a censored power's limit
     censored: NDArray[np.bool_],  # (n,)
     low: float,
     high: float,
 ) -> NDArray[np.float64]:
-    """Return the part of each PIT within [low, high), (n,); 1 belongs to the last interval."""
+    """Return the share of each PIT within [low, high), (n,); 1 belongs to the last interval."""
     inside = (pit >= low) & ((pit < high) | (high >= 1.0))
     below = np.clip(pit, low, high) - low
-    # All of the limit's mass is below it, even where that is nothing.
+    # A PIT of 0 lies entirely in the first interval.
     part = np.where(pit > 0.0, below / np.where(pit > 0.0, pit, 1.0), low <= 0.0)
     return np.where(censored, part, inside)
 
@@ -371,7 +371,7 @@ def held_out_predictions(
     fold_of: NDArray[np.intp],  # (n,)
     learn: Callable[[Measurements], Mapping[str, Predictor]],
 ) -> dict[str, Prediction]:
-    """Predict every measurement from models learnt without its fold."""
+    """Predict every measurement by predictors learnt without its fold."""
     folds = np.unique(fold_of)
     if fold_of.shape != (len(measurements),) or len(folds) < 2:
         raise InputError(
@@ -393,16 +393,16 @@ def held_out_predictions(
 
 
 def deal(groups: NDArray[np.intp], folds: int, generator: np.random.Generator) -> NDArray[np.intp]:
-    """Deal whole groups into folds at random; ``(n,)`` fold of each measurement.
+    """Assign whole groups to folds at random; return the fold of each measurement, ``(n,)``.
 
     Parameters
     ----------
     groups
-        ``(n,)`` label of each one's group.
+        ``(n,)`` group label of each measurement.
     folds
-        At least 2, at most as many as there are groups.
+        Number of folds, from 2 to the number of groups.
     generator
-        Source of randomness.
+        Random number generator.
 
     Raises
     ------

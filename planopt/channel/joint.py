@@ -363,8 +363,7 @@ def longest_outage(
     posterior
         Channel conditional on measurements.
     positions_m
-        ``(h, 2)`` positions in metres, h >= 2, where packets are sent. The robot starts at the
-        first.
+        ``(h, 2)`` positions in metres, h >= 2, where packets are sent; the first is the start.
     times_s
         ``(h,)`` times at these positions, increasing.
     threshold_dbm

@@ -1,8 +1,8 @@
-"""Connectivity along whole paths: P(connected at every place), and the first connection.
+"""Connectivity along a path: P(connected at all positions), and the first connection.
 
-The powers along a path are correlated, so the product of the single probabilities is not the joint
-probability; it is a lower bound only under a condition that is checked here. Exact values come from
-Genz's separation of variables for the multivariate normal distribution.
+Powers along a path are correlated, so the product of the marginal probabilities is not the joint
+probability. It is a lower bound only if no correlation is negative, which is checked here. Exact
+values come from Genz's separation of variables for the multivariate normal distribution.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
 FAR_SCORE = 40.0
-"""Limit of scores: the normal tail beyond is below the smallest float."""
+"""Limit of scores; the normal tail beyond is below the smallest float."""
 
 VANISHING = 1e-200
-"""Smaller scores count as zero, because their products underflow."""
+"""Limit below which scores count as zero, because their products underflow."""
 
 SHIFTS = 12
-"""Independent random shifts of the lattice; their scatter is the error estimate."""
+"""Number of independent random shifts of the lattice; their scatter gives the error estimate."""
 
 FIRST_POINTS, LAST_POINTS = 2**9, 2**15
-"""Points of the lattice, doubled from the first number to the last until accurate enough."""
+"""Initial and maximum number of lattice points, doubled until the tolerance is met."""
 
 FAR = 1e8
-"""Limit of scores whose squares must not overflow."""
+"""Limit of scores, so that their squares do not overflow."""
 
 ERRORS = 3.0
-"""An error is this many standard errors over the shifts."""
+"""Reported error in standard errors over the shifts."""
 
 
 def bivariate_normal_cdf(
     first: NDArray[np.float64], second: NDArray[np.float64], correlation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return P(X <= first, Y <= second) of correlated standard normal X, Y by Owen's T function.
+    """Return P(X <= first, Y <= second) of correlated standard normal X and Y.
 
-    Exact to rounding (D. B. Owen, Tables for computing bivariate normal probabilities, 1956).
-    Arguments broadcast; infinite scores and correlations of 1 and -1 are valid.
+    Owen's T function makes it exact to rounding (D. B. Owen, Tables for computing bivariate normal
+    probabilities, 1956). Arguments broadcast; infinite scores and correlations of +-1 are valid.
     """
     h, k, rho = np.broadcast_arrays(_score(first), _score(second), np.clip(correlation, -1.0, 1.0))
     narrow = np.sqrt((1.0 - rho) * (1.0 + rho))
@@ -62,7 +62,7 @@ def bivariate_normal_cdf(
         - _owen(k, h - rho * k, narrow)
         - 0.5 * ((h < 0.0) != (k < 0.0))
     )
-    # Two zero scores leave Owen's slopes 0 / 0.
+    # Owen's slopes are 0 / 0 for two zero scores.
     found = np.where((h == 0.0) & (k == 0.0), 0.25 + np.arcsin(rho) / (2.0 * np.pi), found)
     found = np.where(rho >= 1.0, np.minimum(lower, upper), found)
     found = np.where(rho <= -1.0, lower + upper - 1.0, found)
@@ -70,7 +70,7 @@ def bivariate_normal_cdf(
 
 
 def _score(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return scores whose quotients are finite."""
+    """Return scores clipped such that their quotients are finite."""
     scores = np.clip(_array(values), -FAR_SCORE, FAR_SCORE)
     return np.where(np.abs(scores) < VANISHING, 0.0, scores)
 
@@ -79,7 +79,7 @@ def _owen(
     score: NDArray[np.float64], across: NDArray[np.float64], narrow: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return Owen's T(score, across / (score narrow)); a zero score makes the slope infinite."""
-    # Adding zero turns a score of -0 into 0. The caller replaces what is 0 / 0 here.
+    # Adding zero turns -0 into 0. The caller replaces the results of 0 / 0.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         slope = across / (score * narrow + 0.0)
     return _array(owens_t(score, slope))
@@ -93,8 +93,8 @@ def _array(values: object) -> NDArray[np.float64]:
 class PrefixProbabilities:
     """P(X_1 <= u_1, ..., X_k <= u_k) for k = 1 .. h."""
 
-    probability: NDArray[np.float64]  # (h,) never increasing
-    error: NDArray[np.float64]  # (h,) three standard errors; zero where the value is exact
+    probability: NDArray[np.float64]  # (h,) non-increasing
+    error: NDArray[np.float64]  # (h,) three standard errors; zero if exact
 
 
 def prefix_probabilities(
@@ -105,9 +105,9 @@ def prefix_probabilities(
 ) -> PrefixProbabilities:
     """Return P(X_1 <= u_1, ..., X_k <= u_k), k = 1 .. h, for X ~ N(0, `covariance`).
 
-    A. Genz, Numerical computation of multivariate normal probabilities, 1992, with randomly shifted
-    Richtmyer lattices and the baker's transformation. Each variable is drawn below its bound given
-    the earlier ones; the products of the conditional probabilities estimate all prefixes at once.
+    Genz's method (Numerical computation of multivariate normal probabilities, 1992) with randomly
+    shifted Richtmyer lattices and the baker's transformation. Each variable is drawn below its
+    bound given the earlier ones; products of the conditional probabilities estimate all prefixes.
     """
     if not tolerance > 0.0:
         raise InputError(f"{tolerance!r} is not positive", key="tolerance")
@@ -118,7 +118,7 @@ def prefix_probabilities(
     points = FIRST_POINTS
     while True:
         multiples = np.arange(points, dtype=np.float64)[:, None] * direction
-        # Reduced before the shift, so that large multiples keep their digits.
+        # Reduced modulo 1 before the shift, so that large multiples keep their digits.
         lattice = _array(multiples - np.floor(multiples))
         runs = np.empty((SHIFTS, len(bound)))
         for run in runs:
@@ -126,7 +126,7 @@ def prefix_probabilities(
             folded = np.abs(2.0 * (moved - np.floor(moved)) - 1.0)
             run[:] = _products(bound, lower, folded)
         error = ERRORS * runs.std(axis=0, ddof=1) / np.sqrt(SHIFTS)
-        # The first value is exact: its scatter is rounding alone.
+        # The first value is exact apart from rounding.
         error[0] = 0.0
         if error.max() <= tolerance or points == LAST_POINTS:
             return PrefixProbabilities(runs.mean(axis=0), error)
@@ -136,9 +136,9 @@ def prefix_probabilities(
 def _products(
     bound: NDArray[np.float64], lower: NDArray[np.float64], uniform: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Average over samples the product of conditional probabilities up to each k; (h,).
+    """Return sample means of the products of conditional probabilities up to each k; (h,).
 
-    Products are kept as logarithms, so that improbable prefixes do not underflow.
+    Products are stored as logarithms, so that improbable prefixes do not underflow.
     """
     samples, count = len(uniform), len(bound)
     drawn = np.zeros((samples, count))
@@ -150,7 +150,7 @@ def _products(
         if spread > 0.0:
             log_inside = _array(log_ndtr(np.clip(room / spread, -FAR, FAR)))
         else:
-            # Earlier values determine this one: it is inside or not, and needs no draw.
+            # Earlier values determine this one, so it needs no draw.
             log_inside = np.where(room >= 0.0, 0.0, -np.inf)
         log_product += log_inside
         mean[k] = np.exp(log_product).mean()
@@ -173,14 +173,14 @@ def _primes(count: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Bound:
-    """A bound on a probability, or the reason why there is none.
+    """Bound on a probability, or the reason why there is none.
 
     Attributes
     ----------
     value
-        None if the bound is not proven for this case.
+        Value of the bound; None if it is not proven for this case.
     reason
-        Why it holds, or why it does not.
+        Reason why the bound holds or does not hold.
     """
 
     value: float | None
@@ -188,13 +188,13 @@ class Bound:
 
     @property
     def proven(self) -> bool:
-        """Return whether there is a value."""
+        """Return whether the bound is proven."""
         return self.value is not None
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its error."""
+    """Estimate of a number with its error."""
 
     value: float
     error: float  # Three standard errors
@@ -202,22 +202,22 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class JointConnectivity:
-    """P(power >= threshold at every place) and its bounds (equations 3.6 to 3.8).
+    """Probability of power >= threshold at all positions, with bounds (equations 3.6 to 3.8).
 
     Attributes
     ----------
     at_each
-        ``(h,)`` p_i, the probability at each place alone.
+        ``(h,)`` marginal probabilities p_i.
     exact
-        By the multivariate normal distribution; None if not required.
+        Joint probability from the multivariate normal distribution; None without a generator.
     boole
         Lower bound 1 - sum (1 - p_i), at least 0.
     hunter
-        Lower bound: Boole's plus P(out at both) over the edges of a maximum spanning tree.
+        Lower bound: Boole's plus P(disconnected at both) over the edges of a maximum spanning tree.
     product
-        Lower bound prod p_i, valid if no two places are negatively correlated.
+        Lower bound prod p_i, valid if no two positions are negatively correlated.
     corrected_product
-        Lower bound: the product less what the negatively correlated pairs can cost.
+        Lower bound: prod p_i less the maximum loss from negatively correlated pairs.
     upper
         Upper bound min p_i.
     """
@@ -234,7 +234,7 @@ class JointConnectivity:
 
     @property
     def lower(self) -> float:
-        """The greatest proven lower bound."""
+        """Largest proven lower bound."""
         bounds = (self.boole, self.hunter, self.product, self.corrected_product)
         return max(bound.value for bound in bounds if bound.value is not None)
 
@@ -245,20 +245,20 @@ def joint_connectivity(
     generator: np.random.Generator | None = None,
     tolerance: float = 1e-4,
 ) -> JointConnectivity:
-    """Return P(power >= threshold at all places) and bounds (equations 3.6 to 3.8).
+    """Return P(power >= threshold at all positions) with bounds (equations 3.6 to 3.8).
 
-    Reports need the exact value; for constraints the bounds alone cost O(h^2).
+    The bounds alone, which suffice for constraints, cost O(h^2).
 
     Parameters
     ----------
     prediction
-        From :func:`planopt.channel.joint.joint_prediction`.
+        Joint prediction from :func:`planopt.channel.joint_prediction`.
     threshold_dbm
-        Least power of a connection.
+        Minimum power for a connection.
     generator
-        Source of randomness of the exact value; None: bounds only.
+        Random number generator for the exact value; None to compute the bounds only.
     tolerance
-        Required accuracy of the exact value; the result has the accuracy reached.
+        Required accuracy of the exact value; the result contains the accuracy reached.
 
     Raises
     ------
@@ -270,7 +270,7 @@ def joint_connectivity(
     at_each = connection_probability(prediction.mean_db, deviation, threshold_dbm)
     exact = None
     if generator is not None:
-        # An orthant by symmetry: P(X >= -above) = P(X <= above) for X of mean zero.
+        # By symmetry, P(X >= -above) = P(X <= above) for X of mean zero.
         found = prefix_probabilities(above, covariance, generator, tolerance)
         exact = Estimate(float(found.probability[-1]), float(found.error[-1]))
     out = 1.0 - at_each
@@ -285,9 +285,9 @@ def joint_connectivity(
         )
     else:
         slepian = Bound(product, "valid: no two places are negatively correlated (Slepian)")
-    # Let all correlations grow from 0 in proportion. By Plackett's identity the probability changes
-    # with each at a rate from 0 to the bivariate density, whose integral is P(both out) - q_i q_j
-    # with q = 1 - p; positive correlations can be left out.
+    # Scale all correlations from 0 to their values. By Plackett's identity the derivative by each
+    # is between 0 and the bivariate density, whose integral is P(both out) - q_i q_j with
+    # q = 1 - p; positive correlations only increase the probability.
     cost = float(np.maximum((np.outer(out, out) - both_out)[negative], 0.0).sum())
     return JointConnectivity(
         at_each,
@@ -322,7 +322,7 @@ def _both_out(
     deviation_db: NDArray[np.float64],
     covariance_db2: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return P(not connected at i and at j) for every pair; (h, h)."""
+    """Return P(disconnected at both i and j) for every pair; (h, h)."""
     certain = np.where(above_db >= 0.0, -np.inf, np.inf)
     score = np.divide(-above_db, deviation_db, out=certain, where=deviation_db > 0.0)
     scale = np.outer(deviation_db, deviation_db)
@@ -332,16 +332,16 @@ def _both_out(
 
 @dataclass(frozen=True, eq=False)
 class FirstPassage:
-    """The first connection along a path q_0 .. q_h of a robot that starts at q_0.
+    """Distribution of the first connection along a path q_0 .. q_h that starts at q_0.
 
     Attributes
     ----------
     travelled_m
-        ``(h + 1,)`` length of the path up to each place; the first is 0.
+        ``(h + 1,)`` path length up to each position; the first is 0.
     not_connected
-        ``(h + 1,)`` pi_k, the probability of no connection at q_1 .. q_k; the first is 1.
+        ``(h + 1,)`` probability pi_k of no connection at q_1 .. q_k; the first is 1.
     not_connected_error
-        ``(h + 1,)`` three standard errors; zero where exact.
+        ``(h + 1,)`` three standard errors of `not_connected`; zero if exact.
     """
 
     travelled_m: NDArray[np.float64]
@@ -352,17 +352,17 @@ class FirstPassage:
 
     @property
     def connected_by(self) -> NDArray[np.float64]:
-        """``(h + 1,)`` distribution function of the first passage, 1 - pi_k."""
+        """Distribution function of the first connection, 1 - pi_k; ``(h + 1,)``."""
         return 1.0 - self.not_connected
 
     @property
     def expected_distance_m(self) -> float:
-        """E[D] = sum_k leg_{k+1} pi_k: distance until connected, or to the path's end."""
+        """Expected distance to the first connection or the path's end, sum_k leg_{k+1} pi_k."""
         return float(np.diff(self.travelled_m) @ self.not_connected[:-1])
 
     @property
     def expected_distance_error_m(self) -> float:
-        """Error of :attr:`expected_distance_m` if the errors of pi_k all have one sign."""
+        """Error of :attr:`expected_distance_m` if all errors of pi_k have the same sign."""
         return float(np.diff(self.travelled_m) @ self.not_connected_error[:-1])
 
 
@@ -377,24 +377,24 @@ def first_passage(
 ) -> FirstPassage:
     """Return the distribution of the first connection along a path (equation 3.10).
 
-    pi_k = P(power < threshold at q_1 .. q_k) by the multivariate normal distribution. Independent
-    places would promise too much.
+    pi_k = P(power < threshold at q_1 .. q_k) by the multivariate normal distribution. Assuming
+    independent positions would be optimistic.
 
     Parameters
     ----------
     posterior
-        The channel conditional on measurements.
+        Channel conditional on measurements.
     positions_m
-        ``(h + 1, 2)`` metres, h >= 1; the robot starts at the first.
+        ``(h + 1, 2)`` positions in metres, h >= 1; the robot starts at the first.
     threshold_dbm
-        Least power of a connection.
+        Minimum power for a connection.
     generator
-        Source of randomness of the integration.
+        Random number generator of the integration.
     disconnected_now
-        Condition on no connection at the first place too. False if the measurements already say
-        so, or if the first place does not matter.
+        True to condition on no connection at the first position. False if the measurements
+        already include that, or if the first position does not matter.
     tolerance
-        Required accuracy of pi_k; the result has the accuracy reached.
+        Required accuracy of pi_k; the result contains the accuracy reached.
 
     Raises
     ------

@@ -1,11 +1,11 @@
-"""Power logs: CSV files with a header, columns found by name, and errors that name line and column.
+"""Reader of power logs: CSV files of positions and received powers, with columns found by name.
 
-Lines that start with ``#`` and empty lines are skipped, other columns are ignored, a byte order
-mark is tolerated.
+Lines that start with ``#``, empty lines and other columns are ignored. A byte order mark is
+accepted. Errors name the line and the column.
 
-Longitudes and latitudes become metres east and north of an origin: places on the ellipsoid WGS 84
-are projected at right angles onto the tangent plane there. Distances from the origin come out too
-short by their cube over six squared radii of the earth: 4 mm at 10 km, 4 m at 100 km.
+Longitudes and latitudes become metres east and north of an origin: positions on the WGS 84
+ellipsoid are projected orthogonally onto the tangent plane at the origin. A distance d from the
+origin comes out too short by d^3 / (6 R^2), R the earth's radius: 4 mm at 10 km, 4 m at 100 km.
 
 Rows belong to one group if all grouping columns agree: ``day`` for whole days, ``day,t_s:600``
 for blocks of 600 in the column ``t_s`` within each day.
@@ -30,51 +30,51 @@ from planopt.files.reading import read_text
 from planopt.keys import LARGEST_COORDINATE_M
 
 DEFAULT_COLUMNS = ("x_m", "y_m", "power_dbm")
-"""Names of the columns for x, y and power."""
+"""Default names of the columns for x, y and power."""
 
 LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
 
 RANGES_M = ((-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),) * 2
-"""Least and largest x and y in metres."""
+"""Range and unit of x and of y in metres."""
 
 RANGES_DEG = (
     (-LARGEST_LONGITUDE_DEG, LARGEST_LONGITUDE_DEG, "degrees"),
     (-LARGEST_LATITUDE_DEG, LARGEST_LATITUDE_DEG, "degrees"),
 )
-"""Least and largest longitude and latitude."""
+"""Range and unit of longitude and of latitude."""
 
 POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
 
 FLAGS = {"1": True, "true": True, "0": False, "false": False}
-"""Values of a column of flags, in any case."""
+"""Accepted flags, in lower case; upper case is accepted too."""
 
 
 @dataclass(frozen=True)
 class LogFormat:
-    """Columns, units and flags of a log.
+    """Columns, units and row filter of a power log.
 
     Attributes
     ----------
     columns
         Names of the columns for x (m), y (m) and power (dBm).
     censored_column
-        Column of flags, 1 or true where the power is only known to be at most the given one.
+        Name of a column of flags: 1 or true if the recorded power is only an upper limit.
     floor_dbm
-        The receiver's floor: powers at or below it are censored, and count as at most the floor.
+        Sensitivity floor of the receiver. Powers at or below it are left-censored at the floor.
     time_column
-        Column of times in seconds.
+        Name of the column of times in seconds.
     receiver_column
-        Column of the receivers' labels; the first label in the log is the reference.
+        Name of the column of receiver labels; the first label in the log is the reference.
     resolution_db
-        Step that all powers are rounded to; 0 for none.
+        Rounding step of all powers; 0 for none.
     position_std_m
-        Standard deviation of the error of either coordinate, of all positions.
+        Standard deviation of the position error per coordinate, the same for all positions.
     rows
-        Pairs of a column and a text: only rows that have all these texts count, such as those of
-        one of several transmitters.
+        Pairs of a column and a text. Only rows with all these texts are read, for example those of
+        one transmitter.
     origin_deg
-        Latitude and longitude of the place (0, 0). With it, the columns for x and y have
-        longitudes and latitudes in degrees (WGS 84), which become metres to the east and north.
+        Latitude and longitude of the origin (0, 0). If set, the columns for x and y contain
+        longitudes and latitudes in degrees (WGS 84), which become metres east and north.
     """
 
     columns: tuple[str, str, str] = DEFAULT_COLUMNS
@@ -89,7 +89,7 @@ class LogFormat:
 
 
 def parse_columns(text: str) -> tuple[str, str, str]:
-    """Read ``x=east,y=north,power=rssi``; what is not named keeps its default."""
+    """Parse column names such as ``x=east,y=north,power=rssi``; omitted ones keep the default."""
     remedy = "write x=NAME,y=NAME,power=NAME"
     names: dict[str, str] = dict(zip(("x", "y", "power"), DEFAULT_COLUMNS, strict=True))
     for part in text.split(","):
@@ -101,7 +101,7 @@ def parse_columns(text: str) -> tuple[str, str, str]:
 
 
 def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Read ``COLUMN=TEXT`` of each, as :class:`LogFormat` has them in `rows`."""
+    """Parse each ``COLUMN=TEXT`` to a pair for `rows` of :class:`LogFormat`."""
     pairs: list[tuple[str, str]] = []
     for text in texts:
         column, equals, value = (piece.strip() for piece in text.partition("="))
@@ -112,7 +112,7 @@ def parse_rows(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
 
 def parse_origin(text: str) -> tuple[float, float]:
-    """Read ``LAT,LON`` in degrees."""
+    """Parse ``LAT,LON`` in degrees."""
     try:
         latitude, longitude = (float(part) for part in text.split(","))
     except ValueError:
@@ -138,7 +138,7 @@ def east_north_m(
     latitude_deg: NDArray[np.float64],
     origin_deg: tuple[float, float],
 ) -> NDArray[np.float64]:
-    """Project places onto the plane that touches the earth at the origin."""
+    """Project positions onto the tangent plane at the origin; NaN beyond `FARTHEST_M`."""
     # Shapes: longitude_deg, latitude_deg (n,); returns (n, 2).
     latitude, longitude = np.radians(origin_deg)
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
@@ -159,7 +159,7 @@ def east_north_m(
 def _from_the_centre_m(
     longitude: NDArray[np.float64] | np.float64, latitude: NDArray[np.float64] | np.float64
 ) -> NDArray[np.float64]:
-    """Return places at height zero relative to the centre of the earth; ``(..., 3)``."""
+    """Return geocentric coordinates of positions at height zero; ``(..., 3)``."""
     squared_eccentricity = FLATTENING * (2.0 - FLATTENING)
     normal = EQUATOR_RADIUS_M / np.sqrt(1.0 - squared_eccentricity * np.sin(latitude) ** 2)
     return np.stack(
@@ -173,7 +173,7 @@ def _from_the_centre_m(
 
 
 def parse_station(text: str, origin_deg: tuple[float, float] | None = None) -> Station | None:
-    """Read ``X,Y[,HEIGHT]`` in metres, or ``LAT,LON[,HEIGHT]`` with an origin; None if unknown."""
+    """Parse ``X,Y[,HEIGHT]`` in metres, or ``LAT,LON[,HEIGHT]`` with an origin; None if unknown."""
     if text.strip().lower() == "unknown":
         return None
     form = "X,Y[,HEIGHT] in metres" if origin_deg is None else "LAT,LON[,HEIGHT] in degrees"
@@ -201,7 +201,7 @@ DEFAULT_FORMAT = LogFormat()
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of a log."""
+    """Cell of a log with its location in the file."""
 
     text: str
     file: Path
@@ -209,7 +209,7 @@ class Cell:
     column: str  # Name of its column
 
     def label(self) -> str:
-        """Return the text, which is not empty and can be printed."""
+        """Return the text, or raise an error if it is empty or not printable."""
         cell = self.text.strip()
         if not cell:
             raise self._error("the cell is empty", "fill it, or leave the row out")
@@ -219,10 +219,10 @@ class Cell:
         return cell
 
     def number(self) -> float:
-        """Return the finite number."""
+        """Return the cell as a finite number."""
         cell = self.label()
         try:
-            # Python would read 1_0 as 10.
+            # Python reads 1_0 as 10.
             number = math.nan if "_" in cell else float(cell)
         except ValueError:
             remedy = "write a number with a decimal point, such as -61.5"
@@ -233,7 +233,7 @@ class Cell:
         return number
 
     def flag(self) -> bool:
-        """Return the flag."""
+        """Return the cell as a flag."""
         flag = FLAGS.get(self.text.strip().lower())
         if flag is None:
             raise self._error(f"{self.text.strip()!r} is not a flag", "use 0 or 1")
@@ -245,20 +245,20 @@ class Cell:
 
 @dataclass(frozen=True)
 class PowerLog:
-    """The measurements of a log, in the order of its rows."""
+    """Measurements of a log, in the order of its rows."""
 
     measurements: Measurements
-    # Label of each receiver number, the reference first; empty without a column of labels
+    # Labels by receiver number, the reference first; empty without a receiver column
     receivers: tuple[str, ...]
 
 
 def read_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> Measurements:
-    """Return the measurements of :func:`read_power_log`."""
+    """Read the measurements of a power log; see :class:`LogFormat` for the options."""
     return read_power_log(path, log_format).measurements
 
 
 def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
-    """Read a power log."""
+    """Read the measurements and the receiver labels of a power log."""
     file = Path(path)
     numbered = [*log_format.columns]
     if log_format.time_column is not None:
@@ -308,7 +308,7 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
                 row=lines[afar[0]],
                 remedy="give an origin near the log; x is the longitude, y the latitude",
             )
-    # In the order of first appearance.
+    # Receivers are numbered by first appearance.
     number_of = {label: number for number, label in enumerate(dict.fromkeys(labels))}
     measurements = Measurements(
         positions_m,
@@ -325,7 +325,7 @@ def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> 
 def at_file_line(
     error: InputError, path: Path | str, log_format: LogFormat = DEFAULT_FORMAT
 ) -> InputError:
-    """Turn an error about a measurement of a log into one about the log's line."""
+    """Convert an error about a measurement's index into one about the log's line."""
     line = error.row
     if line is not None:
         line = [*_read_cells(Path(path), log_format.columns, log_format)][line][0].line
@@ -333,7 +333,7 @@ def at_file_line(
 
 
 def _read_cells(file: Path, columns: Sequence[str], log_format: LogFormat) -> Iterator[list[Cell]]:
-    """Yield the cells of columns of the rows that count."""
+    """Yield the cells of `columns` for each row that passes the format's filter."""
     rows = _rows(file)
     first = next(rows, None)
     if first is None:
@@ -375,7 +375,7 @@ def _read_cells(file: Path, columns: Sequence[str], log_format: LogFormat) -> It
 
 
 def _no_rows(file: Path, log_format: LogFormat) -> InputError:
-    """Return the error of a log without rows that count."""
+    """Return the error for a log without rows that pass the filter."""
     if not log_format.rows:
         return InputError(
             "the file has a header but no rows",
@@ -393,7 +393,7 @@ def _no_rows(file: Path, log_format: LogFormat) -> InputError:
 
 
 def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and cells of the header and of every row."""
+    """Yield the line number and the cells of the header and of every row."""
     text = read_text(file)
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         stripped = line.strip()
@@ -411,21 +411,20 @@ def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
 
 @dataclass(frozen=True)
 class GroupColumn:
-    """A grouping column."""
+    """Grouping column of a log."""
 
     name: str
-    # Numbers within one block of this length, counted from zero, are together; None where each text
-    # is a group
+    # Block length: numbers in one block, counted from zero, form a group; None: one group per text
     block: float | None = None
 
 
 def parse_groups(text: str) -> tuple[GroupColumn, ...]:
-    """Read ``COLUMN[:BLOCK][,...]``.
+    """Parse grouping columns ``COLUMN[:BLOCK][,...]``.
 
     Raises
     ------
     InputError
-        Not of that form, or a block is not positive.
+        The text does not have this form, or a block is not positive.
     """
     return tuple(_group_column(part) for part in text.split(","))
 
@@ -438,17 +437,17 @@ def read_groups(
     Parameters
     ----------
     path
-        The CSV file, as :func:`planopt.channel.power_log.read_log` reads it.
+        CSV file, as for :func:`planopt.channel.read_log`.
     columns
         Grouping columns; at least one.
     log_format
-        Says which rows count.
+        Format of the log, with its row filter.
 
     Raises
     ------
     InputError
-        The file cannot be read, a column is missing, a cell is empty, or one to be put in
-        a block is not a number.
+        The file cannot be read, a column is missing, a cell is empty, or a cell of a column with
+        blocks is not a number.
     """
     labels: dict[tuple[str | int, ...], int] = {}
     found: list[int] = []
@@ -463,7 +462,7 @@ def read_groups(
 
 
 def _group_column(text: str) -> GroupColumn:
-    """Read ``COLUMN`` or ``COLUMN:BLOCK``."""
+    """Parse ``COLUMN`` or ``COLUMN:BLOCK``."""
     name, colon, length = (part.strip() for part in text.partition(":"))
     if name and not colon:
         return GroupColumn(name)

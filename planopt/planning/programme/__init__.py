@@ -1,1 +1,1 @@
-"""Refining a path: nonlinear programmes, their solver and their residuals."""
+"""Refinement of paths: nonlinear programmes, their solvers and residuals."""

@@ -1,4 +1,4 @@
-"""The separating lines of an initial guess, and those that a refined path turned out to lack."""
+"""Separating lines of an initial guess, and additional lines for violations of a refined path."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from planopt.world.separation import (
 )
 
 LINE_REACH_STEPS = 2.0
-"""Pieces farther than this many longest steps from a segment get no line."""
+"""Convex pieces farther than this many longest steps from a segment get no line."""
 
 REPAIRS = 3
-"""Maximum number of refinements of a guess, each with the verifier's objections built in."""
+"""Maximum number of refinements of a guess, each with lines for the verified violations added."""
 
 MOVING_LINES = 3
-"""Maximum number of moving discs that each segment is kept from, the nearest ones."""
+"""Maximum number of moving discs, nearest first, that a segment is separated from."""
 
 
 def moving_count(discs: MovingDiscs) -> int:
-    """Return the number of lines of a segment for moving discs; they follow those of obstacles."""
+    """Return the number of lines per segment for moving discs; they follow those of obstacles."""
     return min(MOVING_LINES, len(discs))
 
 
@@ -41,7 +41,7 @@ def lines_about(
     problem: Problem,
     pieces: PackedPieces,
     discs: MovingDiscs,
-    path_m: NDArray[np.float64],  # (N + 1, 2) the guess, the robot's position first
+    path_m: NDArray[np.float64],  # (N + 1, 2) the robot's position, then the guess
     count: int,
 ) -> SeparatingLines:
     """Return `count` lines per segment from the nearest convex pieces and moving discs."""
@@ -59,7 +59,7 @@ def lines_with_violated(
     guess_m: NDArray[np.float64],
     path_m: NDArray[np.float64],
 ) -> SeparatingLines | None:
-    """Return the guess's lines with those that a path violates; None if it violates no others."""
+    """Return the guess's lines plus those that a path violates; None if it violates no others."""
     # Shapes: guess_m, path_m (N + 1, 2).
     standing = lines.piece.shape[1] - moving_count(discs)
     chosen = lines.piece[:, :standing].copy()
@@ -86,9 +86,9 @@ def _moving_lines(
     path_m: NDArray[np.float64],
     needed: NDArray[np.bool_] | None = None,
 ) -> SeparatingLines:
-    """Return the lines of a path from the nearest moving discs, and from those that are needed."""
+    """Return the lines of a path from the nearest moving discs and from the required ones."""
     reach = LINE_REACH_STEPS * problem.step_length_m
-    # The position of the robot within a step is uncertain by this pad.
+    # The pad covers the robot's uncertain position within a step.
     pad_m = problem.robots[0].dynamics.timed_pad_m(problem.planner.step_s)
     clearance, count = problem.constraints.clearance_m, moving_count(discs)
     return moving_lines(discs, path_m, clearance, count, reach, needed, pad_m)
@@ -97,7 +97,7 @@ def _moving_lines(
 def _discs_met(
     discs: MovingDiscs, chosen: NDArray[np.int64], path_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return the discs that a path comes too near to in steps without a line from them; (m, N)."""
+    """Return the discs that a path approaches too closely in steps without their line; (m, N)."""
     if not len(discs):
         return np.zeros((0, len(path_m) - 1), dtype=np.bool_)
     apart = discs.apart_m[:, : len(path_m) - 1]

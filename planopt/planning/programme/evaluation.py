@@ -1,6 +1,6 @@
-"""Objective value, connectivity margins and bounded sum of one path, with exact derivatives.
+"""Objective value, connectivity margins and bounded sum of a path, with exact derivatives.
 
-The margin of a stage is ``mean - z_p deviation - threshold`` in dB (equation 3.2).
+The margin of a stage is ``mean - z_p * standard deviation - threshold`` in dB (equation 3.2).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def margins_of(
     threshold_dbm: float,
     z: float | NDArray[np.float64],
 ) -> Derivatives:
-    """Return the margin in dB of every stage; z is one number or ``(N,)``."""
+    """Return the margin in dB of every stage; z is a scalar or ``(N,)``."""
     rows = mean.rows - np.reshape(z, (-1, 1)) * deviation.rows
     rows[:, 0] -= threshold_dbm
     return Derivatives.of(rows)
@@ -28,32 +28,32 @@ def margins_of(
 
 @dataclass(frozen=True)
 class PathValue:
-    """A scalar function of a path of N steps, with derivatives by its positions."""
+    """Value and derivatives of a scalar function of a path of N steps."""
 
     value: float
     gradient: NDArray[np.float64]  # (N, 2)
-    # (N, 3), xx, xy and yy of each stage, if stagewise. (7 N - 4,) if a chain: these, and xx, xy,
+    # (N, 3), xx, xy and yy of each stage, if stagewise. (7 N - 4,) for a chain: these, then xx, xy,
     # yx and yy between each stage and the next. Else (2 N, 2 N).
     hessian: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The objective value of one path, and the margins or the sum that are bounded."""
+    """Objective value of one path, and its bounded margins or sum."""
 
     value: PathValue
-    margins: Derivatives | None  # Of the N stages
-    total: PathValue | None = None  # A sum over stages, its Hessian (N, 3)
+    margins: Derivatives | None  # Margins of the N stages
+    total: PathValue | None = None  # Sum over stages with Hessian (N, 3)
 
 
 EvaluatePath = Callable[[NDArray[np.float64]], Evaluation]
-"""From positions (N, 2) to their evaluation."""
+"""Function from positions (N, 2) to their evaluation."""
 
 
 def remembering(evaluate: EvaluatePath) -> EvaluatePath:
-    """Return `evaluate` with a cache of one path.
+    """Return `evaluate` with a cache for the last path.
 
-    A solver requests value, rows and their derivatives at the same point in separate calls.
+    Solvers request value, rows and derivatives at the same point in separate calls.
     """
     key, last = b"", None
 
@@ -68,13 +68,13 @@ def remembering(evaluate: EvaluatePath) -> EvaluatePath:
 
 
 class ValueSource:
-    """The evaluation that the callbacks of a built solver read; each solve sets its own."""
+    """Evaluation that the callbacks of a built solver read; each solve sets its own."""
 
     def __init__(self) -> None:
         self._evaluate: EvaluatePath | None = None
 
     def use(self, evaluate: EvaluatePath) -> None:
-        """Evaluate this function from now on, each point once."""
+        """Set the evaluation function and clear its cache."""
         self._evaluate = remembering(evaluate)
 
     def __call__(self, flat: NDArray[np.float64]) -> Evaluation:

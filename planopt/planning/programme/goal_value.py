@@ -1,12 +1,12 @@
-"""The cost of reaching a goal over N steps, with derivatives: the value that a solver maximises.
+"""Cost of reaching a goal over N steps, with derivatives; the solver maximises its negative.
 
-With h the duration of a step, w the weight of effort, Phi the normal distribution and
-l_k = |q_k - q_{k-1}|, rounded at zero, a path of a single integrator costs::
+With step duration h, effort weight w, standard normal distribution Phi and smoothed step length
+l_k = |q_k - q_{k-1}|, a path of a single integrator costs::
 
     w / h sum l_k^2 + rate |q_N - pivot| + price sum l_k (c_{k-1} + c_k) / 2
 
-where ``c_k = charged_k (1 - Phi(score_k(q_k)))`` is the share of a metre that the outage price is
-charged on. The value is minus this cost; it couples each stage with the next.
+where ``c_k = charged_k (1 - Phi(score_k(q_k)))`` is the fraction of a metre to which the outage
+price applies. This cost couples each stage with the next.
 
 For a robot with dynamics, state x_k = (q_k, r_k), resting position s(x_k) and turning time
 turning(x_k, pivot), the cost is written symbolically::
@@ -14,11 +14,11 @@ turning(x_k, pivot), the cost is written symbolically::
     effort sum |q_k - q_{k-1}|^2
         + sum c_k (rate |s(x_k) - pivot| + braking |s(x_k) - q_k| + turning(x_k, pivot))
 
-c_N is 1, for the route beyond the horizon. If the pivot is reached within the horizon, every step
-pays in addition; otherwise arriving late would be free. The distance counts from the resting
-position, so that the robot brakes as late as possible. Braking pays the outage price up to the
-resting position; otherwise a robot would postpone expensive parts beyond the horizon again and
-again.
+c_N is 1, for the route beyond the horizon. If the pivot is reachable within the horizon, every step
+pays for the remaining distance; otherwise arriving late would be free. The distance is measured
+from the resting position, so that the robot brakes as late as possible. The outage price applies up
+to the resting position; otherwise a robot would repeatedly postpone expensive parts beyond the
+horizon.
 """
 
 from __future__ import annotations
@@ -38,33 +38,33 @@ from planopt.robots.dynamics import Components
 from planopt.targets.rounding import Derivatives, add_products
 
 PIVOT_ROUNDING_M, STEP_ROUNDING_M = 1e-2, 1e-2
-"""Rounding widths of the distance to the pivot and of step lengths, for gradients at zero."""
+"""Smoothing widths of the distance to the pivot and of step lengths, for gradients at zero."""
 
 
 DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
-"""Normal density at zero."""
+"""Standard normal density at zero."""
 
 
 @dataclass(frozen=True)
 class OutagePrice:
-    """The price of being out of contact along a path."""
+    """Price of being out of contact along a path."""
 
-    price_s_m: float  # Of a metre that is certainly out of contact
-    share_before: float  # Share of a metre that is charged at the start
-    # (N,) the same after each step, were that certainly out of contact
+    price_s_m: float  # Cost of a metre that is certainly out of contact
+    share_before: float  # Charged fraction of a metre at the start
+    # (N,) charged fraction after each step if that is certainly out of contact
     charged: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class GoalValue:
-    """Value of paths of a single integrator to a goal, and their connectivity margins."""
+    """Objective of a single integrator's path to a goal, with connectivity margins."""
 
-    start_m: NDArray[np.float64]  # (2,) where the robot is
-    pivot_m: NDArray[np.float64]  # (2,) the last position is drawn to it
-    effort_s_m2: float  # Cost of squared step length, and of a metre beyond the horizon
+    start_m: NDArray[np.float64]  # (2,) position of the robot
+    pivot_m: NDArray[np.float64]  # (2,) target of the last position
+    effort_s_m2: float  # Cost per squared step length, and per metre beyond the horizon
     rate_s_m: float
     outage: OutagePrice
-    # Connectivity margin of each stage by position, and the normal score of its connection
+    # Function from positions to each stage's connectivity margin and normal score of its connection
     margins: Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]
 
     def __call__(self, places_m: NDArray[np.float64]) -> Evaluation:
@@ -79,7 +79,7 @@ class GoalValue:
         steps[1:] -= places_m[:-1]
         squares = np.einsum("ij,ij->i", steps, steps)
         lengths = np.sqrt(squares + STEP_ROUNDING_M**2)
-        # Of the charged share of a metre after each step, with slopes by score and place.
+        # Charged fraction of a metre after each step, with derivatives by score and position.
         z = score.value
         share = outage.charged * ndtr(-z)
         by_score = outage.charged * np.exp(-0.5 * z * z) * -DENSITY
@@ -111,7 +111,7 @@ class GoalValue:
         add_products(own, turn, share_slope)
         own[-1, ::2] += self.rate_s_m / away
         own[-1] -= self.rate_s_m / away**3 * _square(to_pivot)
-        # Between each stage and the next.
+        # Coupling between each stage and the next.
         on = half * along[1:]
         across = share_slope[:-1, :, None] * on[:, None] - on[:, :, None] * share_slope[1:, None]
         across = across.reshape(-1, 4) - step_bend[1:, [0, 1, 1, 2]]
@@ -125,24 +125,24 @@ def _square(a: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 ROUNDING_STEPS = 0.01
-"""Rounding of the distance to the pivot of a robot with dynamics, in longest steps."""
+"""Smoothing width of a robot with dynamics' distance to the pivot, in longest steps."""
 
 PARAMETERS = 7
-"""Number of parameters of a charge."""
+"""Number of parameters of `GoalCharge`."""
 
 
 @dataclass(frozen=True)
 class GoalCharge:
-    """The parameters of the cost."""
+    """Parameters of the goal cost of a robot with dynamics."""
 
     pivot_m: NDArray[np.float64]  # (2,)
-    # Cost of squared step length, of a metre beyond the horizon, and of a metre driven before it
-    # comes to stand
+    # Cost per squared step length, per metre beyond the horizon, and per metre of the braking
+    # distance
     effort_s_m2: float
     rate_s_m: float
     braking_s_m: float
-    each_step: float  # What c_k is besides, for every k: 0 where the pivot is not come to
-    rounding_m: float  # Of the distance to the pivot
+    each_step: float  # Added to every c_k; 0 if the pivot is unreachable
+    rounding_m: float  # Smoothing width of the distance to the pivot
 
     @property
     def numbers(self) -> NDArray[np.float64]:
@@ -152,7 +152,7 @@ class GoalCharge:
 
 
 def goal_cost_s(shape: MotionShape, q: Any, w: Any, start: Components, charge: Any) -> Any:
-    """Return the cost of positions `q` and variables `w`."""
+    """Return the symbolic goal cost of positions `q` and variables `w`."""
     pivot = (charge[0], charge[1])
     effort, rate, braking, each_step, rounding = (charge[i] for i in range(2, PARAMETERS))
     before, cost = start, 0.0

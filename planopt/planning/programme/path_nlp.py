@@ -1,7 +1,7 @@
 # pyright: basic
-"""The nonlinear programme over N steps, for any smooth value of a path.
+"""Nonlinear programme over N steps, for any smooth objective of a path.
 
-Variables are the positions q_1..q_N, with a slack s_k of each stage's connectivity bound::
+The variables are the positions q_1..q_N and a slack s_k of each stage's connectivity bound::
 
     max   scale * (value(q_1, ..., q_N) - cost) - slack_weight sum s_k
     s.t.  |q_k - q_{k-1}|^2 <= L^2                   k = 1..N             "speed"
@@ -12,18 +12,18 @@ Variables are the positions q_1..q_N, with a slack s_k of each stage's connectiv
 
 L is the longest step. The separating lines (n, b, a) are fixed from the initial guess and applied
 to both ends of a segment, so that the whole segment is clear; b and a differ for a moving obstacle.
-There are rows of margins, one row of a total (a sum over stages), or none. The total's slack t is
-in dB, c is the change of the total per dB. The cost is that of a goal for a robot with dynamics
-(:mod:`planopt.planning.programme.goal_value`); its variables and rows are those of
-:mod:`planopt.planning.programme.path_rows`, after the positions and before "connectivity".
+The connectivity rows are margins, or one total (a sum over stages), or none. The total's slack t is
+in dB; c is the change of the total per dB. The cost applies to a goal of a robot with dynamics
+(:mod:`planopt.planning.programme.goal_value`); its variables and rows
+(:mod:`planopt.planning.programme.path_rows`) follow the positions and precede "connectivity".
 
-Value v, margins m and total w come by callbacks with exact gradients (dv, dm, dw) and the nonzero
-entries of their Hessians (hv, hm, hw): margins by callbacks take a fifth of the time of their
-symbolic form. All else is symbolic. The parameters are ``head`` (start, scale, slack weight, c),
-the lines, and those of the robot's dynamics and its goal.
+Value v, margins m and total w are callbacks with exact gradients (dv, dm, dw) and the nonzero
+entries of their Hessians (hv, hm, hw); margin callbacks take a fifth of the time of their symbolic
+form. Everything else is symbolic. The parameters are ``head`` (start, scale, slack weight, c), the
+lines, and those of the robot's dynamics and its goal.
 
-A solver is built once per structure and reused; every call sets guess, bounds and parameters anew
-and passes no multipliers on. CasADi has no usable type stubs, hence the looser type checking.
+A solver is built once per structure and reused; each call sets guess, bounds and parameters and
+passes on no multipliers. CasADi has no usable type stubs, hence the looser type checking.
 """
 
 from __future__ import annotations
@@ -49,21 +49,21 @@ from planopt.planning.programme.solver import (
 )
 
 Method = Literal["ipopt", "scp"]
-"""Interior points, or sequential convex programming."""
+"""Interior-point method, or sequential convex programming."""
 
 METHODS: dict[str, Method] = {"auto": "ipopt", "nlp": "ipopt", "scp": "scp"}
-"""The method of each planner that refines; the others do not."""
+"""Solution method of each planner that refines its guesses."""
 
 CURVATURE: dict[Structure, Callable[[int], int]] = {
     "stagewise": lambda n: 3 * n,
     "chain": lambda n: 7 * n - 4,
     "full": lambda n: 4 * n * n,
 }
-"""Number of entries of the Hessian of a value over N stages."""
+"""Number of Hessian entries of a value over N stages."""
 
 
 class PathCallback(ca.Callback):
-    """A NumPy function of the flattened positions (2 N,) as a CasADi function."""
+    """NumPy function of the flattened positions (2 N,) as a CasADi function."""
 
     def __init__(
         self,
@@ -78,15 +78,15 @@ class PathCallback(ca.Callback):
         self.construct(name, {})
 
     def get_sparsity_in(self, _index: int) -> Any:
-        """Return the positions' sparsity: dense."""
+        """Return the dense sparsity of the positions."""
         return ca.Sparsity.dense(self._sizes[0], 1)
 
     def get_sparsity_out(self, _index: int) -> Any:
-        """Return the numbers' sparsity: dense."""
+        """Return the dense sparsity of the result."""
         return ca.Sparsity.dense(self._sizes[1], 1)
 
     def has_eval_buffer(self) -> bool:
-        """Read and write numbers in place: ten times faster than as CasADi matrices."""
+        """Return True: buffers are ten times faster than CasADi matrices."""
         return True
 
     def eval_buffer(self, arguments: Any, results: Any) -> int:
@@ -130,13 +130,13 @@ def curvature(entries: Any, n: int, structure: Structure) -> Any:
 
 @dataclass(frozen=True)
 class PathNlp:
-    """A built solver."""
+    """Solver built for one structure."""
 
     shape: PathShape
-    source: ValueSource  # Where its value and margins come from
+    source: ValueSource  # Source of its value and margins
     functions: NlpFunctions
     solve: SolveNlp
-    callbacks: tuple[PathCallback, ...]  # Kept so that they live as long as the solver
+    callbacks: tuple[PathCallback, ...]  # Referenced so that they live as long as the solver
 
 
 NEAR_START: dict[str, Any] = {
@@ -155,12 +155,12 @@ NEAR_START: dict[str, Any] = {
     "ipopt.mumps_scaling": 0,
     "ipopt.max_iter": 80,
 }
-"""Options for guesses that keep all rows and lie near the best path.
+"""Options for guesses that satisfy all rows and lie near the optimum.
 
-With IPOPT's own barrier, which first drives the iterates to the middle, one long solve in ten does
-not return (40 steps). Least squares for the first multipliers, scaling (the value comes scaled),
-refinement of well conditioned steps and a check of their residuals cost a fifth of the time and
-gain nothing. Second-order corrections, and smaller reductions of the step, cost a fifth of the
+With IPOPT's default barrier, which first moves the iterates to the interior, one in ten long solves
+(40 steps) does not return. Least-squares initial multipliers, scaling (the value is already
+scaled), refinement of well-conditioned steps and their residual check take a fifth of the time
+without benefit. Second-order corrections and smaller step reductions take a fifth of the
 evaluations. The few solves that need more than 30 iterations may gain most."""
 
 DRIVEN: dict[str, Any] = {
@@ -169,8 +169,8 @@ DRIVEN: dict[str, Any] = {
     "ipopt.max_soc": 4,
     "ipopt.alpha_red_factor": 0.5,
 }
-"""Options for a robot with dynamics, whose guess is far from the best drive: plans of
-harbour_track, 20 steps ahead, gain a quarter over `NEAR_START` (8 seeds)."""
+"""Options for a robot with dynamics, whose guess is far from the optimum: 20-step plans of
+harbour_track gain a quarter over `NEAR_START` (8 seeds)."""
 
 SETTLED: dict[str, Any] = {
     "ipopt.acceptable_iter": 1,
@@ -180,26 +180,26 @@ SETTLED: dict[str, Any] = {
     "ipopt.acceptable_dual_inf_tol": 0.5,
     "ipopt.acceptable_compl_inf_tol": 0.5,
 }
-"""Accept a path that keeps all rows and gained less than this share in an iteration: the remaining
-gain is 0.05 % in the mean, and costs every third iteration. After an iteration that the line search
-cut short the multipliers are far off, and the solver goes on."""
+"""Accept a path that satisfies all rows and gained less than this fraction in an iteration. This
+forgoes 0.05 % in the mean and saves every third iteration. After an iteration that the line search
+shortened, the multipliers are inaccurate and the solver continues."""
 
 DRIVEN_SETTLED: dict[str, Any] = SETTLED | {
     "ipopt.acceptable_iter": 2,
     "ipopt.acceptable_obj_change_tol": 3e-4,
 }
-"""The same with dynamics, where single iterations far from the best gain little."""
+"""The same with dynamics, where single iterations far from the optimum gain little."""
 
 
 GOAL: dict[str, Any] = {"ipopt.tol": 1e-5, "ipopt.max_soc": 0}
-"""Options for the cost of a goal. With second-order corrections IPOPT cycled at the rounded kink
-of a pivot within reach in 14 of 180 straight tasks, without in none."""
+"""Options for a goal cost. With second-order corrections IPOPT cycled at the smoothed kink of a
+reachable pivot in 14 of 180 straight tasks, without them in none."""
 
 
 def near_start(shape: PathShape, *, until_settled: bool = False) -> dict[str, Any]:
-    """Return the options for refining a guess near the best path.
+    """Return the options for refining a guess near the optimum.
 
-    With `until_settled` a solve ends where the value has `SETTLED`, which need not be a KKT point.
+    With `until_settled` a solve ends when the value has `SETTLED`, possibly before a KKT point.
     """
     settled = SETTLED if shape.motion is None else DRIVEN_SETTLED
     driven = {} if shape.motion is None else DRIVEN
@@ -214,7 +214,7 @@ def build_path_nlp(
 ) -> PathNlp:
     """Build the programme of a structure.
 
-    A solve ends after `budget_s` seconds, if given. `options` are IPOPT's; None for
+    A solve ends after `budget_s` seconds, if given. `options` are IPOPT's; None means
     :func:`near_start`.
     """
     n, source = shape.horizon, ValueSource()
@@ -241,9 +241,9 @@ def build_path_nlp(
 def _solve_by(
     method: Method, solver: Any, functions: NlpFunctions, shape: PathShape, budget_s: float | None
 ) -> SolveNlp:
-    """Return the call of IPOPT, or of sequential convex programming with its functions."""
+    """Return the solve function of IPOPT, or of sequential convex programming."""
     if method == "scp":
-        # Clarabel is not needed by other planners.
+        # Imported here because only this planner needs Clarabel.
         from planopt.planning.programme.scp import scp_solve
 
         return scp_solve(functions, shape, budget_s)
@@ -253,7 +253,7 @@ def _solve_by(
 def _exact_solver(
     shape: PathShape, callbacks: dict[str, list[PathCallback]], options: dict[str, Any]
 ) -> Any:
-    """Build IPOPT with exact derivatives, those of the callbacks included."""
+    """Build IPOPT with exact derivatives, including those of the callbacks."""
     n, slacks, driven, motion = shape.horizon, shape.slacks, shape.driven, shape.motion
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", slacks)
     driving = ca.SX.sym("driving", driven)
@@ -309,7 +309,7 @@ def _exact_solver(
     by_f, by_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", lam.numel())
     upper = ca.Function("h", [x, p, lam_f, lam, hv, hm, hw], [ca.triu(hessian)])
     h = upper(X, P, by_f, by_g, V[2], M[2], W[2])
-    # The solver reads only derivatives from these two; values would be computed for nothing.
+    # The solver reads only derivatives of these two functions; their values are not needed.
     no_f, no_g = ca.MX.nan(1), ca.MX.nan(g.numel())
     derivatives = {
         "grad_f": ca.Function("nlp_grad_f", [X, P], [no_f, df], ["x", "p"], ["f", "grad_f_x"]),

@@ -1,4 +1,4 @@
-"""Refine an initial guess for any smooth value: same homotopy class, continuous positions."""
+"""Refinement of an initial guess for any smooth value, within its homotopy class."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from planopt.world.separation import SeparatingLines
 
 @dataclass(frozen=True, eq=False)
 class MotionTask:
-    """The initial guess of a robot with dynamics."""
+    """Initial guess of a robot with dynamics."""
 
     shape: MotionShape
-    drive: Drive  # Along the guess, from the robot's state on
-    stop_lines: SeparatingLines  # Separating lines of braking after it, of one segment
+    drive: Drive  # Drive along the guess, from the robot's state
+    stop_lines: SeparatingLines  # Separating lines of the subsequent braking segment
 
 
 @dataclass(frozen=True)
 class RefinedPath:
-    """The result of a refinement, not yet verified."""
+    """Result of a refinement, not yet verified."""
 
     path_m: NDArray[np.float64]  # (N, 2)
-    slack_db: NDArray[np.float64]  # (N,) missing dB
+    slack_db: NDArray[np.float64]  # (N,) shortfall
     termination: Termination
     iterations: int
-    kkt_residual: float  # Unscaled
-    # By name: speed (N,), line_end (N, lines), line_start (N - 1, lines), connectivity (N,)
+    kkt_residual: float  # KKT residual of the unscaled programme
+    # By row name: speed (N,), line_end (N, lines), line_start (N - 1, lines), connectivity (N,)
     multipliers: dict[str, NDArray[np.float64]]
-    inputs: NDArray[np.float64] | None = None  # (N, m) of a robot with dynamics
+    inputs: NDArray[np.float64] | None = None  # (N, m) inputs of a robot with dynamics
 
 
 @dataclass(frozen=True)
 class PathTask:
-    """The data of one refinement."""
+    """Data of one refinement."""
 
     start_m: NDArray[np.float64]  # (2,) the robot's position
     path_m: NDArray[np.float64]  # (N, 2) the guess
@@ -51,19 +51,19 @@ class PathTask:
     clearance_m: float
     step_length_m: float
     bounds_m: tuple[float, float, float, float]  # The workspace (x_min, y_min, x_max, y_max)
-    evaluate: EvaluatePath  # Value and margins by path
-    scale: float  # Factor of the value in the solver, whose tolerances are absolute
-    # (N,) lower bounds of the margins, or None where no connectivity is bounded
+    evaluate: EvaluatePath  # Function from a path to its value and margins
+    scale: float  # Factor of the value, as solver tolerances are absolute
+    # (N,) lower bounds of the margins; None if connectivity is unbounded
     bound_db: NDArray[np.float64] | None = None
-    # (N,) upper limits of the missing dB, zero for a hard bound; (1,) of a total
+    # (N,) upper bounds of the slack in dB, zero for a hard bound; (1,) for a total
     slack_limit_db: NDArray[np.float64] | None = None
-    slack_weight: float = 0.0  # Cost of a missing dB
+    slack_weight: float = 0.0  # Cost per dB of slack
     total_bound: float | None = None  # Lower bound of the sum over stages
-    total_per_db: float = 0.0  # Change of the sum by a dB of slack
+    total_per_db: float = 0.0  # Change of the sum per dB of slack
     motion: MotionTask | None = None  # None for the single integrator
-    charge: GoalCharge | None = None  # Cost of the goal; None without
-    # Step (1..N) from which on the guess and the refined path stand still; None if it moves to
-    # its end
+    charge: GoalCharge | None = None  # Goal cost; None without a goal
+    # Step (1..N) from which guess and refined path stay at their end; None if the path moves until
+    # its last step
     arrival: int | None = None
 
 
@@ -126,7 +126,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
 
 
 def _position_bounds(task: PathTask, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the workspace's bounds (2 N,); after the arrival positions are those of the guess."""
+    """Return position bounds (2 N,): the workspace, or the guess's positions after arrival."""
     x_min, y_min, x_max, y_max = task.bounds_m
     lower, upper = np.tile([x_min, y_min], n), np.tile([x_max, y_max], n)
     if task.arrival is not None:
@@ -136,7 +136,7 @@ def _position_bounds(task: PathTask, n: int) -> tuple[NDArray[np.float64], NDArr
 
 
 def _missing_db(task: PathTask, bound: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the slack that the guess needs."""
+    """Return the slack that the guess requires."""
     at = task.evaluate(task.path_m)
     if at.margins is not None:
         return np.maximum(bound - at.margins.value, 0.0)
@@ -152,11 +152,11 @@ def _residual(
     variable_bounds: Bounds,
     row_bounds: Bounds,
 ) -> float:
-    """Return the KKT residual at a point; infinite where it is not finite."""
+    """Return the KKT residual at a point; infinite if it is not finite."""
     at = np.concatenate([point.positions_m.ravel(), point.others])
     if not (np.isfinite(at).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")
-    nlp.source(point.positions_m)  # CasADi would hide an error of a user's own term.
+    nlp.source(point.positions_m)  # CasADi would hide an exception of a user-defined term.
     gradient, jacobian = nlp.functions.slopes(at, parameters)
     return kkt_residual(
         gradient,
@@ -173,7 +173,7 @@ def _residual(
 def _named_multipliers(
     rows: NDArray[np.float64], shape: PathShape
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the multipliers of the geometric rows and of connectivity by name."""
+    """Return the multipliers of the geometric and connectivity rows by name."""
     n, lines = shape.horizon, shape.lines
     speed, line_end, line_start = np.split(
         rows[: n * (1 + 2 * lines) - lines], [n, n * (1 + lines)]

@@ -1,10 +1,10 @@
 # pyright: basic
-"""Structure of the path programme and its rows, as expressions of CasADi or numbers of NumPy.
+"""Structure and rows of the path programme, as CasADi expressions or NumPy arrays.
 
 The rows of a single integrator are those of :mod:`planopt.planning.programme.path_nlp`. A robot
-with dynamics has variables w besides the positions q: for each step the remaining components r_k of
-the state x_k = (q_k, r_k) and the input u_k. Its rows, with c_ki the control points of a step's
-curve and lines (n, b)::
+with dynamics has variables w in addition to the positions q: for each step the remaining components
+r_k of the state x_k = (q_k, r_k) and the input u_k. Its rows, with control points c_ki of a step's
+curve and lines (n, b), are::
 
     step(x_{k-1}, u_k) - x_k   = 0     k = 1..N            "defect"
     limits(u_k, x_k)          <= 0     k = 1..N            "limit"
@@ -12,9 +12,9 @@ curve and lines (n, b)::
     n_kj . c_ki               >= b_kji k = 1..N, all i, j  "line_way"
     c_ki within the workspace          k = 1..N, all i     "box"
 
-A line of a moving obstacle has another offset at each control point: the I - 1 points of a curve
-belong to equal parts of the step, b_kji = (1 - i / I) a_kj + i / I b_kj. Braking after the last
-step is one more step, with lines of its own.
+A line of a moving obstacle has its own offset at each control point: the I - 1 points of a curve
+are equally spaced in time, b_kji = (1 - i / I) a_kj + i / I b_kj. Braking after the last step is
+one additional step with its own lines.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from planopt.robots.dynamics import Components, Drive, Dynamics
 
 @dataclass(frozen=True)
 class MotionShape:
-    """The structure of the rows of a robot's dynamics."""
+    """Structure of the rows of a robot's dynamics."""
 
     dynamics: Dynamics
     step_s: float  # Duration of a step
     horizon: int
-    lines: int  # Separating lines of a segment
+    lines: int  # Separating lines per segment
 
     @property
     def rest(self) -> int:
-        """Return the number of components of the state besides the position."""
+        """Return the number of state components besides the position."""
         return len(self.dynamics.state_names) - 2
 
     @property
     def per_step(self) -> int:
-        """Return the number of variables of a step."""
+        """Return the number of variables per step."""
         return self.rest + len(self.dynamics.input_names)
 
     @property
@@ -56,7 +56,7 @@ class MotionShape:
 
     @property
     def parameters(self) -> int:
-        """Return the number of parameters: the rest of the first state, the lines of braking."""
+        """Return the number of parameters: remaining initial state and lines of braking."""
         return self.rest + 4 * self.lines
 
     def variables_of(self, drive: Drive) -> NDArray[np.float64]:
@@ -70,22 +70,22 @@ class MotionShape:
 
 @dataclass(frozen=True)
 class PathShape:
-    """The structure of a programme over a path.
+    """Structure of a programme over a path.
 
     Attributes
     ----------
     horizon, lines
-        N, and separating lines of a segment.
+            Horizon N, and number of separating lines per segment.
     structure
-        Which stages the value couples.
+            Coupling of the stages by the value.
     bounded, summed
-        Whether connectivity is bounded at stages, or a sum over them is; not both.
+            Whether each stage's connectivity or a sum over stages is bounded; not both.
     motion
         Structure of the rows of the robot's dynamics; None for the single integrator.
     charged
-        Whether the cost of a goal is subtracted, of a robot with dynamics.
+            Whether a goal cost is subtracted, for a robot with dynamics.
     slacked
-        Whether slacks may violate the bounds on connectivity.
+            Whether slacks may relax the connectivity bounds.
     """
 
     horizon: int
@@ -99,12 +99,12 @@ class PathShape:
 
     @property
     def bounds(self) -> int:
-        """Return the number of rows that bound connectivity: of each stage, or of the sum."""
+        """Return the number of connectivity rows: one per stage, or one for the sum."""
         return self.horizon if self.bounded else int(self.summed)
 
     @property
     def slacks(self) -> int:
-        """Return the number of slacks, one for each such row if any."""
+        """Return the number of slacks: one per connectivity row, if any."""
         return self.bounds if self.slacked else 0
 
     @property
@@ -114,14 +114,14 @@ class PathShape:
 
     @property
     def variables(self) -> int:
-        """Return the number of all variables: positions, slacks, those of the dynamics."""
+        """Return the number of all variables: positions, slacks, and those of the dynamics."""
         return 2 * self.horizon + self.slacks + self.driven
 
     @property
     def per_m(self) -> NDArray[np.float64]:
-        """Return how far each variable may change for a metre of a position, in a trust region.
+        """Return the trust-region width of each variable per metre of a position; ``(variables,)``.
 
-        Infinite for slacks and inputs, which follow from the rest; ``(variables,)``.
+        The width is infinite for slacks and inputs, which follow from the other variables.
         """
         places, slacks = np.ones(2 * self.horizon), np.full(self.slacks, np.inf)
         if self.motion is None:
@@ -149,7 +149,7 @@ def path_rows(n: int, lines: int, q: Any, start: Any, line: Any) -> Any:
 
 @dataclass(frozen=True)
 class MotionRows:
-    """The rows by name, each a list of expressions or of numbers."""
+    """Rows by name, each a list of expressions or numbers."""
 
     defect: list[Any]
     limit: list[Any]
@@ -159,7 +159,7 @@ class MotionRows:
     box_y: list[Any]
 
     def stacked(self) -> list[Any]:
-        """Return all rows, in this order."""
+        """Return all rows in the order of the fields."""
         return [row for each in fields(self) for row in getattr(self, each.name)]
 
     def bounds(

@@ -1,22 +1,22 @@
-"""Sequential convex programming: the same programmes as IPOPT's, by convex steps in a trust region.
+"""Sequential convex programming: solves IPOPT's programmes by convex steps in a trust region.
 
-Speeds, and discs of inputs and states, are kept as second-order cones; every other row is
-linearised and may be missed at a price (exact penalty), so that a step always exists; the curvature
-of the Lagrangian is made positive semidefinite. A step is taken for what it brings of what the
-model predicted (trust region and penalty as in section 18.5 of [NW06]).
+Speed limits, and discs of inputs and states, are exact second-order cones. Every other row is
+linearised and may be violated at an exact penalty, so that a step always exists. The Hessian of the
+Lagrangian is projected to a positive semidefinite matrix. A step is accepted by its achieved share
+of the predicted decrease (trust region and penalty as in section 18.5 of [NW06]).
 
-Each convex step is solved by Clarabel. About a point x with rows g, their Jacobian J, the
-objective's gradient c and a positive semidefinite B, over the step d and what is missing, t >= 0,
-of each row that is missed at x::
+Clarabel solves each convex step. About a point x with rows g, Jacobian J, objective gradient c and
+a positive semidefinite B, the variables are the step d and the violation t >= 0 of each row that x
+violates::
 
     min   c.d + d'B d / 2 + penalty sum t
-    s.t.  lower - t <= g + J d <= upper + t        rows but the cones
+    s.t.  lower - t <= g + J d <= upper + t        all rows except cones
           |z_k + dz_k| <= R_k                      cones: pairs z_k of variables or of differences
           lowest <= d <= highest
 
-Cones are convex as they are and not linearised: a row weight |z|^2 + constant <= upper, with z a
-pair of variables less another pair or a parameter, is the cone |z| <= radius. Where lowest and
-highest are equal they are zero: these variables stay.
+A cone row weight |z|^2 + constant <= upper, with z a pair of variables minus another pair or a
+parameter, becomes |z| <= radius without linearisation. Variables with lowest = highest = 0 are
+fixed.
 """
 
 from __future__ import annotations
@@ -42,42 +42,42 @@ from planopt.planning.programme.solver import (
 )
 
 NO_VARIABLE = -1
-"""Stands for no column."""
+"""Placeholder for a missing column index."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConeRows:
-    """The rows of a programme that are cones."""
+    """Rows of a programme that are second-order cones."""
 
-    row: NDArray[np.intp]  # (k,) their numbers
-    # (k, 2) columns of the pairs of z, and of those that are taken from it; `NO_VARIABLE` where
-    # that is none
+    row: NDArray[np.intp]  # (k,) row indices
+    # (k, 2) column indices of the pairs in z, and of the subtracted pairs; `NO_VARIABLE` if there
+    # is none
     own: NDArray[np.intp]
     less: NDArray[np.intp]
-    weight: NDArray[np.float64]  # (k,) of the row
+    weight: NDArray[np.float64]  # (k,) weight of the row
     constant: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.row)
 
     def pairs(self, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return z (k, 2) from the rows' Jacobian (m, n): their gradients are 2 weight z."""
+        """Return z (k, 2) from the rows' Jacobian (m, n), whose rows are 2 weight z."""
         return jacobian[self.row[:, None], self.own] / (2.0 * self.weight[:, None])
 
     def radii(self, upper: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the largest |z| (k,) under upper bounds (m,) of all rows."""
+        """Return the largest |z| (k,) for upper bounds (m,) of all rows."""
         return np.sqrt((upper[self.row] - self.constant) / self.weight)
 
 
 def step_cones(horizon: int) -> ConeRows:
-    """Return the cones of a path's steps, whose squared lengths are the first rows."""
+    """Return the cones of a path's steps; their squared lengths are the first rows."""
     own = [(2 * k, 2 * k + 1) for k in range(horizon)]
     less = [(NO_VARIABLE, NO_VARIABLE), *own[:-1]]
     return _rows(list(range(horizon)), own, less, [1.0] * horizon, [0.0] * horizon)
 
 
 def motion_cones(shape: PathShape) -> ConeRows:
-    """Return the cones of inputs and velocities that lie in discs."""
+    """Return the cones of inputs and velocities that are bounded by discs."""
     motion = shape.motion
     if motion is None:
         return _rows([], [], [], [], [])
@@ -115,7 +115,7 @@ def _rows(
 
 
 CLARABEL: Any = clarabel
-"""The solver, which has no type stubs."""
+"""Clarabel module, untyped because it has no type stubs."""
 
 TERMINATIONS: dict[str, Termination] = {
     "Solved": Termination.CONVERGED,
@@ -131,18 +131,18 @@ TERMINATIONS: dict[str, Termination] = {
     "CallbackTerminated": Termination.STOPPED,
     "Unsolved": Termination.NUMERICAL_FAILURE,
 }
-"""Every status of Clarabel."""
+"""Termination for every status of Clarabel."""
 
 BIG = 1e12
 """Replaces infinite limits in sums."""
 
 USABLE = (Termination.CONVERGED, Termination.ACCEPTABLE)
-"""Terminations after which a step is tested by its gain."""
+"""Terminations after which the merit function tests the step."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """The convex model of a programme at a point."""
+    """Convex model of a programme at a point."""
 
     rows: NDArray[np.float64]
     jacobian: NDArray[np.float64]
@@ -157,10 +157,10 @@ class Model:
 
 @dataclass(frozen=True)
 class Step:
-    """A step and the multipliers of the rows and of the bounds on it.
+    """Step, with multipliers of the rows and of its bounds.
 
-    Multipliers are positive at upper bounds and negative at lower ones; those of cones belong to
-    the squared form.
+    Multipliers are positive at upper bounds and negative at lower ones; those of cones refer to the
+    squared form.
     """
 
     step: NDArray[np.float64]
@@ -170,7 +170,7 @@ class Step:
 
     @property
     def usable(self) -> bool:
-        """Return whether the step may be probed."""
+        """Return whether the step may be tested."""
         return self.termination in USABLE
 
 
@@ -180,7 +180,7 @@ def convex_step(model: Model) -> Step:
     plain = np.delete(np.arange(len(model.rows)), cones.row)
     jacobian, values = model.jacobian[plain], model.rows[plain]
     lower, upper = model.row_bounds.lower[plain], model.row_bounds.upper[plain]
-    # Rows that no step can violate are left out, as are fixed variables.
+    # Fixed variables, and rows that no step can violate, are omitted.
     moving = model.lowest < model.highest
     farthest = np.where(moving, np.maximum(-model.lowest, model.highest), 0.0)
     change = np.abs(jacobian) @ np.minimum(farthest, BIG)
@@ -248,7 +248,7 @@ def convex_step(model: Model) -> Step:
 def _cone_block(
     model: Model, missing: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Cones (R_k, z_k + dz_k)."""
+    """Return the cone block (R_k, z_k + dz_k)."""
     cones, count = model.cones, len(model.cones)
     every = np.arange(count)
     block, bounds = np.zeros((count, 3, len(model.gradient))), np.zeros((count, 3))
@@ -272,22 +272,22 @@ FIRST_PENALTY, LARGEST_PENALTY = 1e2, 1e6
 """First and largest penalty of a violated row."""
 
 PENALTY_FACTOR = 10.0
-"""Growth of the penalty while rows are violated."""
+"""Growth factor of the penalty while rows are violated."""
 
 TAKEN_SHARE, GOOD_SHARE = 0.1, 0.75
-"""Shares of the predicted gain from which on a step is accepted, and the region grows."""
+"""Shares of the predicted gain from which a step is accepted, and from which the region grows."""
 
 SHRINK, GROW = 0.25, 2.0
-"""Factors of the region."""
+"""Factors of the trust-region radius after poor and good steps."""
 
 PROMISE_TOLERANCE = 1e-6
-"""Relative predicted gain at convergence."""
+"""Relative predicted gain at which a solve has converged."""
 
 ROW_TOLERANCE = 1e-6
-"""Tolerance of the rows, as IPOPT's."""
+"""Tolerance of the rows, equal to IPOPT's."""
 
 SMALLEST_REGION = 1e-7
-"""Region at convergence, in longest steps."""
+"""Trust-region radius at which a solve has converged, in longest steps."""
 
 
 def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None = None) -> SolveNlp:
@@ -323,7 +323,7 @@ def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None 
 
 
 class _Climb:
-    """One solve."""
+    """State of one solve."""
 
     def __init__(
         self,
@@ -345,7 +345,7 @@ class _Climb:
         self._penalty = FIRST_PENALTY
 
     def run(self, start: NDArray[np.float64], until: float) -> NlpPoint:
-        """Step until the model predicts no gain, or until a time of `perf_counter`."""
+        """Iterate until the model predicts no gain, or until a time of `perf_counter`."""
         x = np.clip(start, self._variable_bounds.lower, self._variable_bounds.upper)
         value, rows = self._at(x)
         last = Step(np.zeros(len(x)), np.zeros(len(rows)), np.zeros(len(x)), Termination.STOPPED)
@@ -405,7 +405,7 @@ class _Climb:
     def _corrected(
         self, model: Model, step: NDArray[np.float64], rows: NDArray[np.float64]
     ) -> Step:
-        """Return the step with second-order correction of the rows (Nocedal and Wright 18.3)."""
+        """Return the step with second-order correction of the rows (section 18.3 of [NW06])."""
         there = rows - model.jacobian @ step
         there[self._cones.row] = model.rows[self._cones.row]
         return convex_step(replace(model, rows=there))
@@ -414,7 +414,7 @@ class _Climb:
         return self._functions.values(x, self._parameters)
 
     def _excess(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return by how much each row but the cones violates its bounds."""
+        """Return the violation of each row's bounds, cones excluded."""
         lower, upper = self._row_bounds.lower, self._row_bounds.upper
         return np.delete(np.maximum(np.maximum(lower - rows, rows - upper), 0.0), self._cones.row)
 

@@ -1,4 +1,4 @@
-"""Points of a nonlinear programme, its functions, its KKT residual, and one call of IPOPT.
+"""Interface to solvers: points and functions of a nonlinear programme, KKT residual, IPOPT call.
 
 Sign convention: with rows g between bounds and variables x between bounds,
 ``grad f + J' lambda_g + lambda_x = 0``; multipliers are positive at an active upper bound and
@@ -29,10 +29,10 @@ class Bounds:
 
 @dataclass(frozen=True)
 class NlpPoint:
-    """The point that a solver returned."""
+    """Point returned by a solver, with its multipliers and status."""
 
     positions_m: NDArray[np.float64]  # (N, 2)
-    others: NDArray[np.float64]  # Slacks in dB, then the variables of the dynamics
+    others: NDArray[np.float64]  # Slacks in dB, then variables of the dynamics
     row_multipliers: NDArray[np.float64]
     variable_multipliers: NDArray[np.float64]
     termination: Termination
@@ -60,30 +60,30 @@ def nlp_point(
 
 
 def lost_point(horizon: int, variables: int, rows: int) -> NlpPoint:
-    """Return the point of NaN of a solve that could not begin."""
+    """Return a point of NaN for a solve that could not begin."""
     nothing = np.full(variables, np.nan)
     failure = Termination.NUMERICAL_FAILURE
     return nlp_point(horizon, nothing, np.full(rows, np.nan), nothing, failure, 0)
 
 
 SolveNlp = Callable[[Point, Point, Bounds, Bounds], NlpPoint]
-"""From a guess, parameters, and bounds of variables and of rows, in the programme's order."""
+"""Solve function of guess, parameters, variable bounds and row bounds, in the programme's order."""
 
 
 @dataclass(frozen=True)
 class NlpFunctions:
-    """Functions of variables x, parameters p and multipliers of the rows."""
+    """Functions of variables x, parameters p and row multipliers."""
 
-    # (x, p) to the objective (minimised), and to all rows
+    # (x, p) to the objective (minimised) and all rows
     values: Callable[[Point, Point], tuple[float, Point]]
-    # (x, p) to the gradient of the objective, and to the Jacobian of the rows
+    # (x, p) to the objective's gradient and the rows' Jacobian
     slopes: Callable[[Point, Point], tuple[Point, Point]]
     # (x, p, multipliers) to the Hessian of objective + multipliers . rows
     hessian: Callable[[Point, Point, Point], Point]
 
 
 def nlp_functions(solver: Any) -> NlpFunctions:
-    """Return the functions that a CasADi solver was built with."""
+    """Return the functions of a built CasADi solver."""
     f, g, df, dg, h = (
         solver.get_function(name)
         for name in ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
@@ -103,7 +103,7 @@ def nlp_functions(solver: Any) -> NlpFunctions:
 
 
 def _dense(matrix: Any) -> NDArray[np.float64]:
-    """Return a CasADi matrix as an array, five times faster than its own method for large ones."""
+    """Return a CasADi matrix as an array; for large ones five times faster than its method."""
     found = np.zeros(matrix.shape)
     rows, columns = matrix.sparsity().get_triplet()
     found[rows, columns] = matrix.nonzeros()
@@ -122,7 +122,7 @@ def kkt_residual(
 ) -> float:
     """Return the largest of stationarity, violation, wrong sign and complementarity, unscaled.
 
-    Infinite where any of them is not a number.
+    The residual is infinite if any of these is NaN.
     """
     free = variable_bounds.lower < variable_bounds.upper
     stationarity = gradient + jacobian.T @ row_multipliers + variable_multipliers
@@ -133,16 +133,16 @@ def kkt_residual(
     ):
         below, above = value - bounds.lower, bounds.upper - value
         parts += [np.maximum(-below, 0.0), np.maximum(-above, 0.0)]
-        # A multiplier may only push against the bound that it touches.
+        # A multiplier may only act against its active bound.
         parts += [np.maximum(multiplier, 0.0) * _gap(above)]
         parts += [np.maximum(-multiplier, 0.0) * _gap(below)]
-    # NumPy's maximum: Python's would lose a NaN, and a point without a residual would look exact.
+    # NumPy's maximum keeps a NaN; Python's would lose it and report an exact point.
     worst = float(np.concatenate(parts).max(initial=0.0))
     return worst if np.isfinite(worst) else float("inf")
 
 
 def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance to a bound; 1 for a missing bound, so that 0 * inf is no NaN."""
+    """Return the distance to a bound; 1 for an infinite bound, because 0 * inf is NaN."""
     return np.where(np.isfinite(distance), np.abs(distance), 1.0)
 
 
@@ -168,11 +168,11 @@ TERMINATIONS: dict[str, Termination] = {
     "Insufficient_Memory": Termination.NUMERICAL_FAILURE,
     "Internal_Error": Termination.NUMERICAL_FAILURE,
 }
-"""Every status that IPOPT's interface defines."""
+"""Termination for every status of IPOPT's interface."""
 
 
 def termination_of(return_status: str) -> Termination:
-    """Map a raw status of IPOPT; an unknown one is a numerical failure."""
+    """Map a raw IPOPT status; an unknown status is a numerical failure."""
     return TERMINATIONS.get(return_status, Termination.NUMERICAL_FAILURE)
 
 
@@ -190,7 +190,7 @@ OPTIONS: dict[str, Any] = {
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 100,
 }
-"""Options of every solver. Acceptable points are off: their constraint tolerance is 1e-2."""
+"""Options of every solver; acceptable points are off because their constraint tolerance is 1e-2."""
 
 
 def call_nlp(
@@ -201,7 +201,7 @@ def call_nlp(
     variable_bounds: Bounds,
     row_bounds: Bounds,
 ) -> NlpPoint:
-    """Solve once with a built CasADi solver; input that CasADi refuses returns a point of NaN.
+    """Solve once with a built CasADi solver; return a point of NaN if CasADi rejects the input.
 
     The raw status is mapped because `unified_return_status` hides infeasible and NaN, and `success`
     includes acceptable points.

@@ -1,7 +1,7 @@
-"""Paths along the lattice, pulled taut and timed.
+"""Lattice paths, pulled taut and sampled in time.
 
-Separating lines belong to segments, so a guess that passes a corner a step late keeps its
-refinement late too. Sampled again at cruising speed (:func:`retime`) it passes the corner in time.
+Separating lines belong to segments, so that a guess that passes a corner one step late stays late
+in refinement. Sampling at cruising speed (:func:`retime`) lets it pass the corner in time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from planopt.world.clearance import segments_clear
 from planopt.world.lattice import REACH_TOLERANCE_M, CostToGo, lattice_paths, route_from
 
 STRAIGHT_SHARE = 1e-9
-"""Legs turn if their directions differ by more than this."""
+"""Least difference of two legs' directions that counts as a turn."""
 
 
 class PathsFrom:
@@ -44,12 +44,12 @@ class PathsFrom:
             self.length_m = self._ways.cost_m + float(lengths[nearest])
 
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether the straight line to each position (n, 2) is clear."""
+        """Return whether the straight line to each position (n, 2) is collision-free."""
         starts = np.broadcast_to(self._position_m, places_m.shape)
         return segments_clear(self._ground.index, starts, places_m, self._wanted_m)
 
     def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the turns (m, 2) of the path to a position (2,) next to `node`, with both ends."""
+        """Return the turns (m, 2) of the path to a position (2,) next to `node`, ends included."""
         if self._ways is None:
             raise AssertionError("no node is reachable")
         nodes = route_from(self._ground.road_map, self._ways, node, math.inf)[::-1]
@@ -63,9 +63,9 @@ def taut_turns(
     corners_m: NDArray[np.float64],  # (n, 2)
     is_cheap: Callable[[int], NDArray[np.bool_]] | None = None,
 ) -> NDArray[np.float64]:
-    """Return the turns (m, 2) of a path pulled taut: each sees the next, the farthest possible.
+    """Return the turns (m, 2) of a taut path: each turn is the farthest one visible from the last.
 
-    `is_cheap` says from a corner's number which legs to later corners cost no more than the path.
+    `is_cheap` maps a corner's index to a mask of the later corners with a cheap straight leg.
     """
     turns, last = [corners_m[0]], 0
     while last < len(corners_m) - 1:
@@ -75,14 +75,14 @@ def taut_turns(
         if is_cheap is not None:
             allowed &= is_cheap(last)
         seen = np.flatnonzero(allowed)
-        # The next corner is a move away, whatever its clearance and cost.
+        # The next corner is one move away and needs no test of clearance or cost.
         last += 1 + (int(seen[-1]) if len(seen) else 0)
         turns.append(corners_m[last])
     return np.array(turns)
 
 
 def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.float64]:
-    """Return stops (s, 2) at every turn of the path through `corners_m` (n, 2), and between."""
+    """Return stops (s, 2) at every turn of the path through `corners_m` (n, 2), and in between."""
     legs = np.diff(corners_m, axis=0)
     length = np.linalg.norm(legs, axis=1)
     corners = corners_m[np.concatenate([[True], length > 0.0])]
@@ -98,8 +98,8 @@ def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.
 
 
 def retime(
-    start_m: NDArray[np.float64],  # (2,) where the robot is
-    path_m: NDArray[np.float64],  # (N, 2) its path; where it stands still at its end it has arrived
+    start_m: NDArray[np.float64],  # (2,) position of the robot
+    path_m: NDArray[np.float64],  # (N, 2) its path; final waiting steps mean arrival
     beyond_m: NDArray[np.float64],  # (b, 2)
     step_m: float,
 ) -> NDArray[np.float64]:
@@ -113,7 +113,7 @@ def retime(
     total = float(travelled[-1])
     if total == 0.0:
         return path_m
-    # A lattice path of n longest moves is n steps long but for rounding, and takes n steps.
+    # Up to rounding, a lattice path of n longest moves takes n steps.
     steps = max(int(np.ceil((total - REACH_TOLERANCE_M) / step_m)), 1)
     if steps <= horizon:
         step_m = total / steps

@@ -1,4 +1,4 @@
-"""Refine initial guesses into verified candidates, for sums of terms and for goals."""
+"""Refinement of initial guesses into verified candidates, for sums of terms and for goals."""
 
 from __future__ import annotations
 
@@ -73,9 +73,9 @@ def lines_of_guess(
     drive: Drive | None,
     count: int,
 ) -> tuple[SeparatingLines, SeparatingLines | None]:
-    """Return `count` lines per segment of a guess (N + 1, 2), and those of standing after it.
+    """Return `count` lines per segment of a guess (N + 1, 2), and lines for waiting after it.
 
-    The second are from discs that move after the plan; None without.
+    The second value is for discs that move after the plan; None if there are none.
     """
     horizon = len(path_m) - 1
     tail = tail_count(discs, horizon)
@@ -115,20 +115,20 @@ def candidate_of(
 
 
 LINES_PER_SEGMENT = 2
-"""Number of convex pieces that each segment is kept from; the verifier checks all."""
+"""Number of convex pieces that each segment is separated from; the verifier checks all."""
 
 ALLOCATIONS = 6
-"""Maximum number of refinements that redistribute the risk of all steps together."""
+"""Maximum number of refinements that redistribute the total risk over the steps."""
 
 VALUE_IN_SOLVER = 10.0
-"""The guess's value in the solver, whose tolerances are absolute."""
+"""Scaled value of the guess in the solver, whose tolerances are absolute."""
 
 RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
-"""Terminations after which another solve may begin at the returned point."""
+"""Terminations after which another solve may start from the returned point."""
 
 
 class GuessRefinement:
-    """Refines guesses for sums of terms; keeps the solvers that it has built."""
+    """Refinement of guesses for sums of terms; caches the built solvers."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -203,7 +203,7 @@ class GuessRefinement:
             lattice = judge.sense * guess.value
             candidate = candidate_of(judge, point, rung, lattice, spent_s, drive)
             if lacks(context, rows, point, firmly=attempt == 0):
-                # The local model was wrong, and a verification would be expensive.
+                # The local model was inaccurate, and a verification would be expensive.
                 found.append(candidate)
                 if budget.spent or point.termination not in RETURNED:
                     return found
@@ -237,7 +237,7 @@ class GuessRefinement:
     def _repaired(
         self, task: PathTask, context: StepContext, candidate: Candidate
     ) -> PathTask | None:
-        """Return the task with the lines that a path violates; None if there are none."""
+        """Return the task with lines for the path's violations; None if there are none."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
         discs = context.moving
@@ -262,7 +262,7 @@ class GuessRefinement:
     def _about(
         self, task: PathTask, context: StepContext, path_m: NDArray[np.float64], drive: Drive
     ) -> PathTask:
-        """Return the task that begins with a drive, with lines about its curve and its braking."""
+        """Return the task that starts from a drive, with lines about its curve and braking path."""
         if task.motion is None:
             raise AssertionError("a single integrator has no drive")
         problem = self._problem
@@ -275,19 +275,19 @@ class GuessRefinement:
 
 
 def _counted(problem: Problem, guess: Guess) -> float:
-    """Return the value that scales the solver's; of a goal, the time of all steps."""
+    """Return the value that scales the solver's objective; for a goal, the horizon in seconds."""
     return guess.value if guess.charge is None else problem.planner.step_s * len(guess.path_m)
 
 
 def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:
-    """Return the task that begins with a drive; unchanged for the single integrator."""
+    """Return the task that starts from a drive; unchanged for the single integrator."""
     if task.motion is None or drive is None:
         return task
     return replace(task, motion=replace(task.motion, drive=drive))
 
 
 class GoalRefinement:
-    """Refines the guesses of one step to a goal, in the order of the fallbacks."""
+    """Refinement of one step's guesses to a goal, in the order of the fallbacks."""
 
     def __init__(
         self,
@@ -313,9 +313,9 @@ class GoalRefinement:
         self._rows = None if rows_of is None else rows_of(start.path_m)
 
     def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
-        """Yield verified candidates, best guess first, each with the effort since the last.
+        """Yield verified candidates, best guess first, each with the effort since the last one.
 
-        The last plan, shifted, is the better guess if it arrives sooner than the lattice path.
+        The shifted last plan is the better guess if it arrives sooner than the lattice path.
         """
         starts: list[tuple[NDArray[np.float64], Rung]] = (
             [(self._start.path_m, Rung.RELAXED)]
@@ -338,7 +338,7 @@ class GoalRefinement:
                 yield candidate
 
     def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the shifted last plan with a last step towards the pivot."""
+        """Return the shifted last plan, with its last step towards the pivot."""
         problem, before = self._judge.problem, shifted_m[-1]
         to_pivot = self._ahead.leading(before).position_m - before
         away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
@@ -357,7 +357,7 @@ class GoalRefinement:
         return retime(self._judge.position_m, self._start.path_m, self._start.beyond_m, step)
 
     def _sooner(self, candidate: Candidate) -> Candidate | None:
-        """Return a candidate that arrives in fewer steps; None if the path is too long for it."""
+        """Return a candidate that arrives in fewer steps; None if the path is too long."""
         problem = self._judge.problem
         path = np.vstack([self._judge.position_m, candidate.path_m])
         away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
@@ -381,9 +381,9 @@ class GoalRefinement:
         return better if better.verdict is Verdict.VERIFIED and is_better else None
 
     def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
-        """Yield refinements of a path, each with the verifier's objections built in.
+        """Yield refinements of a path, each with lines for the verified violations added.
 
-        A step that keeps the bound in the guess keeps it. With `rung` RELAXED a step below is free.
+        Steps that meet the bound in the guess must keep it; with `rung` RELAXED others are free.
         """
         if self._budget.spent:
             return
@@ -391,12 +391,12 @@ class GoalRefinement:
         task = self._task(path_m)
         exact = self._start_margins(path_m)
         local = _margins_at(task, path_m)
-        # An optimistic error of the local model raises its bound.
+        # If the local model is optimistic, its bound is raised by the error.
         wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
         begun = perf_counter()
         iterations = 0
         free = (exact < 0.0) & (rung is Rung.RELAXED)
-        # A guess that keeps the bound stays feasible.
+        # A guess that meets the bound must stay feasible.
         bound = np.where(exact >= 0.0, np.minimum(wanted, local), wanted)
         bound[free] = -np.inf
         for _ in range(REPAIRS):
@@ -437,8 +437,8 @@ class GoalRefinement:
         )
         goal = np.asarray(problem.goal_m)
         at_goal = np.linalg.norm(path_m[-1] - goal) <= problem.constraints.goal_radius_m
-        # A guess that stands still at its end has arrived, at the goal or where it waits; spread
-        # over the whole horizon, its refinement would never arrive.
+        # A guess that waits at its end has arrived, at the goal or a waiting position; spread over
+        # the whole horizon, its refinement would never arrive.
         standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
         arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
         dwells = at_goal or arrival < len(path_m) - 1
@@ -464,7 +464,7 @@ class GoalRefinement:
         )
 
     def _dearest_metre(self, path_m: NDArray[np.float64]) -> float:
-        """Return the largest cost of a metre along a path: a lower rate would not pay for it."""
+        """Return the largest cost per metre along a path; a lower rate would not pay for it."""
         return float(self._cost.metre_costs(path_m).max())
 
     def _outage(self, path_m: NDArray[np.float64]) -> OutagePrice:
@@ -476,7 +476,7 @@ class GoalRefinement:
     def _margins_about(
         self, path_m: NDArray[np.float64]
     ) -> Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]:
-        """Return margins and scores given the measurements nearest to each stage of a path."""
+        """Return margins and scores from the measurements nearest to each stage of a path."""
         problem = self._judge.problem
         predict_stages = stage_predictor(
             self._judge.context.law,
@@ -508,11 +508,11 @@ class GoalRefinement:
             self._rows = self._rows_of(path_m)
 
     def _margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Return the margins of the rows; infinite at steps without a bound."""
+        """Return the margins of the rows; infinite at unconstrained steps."""
         return self._judge.margins_db(power) if self._rows is None else self._rows.margins_db(power)
 
     def _asked(self, bound_db: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the bounds of the steps that have one, minus infinity at others."""
+        """Return the bounds of the constrained steps, minus infinity at others."""
         return bound_db if self._rows is None else np.where(self._rows.asked, bound_db, -np.inf)
 
     def _judged(
@@ -520,7 +520,7 @@ class GoalRefinement:
     ) -> Candidate:
         candidate = candidate_of(self._judge, refined, rung, self._lattice_objective, solve_s)
         judged = self._judge.judged(replace(candidate, iterations=iterations))
-        # The refined path may keep the bound that the guess misses.
+        # The refined path may meet a bound that the guess misses.
         met_after_all = rung is Rung.RELAXED and not judged.relaxes
         return replace(judged, rung=Rung.PLAN) if met_after_all else judged
 

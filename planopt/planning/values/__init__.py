@@ -1,1 +1,1 @@
-"""The objective value of a path, by all terms."""
+"""Objective value of a path as a sum of terms, and the step context."""

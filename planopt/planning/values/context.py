@@ -1,13 +1,13 @@
-"""The context of one planning step: belief, state, target, steering, other robots' plans.
+"""Context of one planning step: belief, state, target, steering, other robots' plans.
 
-Robots of a team plan one after the other. Each knows the plans made before its own, and where the
-others have been. Their measurements count as made, with the predicted power as their value: that
-changes no mean, and reduces variances exactly as a real measurement would, because variances do not
-depend on the value. The information of a path given that of the others is then
+The robots of a team plan in sequence, knowing the earlier plans of the step and the others' past
+positions. The others' future measurements are treated as made, with the predicted power as value:
+this changes no mean and reduces variances exactly as real measurements would, because variances do
+not depend on measured values. The conditional information of a path given the others' paths is then
 
     F(path | others) = F(path and others) - F(others),
 
-so that the values of all robots, each given those before it, add up to that of the team.
+so that the conditional values of all robots add up to that of the team.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 
 MOST_DRIVEN = 256
-"""Maximum number of places visited by other robots that count, the nearest ones: farther ones have
-no influence on reachable places."""
+"""Maximum number of positions visited by other robots that are used, nearest first; farther ones
+do not affect reachable positions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """Positions where the other robots measure."""
+    """Positions at which the other robots measure."""
 
-    # (N, 2) each: the places after each step of the plans that count
+    # Positions (N, 2) after each step of every plan that is taken into account
     planned_m: tuple[NDArray[np.float64], ...] = ()
-    # (k, 2) where the others have been after the steps of the run so far
+    # (k, 2) the others' positions after each past step of the run
     driven_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
 
@@ -54,10 +54,10 @@ NOTHING_PENDING = Pending()
 def anticipated(
     posteriors: Sequence[ChannelPosterior],
     pending: Pending,
-    position_m: NDArray[np.float64],  # (2,) where the robot is
+    position_m: NDArray[np.float64],  # (2,) position of the robot
     spacing_m: float,
 ) -> tuple[ChannelPosterior, ...]:
-    """Return the belief of each station's channel once the others' measurements are known."""
+    """Return the belief of each station's channel given the others' measurements."""
     away = np.linalg.norm(pending.driven_m - position_m, axis=1)
     near = np.sort(np.argsort(away, kind="stable")[:MOST_DRIVEN])
     places = np.vstack([pending.driven_m[near], *pending.planned_m])
@@ -70,20 +70,20 @@ def anticipated(
 
 
 def places_of_others(driven_m: Sequence[NDArray[np.float64]], number: int) -> NDArray[np.float64]:
-    """Return the places (k, 2) of all robots but `number`, robot after robot."""
+    """Return the positions (k, 2) of all robots except `number`, in robot order."""
     others = [places for other, places in enumerate(driven_m) if other != number]
     return np.vstack([np.zeros((0, 2)), *others])
 
 
 def counts_others(problem: Problem) -> bool:
-    """Return whether a term counts the measurements of other robots of the team."""
+    """Return whether any term depends on the measurements of other robots of the team."""
     return problem.planner.coordination == "joint" and any(
         explores(term) or term.probes_end for term in problem.terms
     )
 
 
 def shares_places(problem: Problem) -> bool:
-    """Return whether a measurement or probe at one place changes the value of places near it."""
+    """Return whether a measurement or probe changes the value of positions nearby."""
     return any(term.is_measured or term.steers == "connection" for term in problem.terms)
 
 
@@ -96,10 +96,10 @@ def structure_of(problem: Problem) -> Structure:
 
 
 def bends_guesses(problem: Problem, *, steered: bool = True) -> bool:
-    """Return whether paths in all directions are tried besides those of the lattice.
+    """Return whether the search adds a fan of paths in all directions to the lattice paths.
 
-    That is so for terms that couple the places of a path, unless they have paths of their own: to
-    places tried, or along the path that the robot is `steered` along.
+    A fan serves terms that couple the positions of a path, unless they propose their own paths: to
+    probed positions, or along the path that the robot is `steered` along.
     """
     return any(
         term.structure == "full" and not term.probes_end and not (steered and term.steers)
@@ -108,7 +108,7 @@ def bends_guesses(problem: Problem, *, steered: bool = True) -> bool:
 
 
 def target_model(problem: Problem) -> TargetModel:
-    """Constant velocity but for white acceleration, alike along both axes; there is a target."""
+    """Return the constant-velocity model with isotropic white acceleration; requires a target."""
     deviation = problem.targets[0].acceleration_std_m_s2
     return TargetModel(problem.planner.step_s, deviation**2 * np.eye(2))
 
@@ -117,22 +117,22 @@ def target_model(problem: Problem) -> TargetModel:
 class Aim:
     """External inputs of one plan's objective."""
 
-    # (N, 2) where the target was expected at the end of each step; None without target
+    # (N, 2) expected target position at the end of each step; None without a target
     target_m: NDArray[np.float64] | None = None
-    # (m, 2) the way that the two-layer form steered along: where the robot was, where the way
-    # turns, and its end; None if it did not steer
+    # (m, 2) path of the two-layer steering: the robot's position, turns, and end; None without
+    # steering
     steering_turns_m: NDArray[np.float64] | None = None
-    # (4, 4) J_{t|t} of the station's filter then; None without target
+    # (4, 4) J_{t|t} of the station's filter at that time; None without a target
     information: NDArray[np.float64] | None = None
-    pending: Pending = NOTHING_PENDING  # Where the other robots measure, as the plan counts it
-    # What the robot holds of the target and the station does not know, where packets have estimates
+    pending: Pending = NOTHING_PENDING  # Positions at which the other robots measure
+    # The robot's unsent target measurements if packets carry estimates; otherwise None
     held: Held | None = None
 
 
 Made = TypeVar("Made")
 
 if TYPE_CHECKING:
-    # What a term may read is a protocol of properties; a cached one counts as such only by name.
+    # Protocols of term inputs require properties; type checkers know cached ones only by name.
     cached_property = property
 else:
     from functools import cached_property
@@ -140,17 +140,17 @@ else:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StepContext(VerifierContext):
-    """Everything that the objective value of a path depends on."""
+    """All inputs on which the objective value of a path depends."""
 
-    # (N, 2) where the target is expected at the end of each step; None without target
+    # (N, 2) expected target position at the end of each step; None without a target
     target_m: NDArray[np.float64] | None = None
-    region: Region  # Where the map is wanted, for the terms that average it
-    # The path that the robot is steered along; None if nothing steers, or leads nowhere
+    region: Region  # Region of the map, for terms that average over it
+    # The steering path; None if no steering is active or no target of it is reachable
     steering: SteeringWay | None = None
-    # (4, 4) J_{t|t}, what the station's filter knows; None without target
+    # (4, 4) J_{t|t} of the station's filter; None without a target
     information: NDArray[np.float64] | None = None
-    pending: Pending = NOTHING_PENDING  # Where the other robots measure
-    held: Held | None = None  # The robot's unsent target measurements, where packets have estimates
+    pending: Pending = NOTHING_PENDING  # Positions at which the other robots measure
+    held: Held | None = None  # Unsent target measurements if packets carry estimates
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -160,7 +160,7 @@ class StepContext(VerifierContext):
     _made: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any], init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return the result of `make`, called once for each key: terms keep their settings here."""
+        """Return the result of `make`, computed once per key; terms cache their constants here."""
         if key not in self._made:
             self._made[key] = make()
         return cast("Made", self._made[key])
@@ -172,29 +172,29 @@ class StepContext(VerifierContext):
 
     @property
     def step_length_m(self) -> float:
-        """Length of the longest step."""
+        """Maximum length of a step."""
         return self.problem.step_length_m
 
     @property
     def standstill_m(self) -> float:
-        """Steps up to this length count as standing."""
+        """Maximum length of a step that counts as waiting."""
         return STANDSTILL_M
 
     @property
     def thresholds_dbm(self) -> tuple[float, ...]:
-        """Power from which on each station is connected."""
+        """Power thresholds of connection, one per station."""
         return tuple(radio.threshold_dbm for radio in self.problem.stations)
 
     @property
     def target_motion(self) -> TargetModel:
-        """Return how the target moves."""
+        """Return the motion model of the target."""
         return target_model(self.problem)
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the prediction of searches at `places_m` (n, 2), made once for each place.
+        """Return the search's power prediction at `places_m` (n, 2), cached by position.
 
-        From many measurements on it is approximate, and depends a little on the places that are
-        predicted together; a released plan is valued by itself.
+        With many measurements the prediction is approximate and depends slightly on the positions
+        that are predicted together; released plans are evaluated separately.
         """
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
         new = {
@@ -210,20 +210,20 @@ class StepContext(VerifierContext):
         return Prediction(both[:, 0], both[:, 1])
 
     def soon(self, places_m: NDArray[np.float64]) -> None:
-        """Predict `places_m` (n, 2) together with the next new places, which is faster."""
+        """Schedule `places_m` (n, 2) for joint prediction with the next new positions (faster)."""
         for place in np.asarray(places_m, dtype=np.float64):
             if place.tobytes() not in self._power:
                 self._soon[place.tobytes()] = place
 
     @cached_property
     def anticipated(self) -> tuple[ChannelPosterior, ...]:
-        """Return each station's posterior once the others' measurements are known."""
+        """Return each station's posterior given the other robots' measurements."""
         spacing = self.problem.channel.measure_spacing_m
         return anticipated(self.stations, self.pending, self.position_m, spacing)
 
     @property
     def others_m(self) -> tuple[NDArray[np.float64], ...]:
-        """Places that the others plan to be at."""
+        """Planned positions of the other robots."""
         return self.pending.planned_m
 
     @property
@@ -232,32 +232,32 @@ class StepContext(VerifierContext):
         return self.posteriors
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the power that connectivity rests on, from each station's prediction."""
+        """Return the power that determines connectivity, from each station's prediction."""
         return self.law.combined(powers)
 
     @cached_property
     def measuring(self) -> MeasuringRule:
-        """Return the rule that decides which places are measured."""
+        """Return the rule that decides which positions are measured."""
         return MeasuringRule.of(self.anticipated, self.problem.channel.measure_spacing_m)
 
     @cached_property
     def near_measuring(self) -> MeasuringRule:
-        """The same for places that a plan can come to."""
+        """The measuring rule restricted to positions that a plan can reach."""
         reach = self.problem.planner.horizon * self.problem.step_length_m
         return self.measuring.near(self.position_m[None], reach)
 
     @cached_property
     def near_region(self) -> Region:
-        """Return the region of the map, fine where a plan can change anything."""
+        """Return the region of the map, with a fine grid where a plan can change the map."""
         return region_near(self.problem, self.region, self.position_m)
 
     @cached_property
     def probing(self) -> MeasuringRule:
-        """Return the rule that decides which places are probed for connection.
+        """Return the rule that decides which positions are probed for connection.
 
-        None near measurements without connection: multipath is known there. Nor where the robot
-        is, unless its last step was connected, or was before without one: near a measurement with
-        connection it takes no other.
+        Probes are excluded near measurements without connection, where multipath is known. They are
+        also excluded at the robot, unless its last step was connected, and at past failures without
+        a measurement (near a measurement with connection no other is taken).
         """
         history = self.history
         lost = history.steps == 0 or history.outage_steps > 0
@@ -279,7 +279,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def links(self) -> KnownLinks:
-        """Places where the robot knows whether it is connected."""
+        """Positions at which the robot knows its connection state."""
         history = self.history
         return known_links(
             self.stations,
@@ -291,25 +291,25 @@ class StepContext(VerifierContext):
         )
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
-        """Return the probability of connection at one place (2,), predicted by itself."""
+        """Return the connection probability at a position (2,), predicted individually."""
         power = self.combined([search_power(each, place_m[None]) for each in self.stations])
         threshold = self.problem.stations[0].threshold_dbm
         return float(connection_probability(power.mean_db, power.deviation_db, threshold)[0])
 
     @property
     def workspace_diagonal_m(self) -> float:
-        """Return the length from corner to corner of the bounds."""
+        """Return the length of the diagonal of the workspace bounds."""
         x_min, y_min, x_max, y_max = self.problem.workspace.bounds_m
         return math.hypot(x_max - x_min, y_max - y_min)
 
     @property
     def decorrelation_m(self) -> float:
-        """The longest decorrelation distance of the stations' shadowing."""
+        """Largest shadowing decorrelation distance of all stations."""
         return max(station.parameters.decorrelation_m for station in self.stations)
 
 
 def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext:
-    """Return the context of a step with the external inputs of its objective, not yet steered."""
+    """Return the context of a step with the external inputs of its objective, before steering."""
     return StepContext(
         base.problem,
         base.index,

@@ -1,7 +1,7 @@
-"""The region of the map, and the reachable places where a measurement still has a value.
+"""Region of the map, and reachable positions at which a measurement still has a value.
 
-Whether any is left decides if a stationary robot is done or stalled. It depends on the lattice of
-the search alone, so that a saved run is checked by the same places.
+If there is no such position, a stationary robot is done, otherwise stalled. The set depends only on
+the lattice of the search, so that the check of a saved run uses the same positions.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from planopt.world.clearance import (
 from planopt.world.lattice import MOVES, Lattice, moves_from, node_positions
 
 PLACES = 200
-"""About how many cells represent the workspace."""
+"""Approximate number of cells that represent the workspace."""
 
 NEAR_PLACES = 900
-"""About how many cells represent the part of it that a plan can change."""
+"""Approximate number of cells in the part of the workspace that a plan can change."""
 
 ROOM_STEPS = 5.0
-"""Width of the part beyond the reachable positions, in longest steps: measurements inform about
-positions around them."""
+"""Margin around the reachable positions in longest steps: measurements inform about positions
+around them."""
 
 
 def workspace_region(problem: Problem) -> Region:
-    """Return cell centres of a square grid outside obstacles, of equal weight."""
+    """Return the centres of a square grid outside obstacles, with equal weights."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     grid = _centres((x_min, y_min, x_max, y_max), _coarse_m(problem))
     free = grid[clearance_m(index_obstacles(problem.workspace), grid) > 0.0]
@@ -57,7 +57,7 @@ def workspace_region(problem: Problem) -> Region:
 def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]) -> Region:
     """Return the workspace with a fine grid near `position_m` (2,), where a plan changes the map.
 
-    On the coarse grid alone, plans through its nodes would be valued far above plans between them.
+    The coarse grid alone would strongly overrate plans through its nodes.
     """
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     reach = problem.step_length_m * (problem.planner.horizon + ROOM_STEPS)
@@ -89,7 +89,7 @@ def _coarse_m(problem: Problem) -> float:
 
 
 def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> NDArray[np.float64]:
-    """Centres of cells of about this size, row by row; (n, 2)."""
+    """Return the centres of cells of about this size, in row-major order; (n, 2)."""
     x_min, y_min, x_max, y_max = bounds_m
     x, y = (
         low + (high - low) * (np.arange(count) + 0.5) / count
@@ -100,16 +100,16 @@ def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> NDAr
 
 
 FINER = 4
-"""If all nodes are measured, places between them are tested, so many per spacing."""
+"""Subdivision of the lattice spacing for intermediate positions, used if all nodes are measured."""
 
 
 def explores(term: Term) -> bool:
-    """Return whether a term leads a robot to unmeasured places."""
+    """Return whether a term guides a robot to unmeasured positions."""
     return term.is_measured or term.steers == "variance"
 
 
 def learns(problem: Problem) -> bool:
-    """Return whether a term of the problem leads its robots to unmeasured places."""
+    """Return whether any term of the problem guides its robots to unmeasured positions."""
     return any(explores(term) for term in problem.terms)
 
 
@@ -117,13 +117,13 @@ def left_to_learn(
     problem: Problem,
     index: ObstacleIndex,
     lattice: Lattice,
-    here_m: NDArray[np.float64],  # (2,) where it is
+    here_m: NDArray[np.float64],  # (2,) position of the robot
     posteriors: Sequence[ChannelPosterior],
 ) -> NDArray[np.float64]:
-    """Return reachable places where a measurement has a value; (k, 2).
+    """Return reachable positions at which a measurement has a value; (k, 2).
 
-    Nodes of the lattice, and places between them if none of these is left. If all terms have a
-    threshold, only places above it count, of those that stand for the workspace.
+    They are lattice nodes, or intermediate positions if all nodes are measured. If all terms have a
+    variance threshold, they are the positions of the workspace grid above the threshold.
     """
     nodes = node_positions(lattice)[reachable_nodes(problem, index, lattice, here_m)]
     rule = MeasuringRule.of(posteriors, problem.channel.measure_spacing_m)
@@ -150,7 +150,7 @@ def left_to_learn(
 def reachable_nodes(
     problem: Problem, index: ObstacleIndex, lattice: Lattice, here_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return which nodes moves of the lattice reach from a place (2,); (ny, nx)."""
+    """Return the mask of nodes reachable by lattice moves from a position (2,); (ny, nx)."""
     found = np.zeros(lattice.shape, dtype=np.bool_)
     reach = problem.step_length_m - STEP_PAD_M
     rows, columns, clear = moves_from(
@@ -178,7 +178,7 @@ def _beside(
     nodes_m: NDArray[np.float64],
     places_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the places (n, 2) that are straight reachable from the nearest node."""
+    """Return the positions (n, 2) with a collision-free segment from their nearest node."""
     places = places_m[inside_bounds(problem.workspace, places_m)]
     if not len(places) or not len(nodes_m):
         return places[:0]
@@ -188,7 +188,7 @@ def _beside(
 
 
 def _threshold_db2(problem: Problem) -> float | None:
-    """The least variance that counts, if every term that measures has such a threshold."""
+    """Return the smallest variance threshold if every measuring term has one."""
     limits = [term.variance_threshold for term in problem.terms if explores(term)]
     known = [limit for limit in limits if limit is not None]
     return min(known) if known and len(known) == len(limits) else None

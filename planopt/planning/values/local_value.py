@@ -1,7 +1,7 @@
-"""The objective value near an initial guess, with exact derivatives, at a bounded cost.
+"""Local model of the objective around an initial guess, with exact derivatives at bounded cost.
 
-The channel is that of the measurements nearest to the guess; cusps are rounded. The path that a
-solver returns is valued again by :mod:`planopt.planning.values.objective_value` and verified.
+The channel model uses the measurements nearest to the guess; non-smooth points are smoothed. The
+solver's path is then evaluated by :mod:`planopt.planning.values.objective_value` and verified.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from planopt.planning.values.rule_rows import RuleRows, has_step_rows, rule_rows
 from planopt.targets.rounding import Derivatives
 
 JOINT_NEIGHBOURS = 128
-"""Measurements shared by the places of a path in terms that couple them."""
+"""Number of measurements shared by all positions of a path, for terms that couple them."""
 
 
 def local_value(
     context: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
 ) -> EvaluatePath:
-    """Return the value near a guess (N, 2), and the margins and sum that `rows` bound."""
+    """Return the local value near a guess (N, 2), with the margins and sum that `rows` bound."""
     problem = context.problem
     structure = structure_of(problem)
 
@@ -57,7 +57,7 @@ def local_value(
     rule = None
     if any(term.is_measured for term in problem.terms):
         rule = context.near_measuring
-    # Each place keeps to the turn that its start sees: places that move little see it too.
+    # Each position keeps the turn visible from its initial value: small moves keep it visible.
     steering = context.steering
     ahead = None if steering is None else steering.next_turns(path_m)
     tried = None
@@ -90,7 +90,7 @@ def local_value(
 
     evaluated = remembering(evaluate)
     if any(is_own(term) for term in problem.terms):
-        # Before CasADi asks, in whose solvers errors of Python's are lost.
+        # Evaluate before CasADi does, because its callbacks lose Python exceptions.
         evaluated(path_m)
     return evaluated
 
@@ -100,7 +100,7 @@ def stage_predictor(
     path_m: NDArray[np.float64],
     neighbours: int,
 ) -> StagePredictor | ServingStages:
-    """Return the predictor of stages about a path (N, 2), of one station or several."""
+    """Return the stage predictor near a path (N, 2), for one station or several."""
     first, *others = law.posteriors
     if others:
         return ServingStages(law.posteriors, law.thresholds_dbm, law.combined, path_m, neighbours)
@@ -108,7 +108,7 @@ def stage_predictor(
 
 
 def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
-    """The weighted sum of the stages' probabilities."""
+    """Return the weighted sum of the stages' probabilities."""
     return PathValue(
         float(weight @ chance.value),
         weight[:, None] * chance.gradient,
@@ -119,7 +119,7 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
 def _joint_channels(
     context: StepContext, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
 ) -> list[tuple[LocalChannel, LocalGrid | None]]:
-    """Return each station's channel and map, where a term couples the places; else none."""
+    """Return each station's channel and map if a term couples positions; otherwise none."""
     problem = context.problem
     if not shares_places(problem):
         return []
@@ -135,7 +135,7 @@ def _joint_channels(
 
 
 def _derivatives(term: Term, near: NearPath) -> Part:
-    """Return the value of one path with its derivatives, by a term that may be a user's own."""
+    """Return value and derivatives of one path by a term, possibly user-defined."""
     with calling(term, "derivatives", key="objective.terms"):
         part = term.derivatives(near)
     if not isinstance(cast("object", part), PathDerivatives | Derivatives):
@@ -151,7 +151,7 @@ def _derivatives(term: Term, near: NearPath) -> Part:
 
 
 def _require_shapes(term: Term, part: Part, stages: int) -> None:
-    """Raise an InputError for derivatives by a user's own term that fit no path of N stages."""
+    """Raise an InputError if a user-defined term's derivatives do not fit a path of N stages."""
     if isinstance(part, PathDerivatives):
         shapes = {"value": (), "gradient": (2 * stages,), "hessian": (2 * stages, 2 * stages)}
     else:
@@ -174,7 +174,7 @@ def _weighted(weight: float, part: Part) -> Part:
 
 
 def _sum(parts: list[Part], stages: int, structure: Structure) -> PathValue:
-    """Return the sum of all parts, its Hessian in the form of `structure`."""
+    """Return the sum of all parts, with its Hessian in the form of `structure`."""
     stagewise = structure == "stagewise"
     if stagewise and len(parts) == 1:
         return PathValue(float(np.sum(parts[0].value)), parts[0].gradient, parts[0].hessian)

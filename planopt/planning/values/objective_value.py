@@ -1,8 +1,8 @@
-"""The objective value of a path: the weighted sum of its terms, from all measurements.
+"""Objective value of a path: the weighted sum of its terms, from all measurements.
 
-Plans are compared by this value, and it is reported. Solvers use
-:mod:`planopt.planning.values.local_value`, which approximates it and has derivatives. A path also
-pays for missing the rule of connectivity, and for its slack.
+Plans are compared by this value, and results report it. Solvers use the differentiable local
+approximation in :mod:`planopt.planning.values.local_value`. Violations of the connectivity rule and
+their slack are penalised in addition.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from planopt.robots.dynamics import Drive
 
 @dataclass(frozen=True)
 class ObjectiveValue:
-    """The objective value of paths in one context."""
+    """Objective value of paths in one step context."""
 
     context: StepContext
 
     def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
-        """Return the weighted sum of the terms for a path (N, 2), less the price of its slack."""
+        """Return the weighted sum of the terms for a path (N, 2), minus the cost of its slack."""
         del drive  # terms depend on positions alone
         return float(sum(self.by_term(path_m))) - slack_cost(self.context, path_m)
 
@@ -41,7 +41,7 @@ class ObjectiveValue:
         return tuple(self._contributed(number, path_m) for number in range(len(self._terms)))
 
     def of_each(self, paths_m: Sequence[NDArray[np.float64]]) -> list[float]:
-        """Return the same of several paths, which are predicted together."""
+        """Return the objective value of several paths, predicted jointly."""
         for path in paths_m:
             self.context.soon(path)
         total = np.zeros(len(paths_m))
@@ -53,7 +53,7 @@ class ObjectiveValue:
         ]
 
     def _of_term(self, number: int, paths_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the contribution of a term to several paths; ``(c,)``."""
+        """Return the contribution of one term to several paths; ``(c,)``."""
         term, at = self._terms[number], self.context
         if not term.probes_end or not paths_m:
             return np.array([self._contributed(number, path) for path in paths_m])
@@ -78,7 +78,7 @@ class ObjectiveValue:
 def probe_values(
     at: StepContext, number: int, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the contribution of a term that probes path ends, its weight included; ``(c,)``."""
+    """Return the weighted contribution of a term that probes path ends; ``(c,)``."""
     # Shapes: paths_m (c, N, 2); chance (c, N).
     term, method = at.problem.terms[number], "probe_values"
     words = "one finite number for each path"
@@ -90,7 +90,7 @@ def probe_values(
 
 @contextmanager
 def _named(at: StepContext, number: int) -> Generator[None]:
-    """Name the term in errors."""
+    """Add the term's name to errors."""
     try:
         yield
     except InputError as error:
@@ -106,11 +106,11 @@ def _named(at: StepContext, number: int) -> Generator[None]:
 
 
 SHARE_IN_DB = 100.0
-"""Cost in dB of missing all that a rule over a whole plan requires."""
+"""Cost in dB of a rule over a whole plan that is missed entirely."""
 
 
 def slack_cost(at: StepContext, path_m: NDArray[np.float64]) -> float:
-    """Return the cost of a path's (N, 2) slack, in the objective's unit."""
+    """Return the cost of the slack of a path (N, 2), in the objective's unit."""
     rule = at.problem.constraints.rule
     if rule.slack_price == 0.0:
         return 0.0
@@ -122,10 +122,10 @@ def slack_cost(at: StepContext, path_m: NDArray[np.float64]) -> float:
 
 
 def rule_missing(at: StepContext, path_m: NDArray[np.float64]) -> float:
-    """Return by how much a path (N, 2) misses the rule beyond its slack; 0 where it does not.
+    """Return the rule's violation by a path (N, 2) beyond its slack; 0 if it is satisfied.
 
-    In dB, of all steps together; of a rule over a whole plan as a share of what is asked times
-    `SHARE_IN_DB`.
+    The unit is dB, summed over steps. For a rule over a whole plan it is the relative shortfall
+    times `SHARE_IN_DB`.
     """
     constraints = at.problem.constraints
     if not constraints.asks_connection:
@@ -140,7 +140,7 @@ def rule_missing(at: StepContext, path_m: NDArray[np.float64]) -> float:
 
 
 def _missed_db(at: StepContext, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by how much each step that is asked for misses the bound; (N,)."""
+    """Return the violation of the bound at each constrained step; (N,)."""
     power, problem = at.power(path_m), at.problem
     margins = margins_asked_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB
@@ -149,6 +149,6 @@ def _missed_db(at: StepContext, path_m: NDArray[np.float64]) -> NDArray[np.float
 
 
 def rule_result(at: StepContext, path_m: NDArray[np.float64]) -> RuleResult:
-    """Return the verifier's result of a path (N, 2) by a rule over the whole plan."""
+    """Return the verifier's result of a path (N, 2) for a rule over the whole plan."""
     places_m = np.vstack([at.position_m, path_m])
     return whole_plan_result(PathCase(at, places_m, at.power(path_m)))

@@ -1,4 +1,4 @@
-"""The cost of a path to a goal, the route beyond the horizon included."""
+"""Cost of a path to a goal, including the route beyond the horizon."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ BRAKING_PLACES = 9
 
 @dataclass(frozen=True)
 class ReachCost:
-    """The cost of paths of one planning step."""
+    """Cost of paths to a goal in one planning step."""
 
-    problem: Problem  # A problem that is to reach a goal
-    position_m: NDArray[np.float64]  # (2,) where the robot is
-    # Predicted power at places (n, 2), which tells where a path is below the bound
+    problem: Problem  # Problem with a goal
+    position_m: NDArray[np.float64]  # (2,) position of the robot
+    # Predicted power at positions (n, 2), which decides where a path violates the bound
     power: Callable[[NDArray[np.float64]], Prediction]
-    # From where a path ends (2,) to the rest of the way as one point of it; None where nothing is
-    # charged for it
+    # Function from a path's end (2,) to the pivot of the remaining route; None if no cost-to-go is
+    # charged
     ahead: Callable[[NDArray[np.float64]], Pivot] | None = None
-    # Whether being out of contact is charged; not to a robot that has wandered and is to drive the
-    # shortest path
+    # Whether outage is priced; False for a robot that has wandered and takes the shortest
+    # path
     priced: bool = True
 
     @property
@@ -40,13 +40,13 @@ class ReachCost:
 
     @property
     def rate_s_m(self) -> float:
-        """Cost of a metre beyond the horizon."""
+        """Cost per metre beyond the horizon."""
         return cost_rate_s_m(
             self.problem.reach.effort_weight_s2_m2, self.problem.robots[0].speed_max_m_s
         )
 
     def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
-        """Cost of a path (N, 2) in seconds, price of outage and cost-to-go included."""
+        """Return the cost of a path (N, 2) in seconds, including outage price and cost-to-go."""
         problem = self.problem
         resting = None if drive is None else resting_places_m(drive)
         places = np.vstack([self.position_m, path_m])
@@ -75,18 +75,18 @@ class ReachCost:
         return cost + self.rate_s_m * (pivot.metre_cost * to_pivot + pivot.cost_m)
 
     def pivot_of(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> Pivot | None:
-        """The pivot that a path (N, 2) is charged by."""
+        """Return the pivot used in the cost-to-go of a path (N, 2)."""
         end = path_m[-1] if drive is None else resting_places_m(drive)[-1]
         return None if self.ahead is None else self.ahead(end)
 
     @property
     def threshold_dbm(self) -> float:
-        """Power from which on a place is connected, less the slack that is allowed."""
+        """Power threshold of connection, minus the allowed slack."""
         slack_db = self.problem.constraints.rule.slack_max_db or 0.0
         return self.problem.stations[0].threshold_dbm - slack_db
 
     def _charged_m(self, places_m: NDArray[np.float64]) -> float:
-        """Metres of a path (N + 1, 2) that the outage price is charged on."""
+        """Return the length of a path (N + 1, 2) to which the outage price applies, in metres."""
         lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
         return charged_length_m(lengths, self._outage_share(places_m))
 
@@ -97,14 +97,14 @@ class ReachCost:
         return outage_share(chance, self._is_below(power), self._everywhere)
 
     def metre_costs(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the cost of a metre at the robot and along a path (N, 2), in metres; (N + 1,)."""
+        """Return the cost per metre at the robot and along a path (N, 2); (N + 1,)."""
         places = np.vstack([self.position_m, path_m])
         return 1.0 + self.outage_price * self._outage_share(places)
 
     def outage_charges(self, path_m: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Return the charged share of a metre at the robot, and along a path (N, 2).
+        """Return the charged fraction of a metre at the robot, and along a path (N, 2).
 
-        The second as if connection were impossible there; (N,).
+        The second value, (N,), assumes that connection is impossible.
         """
         below = self._is_below(self.power(path_m))
         certain = outage_share(np.zeros(len(path_m)), below, self._everywhere)
@@ -122,5 +122,5 @@ class ReachCost:
 
 
 def resting_places_m(drive: Drive) -> NDArray[np.float64]:
-    """Return where a robot that brakes from each state of a drive would stand; (N + 1, 2)."""
+    """Return the resting position after braking from each state of a drive; (N + 1, 2)."""
     return np.column_stack(drive.dynamics.resting_place(tuple(drive.states.T)))

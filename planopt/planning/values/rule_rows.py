@@ -1,6 +1,6 @@
-"""The rule of connectivity for planners: rows of the programme, search guides, and the shortfall.
+"""Connectivity rule for planners: rows of the programme, search guides, and the shortfall.
 
-All are derived from :meth:`planopt.planning.proof.rule.Rule.achieved`. Rules that hold steps bound
+All derive from :meth:`planopt.planning.proof.rule.Rule.achieved`. A rule that holds steps bounds
 each of them by p_min. Any other rule becomes one row, the tangent of the achieved value: a weighted
 sum of the probabilities.
 """
@@ -28,38 +28,38 @@ from planopt.planning.values.objective_value import rule_result
 from planopt.problems.problem import Problem
 
 UNASKED = 0.5
-"""Level of a step without a bound."""
+"""Level of an unconstrained step."""
 
 LEAST_LEVEL = 1e-3
-"""Distance of the levels of single steps from 0 and 1."""
+"""Minimum distance of single steps' levels from 0 and 1."""
 
 LEVEL_HALVINGS = 20
-"""Bisections of the common level of all steps."""
+"""Number of bisections for the common level of all steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class RuleRows:
-    """The rows of the rule for a path of N steps."""
+    """Rows of the connectivity rule for a path of N steps."""
 
-    threshold_dbm: float  # Power from which on a position is connected
+    threshold_dbm: float  # Power threshold of connection
     level: NDArray[np.float64]  # (N,) required probability of each step
     asked: NDArray[np.bool_]  # (N,) whether the step is bounded
-    # (N,) weights of the probabilities in the sum; None without a sum
+    # (N,) weights of the probabilities in the sum; None if no sum is bounded
     weight: NDArray[np.float64] | None = None
-    total: float = 0.0  # Least value of the sum
+    total: float = 0.0  # Lower bound of the sum
 
     @property
     def quantile(self) -> NDArray[np.float64]:
-        """Return z_p of each step's level; (N,)."""
+        """Return the normal quantile z_p of each step's level; (N,)."""
         return np.array([bound_quantile(level) for level in self.level.tolist()])
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Return the margin of each step at its own level; infinite without a bound."""
+        """Return the margin of each step at its own level; infinite for unconstrained steps."""
         margins = power.mean_db - self.quantile * power.deviation_db - self.threshold_dbm
         return np.where(self.asked, margins, np.inf)
 
     def sum_of(self, power: Prediction) -> float:
-        """Return the sum at predicted powers."""
+        """Return the weighted sum of connection probabilities at predicted powers."""
         if self.weight is None:
             raise AssertionError("no sum is bounded")
         chance = connection_probability(power.mean_db, power.deviation_db, self.threshold_dbm)
@@ -100,15 +100,15 @@ def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
 
 
 LARGEST_FACTOR = 4.0
-"""Limit of the factor that scales the shortfall from certain connection."""
+"""Maximum factor by which the shortfall from certain connection is scaled."""
 
 
 def scaled_value(
     rule: Rule, context: StepContext, achieved: float, count: int, result: RuleResult
 ) -> float:
-    """Return the value whose shortfall has the allowed risk (equation 5.7).
+    """Return the value whose shortfall matches the allowed risk (equation 5.7).
 
-    The shortfall from certain connection is scaled by the allowed over the verified risk.
+    The shortfall from certain connection is scaled by the ratio of allowed to verified risk.
     """
     most = float(rule.valued(np.ones(count), context.history))
     factor = (1.0 - result.asked) / max(1.0 - result.achieved, 1e-12)
@@ -116,13 +116,13 @@ def scaled_value(
 
 
 AIMED_SHARE = 0.98
-"""Share of the difference to the allowed risk that the secant aims at."""
+"""Fraction of the difference to the allowed risk at which the secant aims."""
 
 USED_SHARE = 0.9
-"""A row with this share of its shortfall used is active in the solver."""
+"""A row that uses at least this fraction of its shortfall is active in the solver."""
 
 USED_UP_SHARE = 0.97
-"""A risk with this share used is not allocated again."""
+"""Risk is not reallocated if at least this fraction of it is used."""
 
 
 def rows_again(
@@ -132,10 +132,10 @@ def rows_again(
     tried: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return the rows corrected by the verified result of a path (N, 2); None if the risk is used.
+    """Return rows corrected by a path's (N, 2) verified result; None if the risk is used up.
 
-    The correction is the secant between the last path within the risk and the last beyond it, or
-    half of it if that does not change sides. `tried` grows by the path.
+    The correction is the secant between the last feasible and the last infeasible path, or half of
+    it if two successive paths are on the same side. The path is appended to `tried`.
     """
     rule, history = rule_of(context.problem), context.history
     if not rule.correlates(context.problem.constraints.p_min) or rows.weight is None:
@@ -163,9 +163,9 @@ def rows_again(
 
 
 def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
-    """Return rows that bound single steps only, about a path (N, 2).
+    """Return rows that bound only single steps, about a path (N, 2).
 
-    A bound on a sum becomes one on each step; the path's surplus or deficit is spread evenly.
+    A bound on a sum becomes one bound per step; the path's surplus or deficit is spread evenly.
     """
     rows = rule_rows(context, path_m)
     if rows.weight is None:
@@ -181,26 +181,26 @@ def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """The steps, level and credits that guide a search."""
+    """Required steps, level and credits that guide a search."""
 
-    level: float  # Probability that the steps asked for must keep
-    asked: NDArray[np.bool_]  # (N,) which these are
-    # (N,) value of a connection at each step, in units of the largest reward of a step, times its
-    # probability
+    level: float  # Required probability of the bounded steps
+    asked: NDArray[np.bool_]  # (N,) mask of the bounded steps
+    # (N,) reward of a connection at each step relative to the largest reward of a step; multiplied
+    # by its probability
     credit: NDArray[np.float64]
 
 
 GuidedSearch = Callable[[Guide], list[NDArray[np.float64]]]
-"""From a guide to the best paths (N, 2), best first."""
+"""Function from a guide to the best paths (N, 2), best first."""
 
 IsKept = Callable[[NDArray[np.float64]], bool]
-"""Whether a path (N, 2) keeps the rule."""
+"""Function that returns whether a path (N, 2) satisfies the rule."""
 
 HIGHEST_CREDIT, LOWEST_CREDIT = 10.0, 1e-3
-"""Largest and smallest credit of a connected step, in units of the largest reward of a step."""
+"""Largest and smallest credit of a connected step, relative to the largest reward of a step."""
 
 CREDIT_HALVINGS = 5
-"""Bisections of the logarithm of the credit between them."""
+"""Number of bisections of the credit on a logarithmic scale."""
 
 PATTERNS = 4
 """Number of patterns of held steps that are searched."""
@@ -209,7 +209,7 @@ PATTERNS = 4
 def find_guided(
     context: StepContext, search: GuidedSearch, is_kept: IsKept
 ) -> list[NDArray[np.float64]]:
-    """Return paths (N, 2) of a search under the guides that suit the rule."""
+    """Return the paths (N, 2) of a search under the guides for the rule."""
     problem, history = context.problem, context.history
     rule, count = rule_of(problem), problem.planner.horizon
     no_credit = np.zeros(count)
@@ -221,10 +221,10 @@ def find_guided(
     found = search(none)
     if not found or is_kept(found[0]):
         return found
-    # With independent steps the common level at each step would keep the rule.
+    # If steps were independent, the common level at each step would satisfy the rule.
     level = common_level(rule, problem.constraints.p_min, history, count)
     found += search(Guide(level, np.ones(count, dtype=np.bool_), no_credit))
-    # The smallest credit, a Lagrange multiplier, by bisection.
+    # Bisect for the smallest sufficient credit, a Lagrange multiplier.
     _, weight = rule.slopes(np.full(count, UNASKED), history)
     weight = weight / max(float(weight.max()), 1e-9)
     low, high = LOWEST_CREDIT, HIGHEST_CREDIT
@@ -241,7 +241,7 @@ def find_guided(
 
 
 def common_level(rule: Rule, p_min: float, history: History, count: int) -> float:
-    """Return the least probability that suffices if all steps of a plan have it."""
+    """Return the smallest common probability of all steps that satisfies the rule."""
     required = rule.required(p_min, history, count)
     low, high = 0.0, 1.0
     for _ in range(LEVEL_HALVINGS):
@@ -268,9 +268,9 @@ def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray
 
 
 def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
-    """Return the shortfall of each path, 0 where it keeps the rule; (c,).
+    """Return the shortfall of each path, 0 if it satisfies the rule; (c,).
 
-    In dB, summed over the steps; for other rules in steps that would have to be connected.
+    The unit is dB, summed over steps; for other rules, the number of missing connected steps.
     """
     # Shapes: legs_m (c, N).
     constraints, history = at.problem.constraints, at.history
@@ -287,7 +287,7 @@ def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> 
 
 
 def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the mean gain of a connected step, of paths of steps (c, N); ``(c,)``."""
+    """Return the mean gain per connected step of paths with steps (c, N); ``(c,)``."""
     history = at.history
     gained = rule.valued(np.ones(shape), history) - rule.valued(np.zeros(shape), history)
     return np.maximum(gained / shape[1], 1e-9)

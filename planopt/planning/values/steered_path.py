@@ -1,7 +1,7 @@
-"""Paths that robots are steered along, and the remaining distance to their ends.
+"""Steering paths of robots, and the remaining distance along them.
 
-The distance is straight to the next visible turn, and along the path from there. Its slope leads
-around obstacles; that of the straight-line distance leads a robot into their corners.
+The distance is straight to the next visible turn, then along the path. Its gradient leads around
+obstacles; that of the straight-line distance leads a robot into their corners.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, segments_clear
 
 if TYPE_CHECKING:
-    # What a term may read is a protocol of properties; a cached one counts as such only by name.
+    # Protocols of term inputs require properties; type checkers know cached ones only by name.
     cached_property = property
 else:
     from functools import cached_property
@@ -26,16 +26,16 @@ else:
 
 @dataclass(frozen=True, eq=False)
 class SteeringWay:
-    """A path from a robot's position to the place that it is steered to."""
+    """Path from a robot's position to its steering target."""
 
     # (m, 2), m at least 2: the robot's position, the turns, and the end
     turns_m: NDArray[np.float64]
     index: ObstacleIndex  # The obstacles
-    clearance_m: float  # Least distance from them
+    clearance_m: float  # Minimum distance to obstacles
     # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
     lattice_m: NDArray[np.float64] | None = None
-    # Whether a place proceeds at most to the end of its nearest leg: the path also avoids coverage
-    # holes, across which its later turns may be visible
+    # Whether a position may advance at most to the end of its nearest leg: the path also avoids
+    # coverage holes, across which later turns may be visible
     in_order: bool = False
 
     @property
@@ -45,12 +45,12 @@ class SteeringWay:
 
     @cached_property
     def rest_m(self) -> NDArray[np.float64]:
-        """Return the length (m,) of the path from each turn on."""
+        """Return the remaining path length (m,) from each turn."""
         legs = np.linalg.norm(np.diff(self.turns_m, axis=0), axis=1)
         return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
     def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the number of the turn that each position (n, 2) goes straight to.
+        """Return the index of the turn that each position (n, 2) heads for directly.
 
         It is the last of the first consecutive visible turns; positions that see no turn return to
         the start of the path.
@@ -72,7 +72,7 @@ class SteeringWay:
         return found
 
     def _ends_of_legs(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the number of the turn at the end of the leg nearest to each position."""
+        """Return the index of the turn at the end of the leg nearest to each position."""
         starts, legs = self.turns_m[:-1], np.diff(self.turns_m, axis=0)
         offset = places_m[:, None] - starts
         length2 = np.maximum((legs**2).sum(axis=1), np.finfo(float).tiny)
@@ -81,12 +81,12 @@ class SteeringWay:
         return len(legs) - away[:, ::-1].argmin(axis=1)
 
     def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distance from each place (n, 2) to the end; (n,)."""
+        """Return the remaining distance from each position (n, 2) to the end; (n,)."""
         turns = self.next_turns(places_m)
         return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
 
     def path_m(self, steps: int, longest_m: float) -> NDArray[np.float64]:
-        """Return steps along the path, with a step ending at every turn; ``(steps, 2)``."""
+        """Return positions along the path, with a step end at every turn; ``(steps, 2)``."""
         found: list[NDArray[np.float64]] = []
         here = self.turns_m[0]
         for turn in self.turns_m[1:]:
@@ -99,7 +99,7 @@ class SteeringWay:
         return np.array(found[:steps])
 
     def gained_m(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the metres by which places (..., N, 2) are nearer to the end, summed."""
+        """Return the distance to the end gained at positions (..., N, 2), summed, in metres."""
         distance = self.distance_m(paths_m.reshape(-1, 2)).reshape(paths_m.shape[:-1])
         return (self.rest_m[0] - distance).sum(axis=-1)
 
@@ -110,6 +110,6 @@ def steering_way(
     turns_m: NDArray[np.float64],
     lattice_m: NDArray[np.float64] | None = None,
 ) -> SteeringWay:
-    """Return the path through `turns_m` (m, 2) that the terms of a problem steer along."""
+    """Return the path through `turns_m` (m, 2) along which a problem's terms steer."""
     in_order = any(term.steers == "goal" for term in problem.terms)
     return SteeringWay(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)

@@ -1,4 +1,4 @@
-"""Networks that cover a region, answer events in it, and count themselves.
+"""Multi-agent networks: region coverage, response to events, and distributed counting.
 
-The modules need no problem file: they take arrays and frozen data and return the same.
+The modules take and return arrays and frozen dataclasses; no problem file is needed.
 """

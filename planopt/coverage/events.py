@@ -1,7 +1,7 @@
-"""Events in a region: the network's estimates of them, and where agents respond to them.
+"""Events in a region: detection, position estimates, and the positions of responding agents.
 
-Each event has a signal of its own kind, so that signals of several events do not mix. An event is
-detected when an agent reads more than noise, and gone when nobody has for some steps.
+Each event has its own signal channel. An event is detected when a reading exceeds the noise
+threshold; it has ended after several steps without such a reading.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from planopt.coverage.localisation import (
 from planopt.coverage.voronoi import ConvexRegion
 
 LOOSE = 0.02
-"""Bodies that crowd around an event keep this share of their radius more apart than they must."""
+"""Extra separation of bodies packed around an event, as a share of the least one."""
 
 
 def ring_angles(count: int) -> NDArray[np.float64]:
-    """Return the angles ``(count,)`` in rad at which agents have most information on an event.
+    """Return the most informative bearings ``(count,)`` in rad of agents around an event.
 
-    Equal angles give the same information in all directions; two agents stand 90 degrees apart,
-    since opposite each other they would measure along one direction only.
+    Equal angles give equal information in all directions. Two agents are 90 degrees apart, since
+    opposite agents would measure along one direction only.
     """
     turn = 0.5 * np.pi if count == 2 else 2.0 * np.pi / count
     return turn * np.arange(count, dtype=np.float64)
@@ -44,9 +44,9 @@ def ring_angles(count: int) -> NDArray[np.float64]:
 def ring_places(
     agents_m: NDArray[np.float64], event_m: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.float64]:
-    """Return a position on the ring for each agent, in their order around the event.
+    """Return a position on the ring for each agent, preserving their order around the event.
 
-    The ring is turned so that the sum of squared angles by which agents have to turn is least.
+    The rotation of the ring minimises the sum of squared changes of bearing.
     """
     # Shapes: agents_m (k, 2); event_m (2,).
     offset = agents_m - event_m
@@ -55,7 +55,7 @@ def ring_places(
     slots = ring_angles(len(agents_m))
     best, least = slots, np.inf
     for first in range(len(slots)):
-        # The gap of an uneven ring (two agents) may lie between any of them.
+        # On an uneven ring (two agents) the wide gap may follow either agent.
         turned = np.roll(slots, first) + np.where(np.arange(len(slots)) < first, -2.0 * np.pi, 0.0)
         shift = float((angle[order] - turned).mean())
         cost = float(((angle[order] - turned - shift) ** 2).sum())
@@ -69,11 +69,11 @@ def ring_places(
 def packed_places(
     agents_m: NDArray[np.float64], event_m: NDArray[np.float64], body_radius_m: float
 ) -> NDArray[np.float64]:
-    """Return a position for each agent of a team of bodies that crowds around an event.
+    """Return a position for each agent of a team of bodies packed around an event.
 
-    Positions are those of a hexagonal lattice that are nearest to the event, which is at a node, in
-    the middle of two or of three, whichever leaves the farthest one nearest. The assignment has the
-    least sum of squared distances, so that agents that block each other swap positions.
+    Positions are the nodes of a hexagonal lattice nearest to the event. The event is at a node or
+    midway between two or three nodes, whichever minimises the largest distance. The assignment
+    minimises the sum of squared distances, so agents that block each other swap positions.
     """
     # Shapes: agents_m (k, 2); event_m (2,).
     count, side = len(agents_m), 2.0 * (1.0 + LOOSE) * body_radius_m
@@ -97,9 +97,9 @@ def event_places(
     stand_off_m: float | None,
     body_radius_m: float,
 ) -> NDArray[np.float64]:
-    """Return where agents ``(k, 2)`` that respond to an event should stand.
+    """Return target positions of agents ``(k, 2)`` that respond to an event.
 
-    They stand on a ring around it or, without a radius, at it; bodies crowd around it.
+    Targets are on a ring of radius `stand_off_m`; if None, at the event (bodies: packed around it).
     """
     if stand_off_m is not None:
         return ring_places(agents_m, event_m, stand_off_m)
@@ -109,71 +109,71 @@ def event_places(
 
 
 GRID_READINGS = 150
-"""With more readings the search starts from the last estimate alone."""
+"""Number of readings above which only the last estimate serves as initial guess."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """An event in the region."""
+    """Event in the region, static or moving at a constant velocity."""
 
     name: str
-    place_m: tuple[float, float]  # Position where it appears
+    place_m: tuple[float, float]  # Position at the time of appearance
     appears_s: float = 0.0
-    ends_s: float = math.inf  # It is there up to before this time
+    ends_s: float = math.inf  # End of the event; it is active for appears_s <= time < ends_s
     velocity_m_s: tuple[float, float] = (0.0, 0.0)
 
     def place_at(self, time_s: float) -> NDArray[np.float64]:
-        """Return its position at a time; (2,)."""
+        """Return the event's position at a time; (2,)."""
         moved_s = max(time_s - self.appears_s, 0.0)
         return np.array(self.place_m) + moved_s * np.array(self.velocity_m_s)
 
     def is_there(self, time_s: float) -> bool:
-        """Return whether it has appeared and not ended."""
+        """Return whether the event is active at a time."""
         return self.appears_s <= time_s < self.ends_s
 
 
 @dataclass(frozen=True)
 class Sensing:
-    """The sensor of events, and the rules of detection."""
+    """Event sensor and detection rules."""
 
     sensor: EventSensor
-    strength_known: bool = True  # Whether agents know K; if not, they estimate it as well
-    # A reading of more standard deviations of the noise than this detects an event
+    strength_known: bool = True  # Whether agents know K; otherwise they estimate it as well
+    # Detection threshold in standard deviations of the noise
     detection_std: float = 5.0
-    silent_steps: int = 3  # An event is gone when nobody has read so much for so many steps
-    memory_s: float | None = None  # Older readings are dropped; needed where events move
-    # Prior standard deviation of each component of events' velocities; None if all events stand
+    silent_steps: int = 3  # Number of steps without detection after which an event has ended
+    memory_s: float | None = None  # Age limit of readings; required for moving events
+    # Prior standard deviation of each velocity component of events; None for static events
     speed_std_m_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """The network's knowledge of one event."""
+    """Knowledge of the network about one event."""
 
-    logs: tuple[tuple[float, Readings], ...] = ()  # Readings with the time they were taken at
-    estimate: EventEstimate | None = None  # None while it is not detected
-    silent: int = 0  # Number of the last steps in which nobody has read it
+    logs: tuple[tuple[float, Readings], ...] = ()  # Readings with their times
+    estimate: EventEstimate | None = None  # None for an undetected event
+    silent: int = 0  # Number of consecutive steps without detection
 
     @property
     def is_known(self) -> bool:
-        """Return whether the network believes that the event is there."""
+        """Return whether the network regards the event as active."""
         return self.estimate is not None
 
     @property
     def place_m(self) -> NDArray[np.float64]:
-        """Return the estimated position (2,); NaN while it is not detected."""
+        """Return the estimated position (2,); NaN for an undetected event."""
         return np.full(2, math.nan) if self.estimate is None else self.estimate.position_m
 
     @property
     def velocity_m_s(self) -> NDArray[np.float64]:
-        """Return the estimated velocity (2,); zero while it is not detected, or if events stand."""
+        """Return the estimated velocity (2,); zero for undetected or static events."""
         return np.zeros(2) if self.estimate is None else self.estimate.velocity_m_s
 
     @property
     def std_m(self) -> float:
-        """Return the root of the trace of the estimate's covariance; NaN while it is not detected.
+        """Return the root of the trace of the position covariance; NaN for an undetected event.
 
-        A rival position that may be the right one as well counts as a deviation of its distance.
+        The distance to the farthest rival maximum is added in quadrature.
         """
         if self.estimate is None:
             return math.nan
@@ -189,7 +189,7 @@ def signals(
     time_s: float,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw what agents ``(n, 2)`` read in an event's channel; noise alone if it is not there."""
+    """Draw readings of an event by agents ``(n, 2)``; pure noise if the event is inactive."""
     if event.is_there(time_s):
         return measure(sensing.sensor, agents_m, event.place_at(time_s), generator)
     return sensing.sensor.noise_std * generator.standard_normal(len(agents_m))
@@ -201,11 +201,11 @@ def watched(
     hull: ConvexRegion,
     agents_m: NDArray[np.float64],
     signal: NDArray[np.float64],
-    shared: NDArray[np.bool_],  # (n,) whose readings reach those that estimate
+    shared: NDArray[np.bool_],  # (n,) mask of the agents whose readings reach the estimating agents
     time_s: float,
 ) -> Watch:
-    """Return what the network knows of an event after the readings of one step."""
-    # Shapes: agents_m, signal (n, 2).
+    """Update the knowledge about an event with the readings of one step."""
+    # Shapes: agents_m (n, 2); signal (n,).
     heard = bool((signal > sensing.detection_std * sensing.sensor.noise_std).any())
     silent = 0 if heard else watch.silent + 1
     if not heard and (not watch.is_known or silent >= sensing.silent_steps):
@@ -214,7 +214,7 @@ def watched(
     if heard and shared.any():
         logs = (*logs, (time_s, single_readings(agents_m[shared], signal[shared])))
     elif not moves:
-        # A step without the signal, when the event may just have ended, would mislead.
+        # The event may have just ended; readings of such a step would bias the estimate.
         return replace(watch, silent=silent)
     if sensing.memory_s is not None:
         logs = tuple(each for each in logs if each[0] > time_s - sensing.memory_s)
@@ -224,7 +224,7 @@ def watched(
     if sensing.speed_std_m_s is None:
         readings = pooled(every)
     else:
-        # Readings of one position at several times differ for an event that moves.
+        # The signal of a moving event changes, so readings at one position are not averaged.
         readings = joined(every)
         ages_s = np.concatenate([np.full(len(log.signal), time_s - then) for then, log in logs])
         guess = np.zeros(2) if known is None else known.velocity_m_s
@@ -240,6 +240,6 @@ def watched(
         near_m=near,
         drift=drift,
     )
-    # Repeated readings are kept as their mean.
+    # For static events the mean of repeated readings replaces them.
     kept = logs if sensing.memory_s is not None else ((time_s, readings),)
     return Watch(kept, estimate, silent)

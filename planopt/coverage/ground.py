@@ -1,7 +1,7 @@
-"""Convex grounds: the coverage cost of a free region by exact Voronoi cells.
+"""Convex ground: coverage cost of a region without obstacles from exact Voronoi cells.
 
-A ground is what a network covers, with its distances; :mod:`planopt.coverage.geodesic` has the one
-with obstacles and the union of both.
+A ground is the region that a network covers, with its distance metric. The module
+:mod:`planopt.coverage.geodesic` defines the ground with obstacles, and the union of both types.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from planopt.coverage.voronoi import (
 Floats = NDArray[np.float64]
 
 EMPTY = 1e-12
-"""A cell with less than this share of the mass is empty: its centroid would be rounding error."""
+"""Share of the mass below which a cell counts as empty; its centroid would be rounding error."""
 
 
 TOUCHING = 1e-7
-"""Agents nearer than this share of the region's radius have the same neighbours."""
+"""Distance, as a share of the region's radius, below which agents share their neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """The coverage cost of a region, its derivative, and the centroids of the cells."""
+    """Coverage cost of a region, its gradient, and the centroids of the cells."""
 
     cost: float  # The coverage cost H, in m^4 for the uniform density of 1 per m^2
     mass: Floats  # (n,) mass of each agent's cell
     # (n, 2) centroid of each agent's cell; the agent's own position if the cell has no mass
     centroids_m: Floats
-    # (n, 2) derivative of H by each agent's position, 2 M (p - C). Agents at one position share
-    # its derivative in equal parts.
+    # (n, 2) derivative 2 M (p - C) of H with respect to each agent's position, divided equally
+    # among coincident agents
     gradient: Floats
 
 
@@ -53,8 +53,8 @@ def coverage(
 ) -> Coverage:
     """Evaluate the coverage cost, its gradient and the centroids of all cells.
 
-    Exact to rounding for the uniform density and for rasters; other densities are integrated by
-    Gauss quadrature.
+    Results are exact up to rounding for the uniform density and for rasters. Other densities are
+    integrated by Gauss quadrature.
     """
     moments = density.moments(cell_boundary(cells, sensing_range_m))
     cost = float(moments.second.sum())
@@ -72,17 +72,17 @@ def coverage(
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """The coverage cost of a ground, and the targets of the agents."""
+    """Coverage cost of a ground and targets of the agents."""
 
     cost: float  # The coverage cost H
-    # (n, 2): the centroid of each agent's cell, or with obstacles the end of a free step toward the
-    # middle of it
+    # (n, 2) centroid of each agent's cell; with obstacles the end of a collision-free step toward
+    # the centre of the cell
     targets_m: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class ConvexGround:
-    """A convex region without obstacles."""
+    """Convex region without obstacles."""
 
     region: ConvexRegion
     density: Density = UNIFORM
@@ -95,31 +95,31 @@ class ConvexGround:
 
     @property
     def hull(self) -> ConvexRegion:
-        """Return the convex region around; events and neighbours are searched there."""
+        """Return the convex hull, the domain of event positions and Voronoi neighbours."""
         return self.region
 
     @property
     def area_m2(self) -> float:
-        """Return the covered area."""
+        """Return the covered area in square metres."""
         return self.region.area_m2
 
     def allows(self, places_m: Floats) -> NDArray[np.bool_]:
-        """Return whether agents may be at positions ``(k, 2)``; (k,)."""
+        """Return whether positions ``(k, 2)`` are allowed for agents; (k,)."""
         return self.region.contains(places_m)
 
     def nearest(self, places_m: Floats) -> Floats:
-        """Return positions ``(k, 2)``, those outside moved to the nearest position of an agent."""
+        """Project positions ``(k, 2)`` onto the region."""
         moved, out = np.array(places_m, dtype=np.float64), ~self.region.contains(places_m)
         moved[out] = nearest_places(self.free, moved[out])
         return moved
 
     def cover(self, agents_m: Floats) -> Cover:
-        """Return the cost and the targets of agents ``(n, 2)``."""
+        """Return the coverage cost and the targets of agents ``(n, 2)``."""
         found = coverage(voronoi_cells(self.region, agents_m), self.density, self.sensing_range_m)
         return Cover(found.cost, found.centroids_m)
 
     def borders(self, agents_m: Floats) -> Floats:
-        """Return the borders of the agents' cells as segments ``(e, 2, 2)``, for pictures."""
+        """Return the cell boundaries as line segments ``(e, 2, 2)`` for figures."""
         cells = voronoi_cells(self.region, agents_m).inside
         return np.stack((cells.corners_m, cells.corners_m[cells.following]), axis=1)
 
@@ -128,17 +128,17 @@ class ConvexGround:
         return np.linalg.norm(agents_m[:, None] - places_m, axis=2)
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
-        """Return a target ``(n, 2)`` of each agent on its path to a position of its own ``(n, 2)``.
+        """Return targets ``(n, 2)`` on the shortest paths of agents to their positions ``(n, 2)``.
 
-        It lies in the direction of the shortest path, as far away as that is long, but so near
-        that a move over the given share of the distance stays on the path's first straight part.
+        A target is in the direction of the path's first leg, at a distance equal to the path length
+        but limited such that `share` of it stays on the first leg.
         """
         return places_m
 
 
 def neighbour_network(hull: ConvexRegion, agents_m: Floats) -> Network:
-    """Return the links of agents: Voronoi neighbours in a convex region, always connected."""
-    # Agents that nearly touch count as being at one position: bisectors between them are rounding.
+    """Return the Voronoi neighbour graph of agents in a convex region, which is connected."""
+    # Merge nearly coincident agents, whose bisectors would be rounding error.
     places, group = merge_coincident(agents_m, TOUCHING * hull.radius_m)
     cells = voronoi_cells(hull, places[group])
     return Network(len(agents_m), agent_neighbours(cells))

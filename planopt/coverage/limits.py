@@ -1,4 +1,4 @@
-"""Motion of the agents of a network and its limits: bodies, and links by a law or by a map."""
+"""Motion states of agents and their limits: dynamics, bodies and required radio links."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 
 NODES = 120
-"""Nodes of a map along the longer side of its bounds."""
+"""Number of map nodes along the longer side of the bounds."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class StationMap:
-    """Probabilities that links to stations fail; :func:`station_map` makes it."""
+    """Map of failure probabilities of links to base stations; :func:`station_map` builds it."""
 
-    posteriors: tuple[ChannelPosterior, ...]  # Learnt channel to each of s stations
-    nodes_m: Floats  # (m, 2) nodes of an even grid
+    posteriors: tuple[ChannelPosterior, ...]  # Channel posterior of each of s stations
+    nodes_m: Floats  # (m, 2) nodes of a regular grid
     radius_m: float  # Radius of the disc that a node represents; the discs cover the bounds
-    # (s, m) the largest probability found about each node: of its neighbours, and of measured
-    # positions nearby, where the predicted power may have its peaks
+    # (s, m) largest probability at the node, its neighbours and nearby measured positions, where
+    # the predicted power may have extrema
     failures: Floats
 
     def near(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the largest probabilities ``(n, s)`` near lines from starts to ends, (n, 2) each.
+        """Return the largest probabilities ``(n, s)`` near lines from starts (n, 2) to ends (n, 2).
 
-        The largest value is taken over the nodes whose discs meet the line.
+        The maximum is taken over the nodes whose discs intersect the line.
         """
         worst = np.ones((len(starts_m), len(self.posteriors)))
         for row, start, end in zip(worst, starts_m, ends_m, strict=True):
@@ -44,7 +44,7 @@ class StationMap:
 
 
 def line_distances_m(places_m: Floats, start_m: Floats, end_m: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest points of a line to positions ``(m, 2)``, and distances ``(m,)``."""
+    """Return the points ``(m, 2)`` of a line segment nearest to positions, and the distances."""
     along, offset = end_m - start_m, places_m - start_m
     square = float(along @ along)
     share = np.clip(offset @ along / (square if square > 0.0 else 1.0), 0.0, 1.0)
@@ -57,7 +57,7 @@ def station_map(
     threshold_dbm: float,
     bounds_m: tuple[float, float, float, float],  # (x_min, y_min, x_max, y_max)
 ) -> StationMap:
-    """Map how probably the power from each station is below a threshold."""
+    """Map the probability that the power from each base station is below a threshold."""
     x_min, y_min, x_max, y_max = bounds_m
     side = max(x_max - x_min, y_max - y_min) / NODES
     x, y = np.arange(x_min, x_max + side, side), np.arange(y_min, y_max + side, side)
@@ -77,17 +77,17 @@ def station_map(
 
 @dataclass(frozen=True)
 class MoveLimits:
-    """The limits of agents' motion, and the distances they keep."""
+    """Motion limits of agents and their clearances."""
 
     time_step_s: float = 1.0
     speed_m_s: float = math.inf  # Largest speed; infinite without limit
-    # Largest acceleration of double integrators; None for single ones, whose velocity may jump
+    # Largest acceleration of double integrators; None for single integrators
     acceleration_m_s2: float | None = None
-    # Largest turn rate of unicycles, which turn on the spot and then drive straight, backwards too;
-    # None for agents that move in all directions
+    # Largest turn rate of unicycles, which turn on the spot and then drive straight, forwards or
+    # backwards; None for holonomic agents
     turn_rate_rad_s: float | None = None
-    body_radius_m: float = 0.0  # Agents with radius 0 are points that may coincide
-    clearance_m: float = 0.0  # Required distance to obstacles and border; at least the body radius
+    body_radius_m: float = 0.0  # Radius of the body; 0 for points, which may coincide
+    clearance_m: float = 0.0  # Required distance to obstacles and outer boundary
 
     def __post_init__(self) -> None:
         for value, key in (
@@ -107,12 +107,12 @@ class MoveLimits:
 
     @property
     def keep_m(self) -> float:
-        """Return the distance that agents keep from obstacles and border."""
+        """Return the distance that agents keep from obstacles and the outer boundary."""
         return max(self.body_radius_m, self.clearance_m)
 
     @property
     def longest_stop_m(self) -> float:
-        """Return the braking distance at the largest speed, in whole steps."""
+        """Return the braking distance from the largest speed, with a whole number of steps."""
         if self.acceleration_m_s2 is None:
             return 0.0
         steps = math.ceil(self.speed_m_s / (self.acceleration_m_s2 * self.time_step_s) - 1e-9)
@@ -121,26 +121,26 @@ class MoveLimits:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Positions, velocities and headings of agents."""
+    """Motion state of agents: positions, velocities and headings."""
 
     places_m: Floats  # (n, 2)
-    # (n, 2) velocities at the end of the last step. A double integrator changes its velocity evenly
-    # during a step; other agents have that of the step's end at once.
+    # (n, 2) velocities at the end of the last step. A double integrator has a constant acceleration
+    # during a step; other agents change their velocity instantly.
     velocities_m_s: Floats
-    headings_rad: Floats  # (n,); used by unicycles alone
+    headings_rad: Floats  # (n,); used only by unicycles
 
     @classmethod
     def at_rest(cls, places_m: Floats) -> Motion:
-        """Return the motion of agents that stand at positions ``(n, 2)``, with headings of 0."""
+        """Return the state of stationary agents at positions ``(n, 2)`` with zero headings."""
         return cls(places_m, np.zeros_like(places_m), np.zeros(len(places_m)))
 
 
 def packing_reach_m(agents: int, body_radius_m: float) -> float:
-    """Return the largest distance from an event of bodies that crowd around it; 0 for points.
+    """Return the largest distance to an event of bodies packed around it; 0 for points.
 
-    In the hexagonal packing, ``m`` shells about a middle body hold ``1 + 3 m (m + 1)`` of them, the
-    outermost at ``2 m`` radii. Bodies that got there one by one leave gaps: one shell more is
-    allowed.
+    In the hexagonal packing, ``m`` shells about a central body hold ``1 + 3 m (m + 1)`` bodies, the
+    outermost at ``2 m`` radii. One more shell is allowed because bodies that arrive one by one
+    leave gaps.
     """
     shells = math.ceil((math.sqrt(9.0 + 12.0 * max(agents - 1, 0)) - 3.0) / 6.0 - 1e-9)
     return 2.0 * (shells + 1) * body_radius_m if agents > 1 else body_radius_m
@@ -148,24 +148,24 @@ def packing_reach_m(agents: int, body_radius_m: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LinkLaw:
-    """The law by which the power of a link falls with its length.
+    """Log-distance path loss law of a link with uncertain parameters.
 
-    Power at distance d is normal with mean ``k_pl_db - 10 n_pl log10 d``. Its variance is that of
-    shadowing and multipath and that of the uncertain path loss.
+    The power in dBm at distance d is Gaussian with mean ``k_pl_db - 10 n_pl log10 d``. Its variance
+    is the sum of those of fading (shadowing and multipath) and of the uncertain path loss.
     """
 
     theta: Floats  # (2,): k_pl_db and n_pl
     deviation_db: float  # Standard deviation of shadowing and multipath together
-    theta_covariance: Floats  # (2, 2); zero where path loss is known
+    theta_covariance: Floats  # (2, 2) covariance of theta; zero for known path loss
 
 
 @dataclass(frozen=True, eq=False)
 class RadioLimits:
-    """The links to base stations that agents must keep, directly or over other agents."""
+    """Requirement that agents stay connected to base stations, directly or over other agents."""
 
     stations_m: Floats  # (s, 2) positions of base stations
-    # Links to a station, by a law of their length or by a map, and the law of links between agents
+    # Model of links to a station, a law or a map, and law of links between agents
     station_link: LinkLaw | StationMap
     agent_link: LinkLaw
-    threshold_dbm: float  # Power that a link needs
-    p_min: float  # Required probability that all links between an agent and a station hold
+    threshold_dbm: float  # Power required for a link
+    p_min: float  # Required probability that all links on an agent's path to a station hold

@@ -1,4 +1,4 @@
-"""Good deployments from several starts, and bounds on how good any deployment can be."""
+"""Low-cost deployments by multi-start search, and lower bounds of the coverage cost."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from planopt.coverage.geodesic import GeodesicGround, Ground
 from planopt.coverage.ground import ConvexGround
 
 LEAP = 1.7
-"""Steps of this many times the offset to the targets are tried first; they settle sooner."""
+"""Over-relaxation of the first step tried, in offsets to the targets."""
 
 SETTLED = 1e-6
-"""A deployment is settled when a step lowers the cost by less than this share."""
+"""Relative decrease of the cost in a step below which a deployment is settled."""
 
 MAX_STEPS = 500
-"""Limit of steps until a start is taken as it is."""
+"""Maximum number of steps from one initial deployment."""
 
 CANDIDATES = 20
-"""Positions per agent that random starts are drawn from."""
+"""Number of candidate positions per agent for random initial deployments."""
 
 LEVELS = 200
-"""Cells along either side of the region on which a mixture's least densities are taken."""
+"""Number of cells along each side of the region for bounds of a mixture's density."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
-    """The best final positions of a network."""
+    """Best deployment found for a network."""
 
-    places_m: Floats  # (n, 2) positions of the best start, settled
+    places_m: Floats  # (n, 2) settled positions of the best initial deployment
     cost: float  # Their coverage cost H
-    lower_bound: float  # No n positions cost less; 0 where nothing better is proved
-    costs: Floats  # (starts,) costs of all starts, settled
+    lower_bound: float  # Lower bound of the cost of n agents; 0 if no better bound is known
+    costs: Floats  # (starts,) settled costs of all initial deployments
 
 
 def best_deployment(
@@ -48,9 +48,9 @@ def best_deployment(
     starts: int,
     generator: np.random.Generator,
     *,
-    first_m: Floats | None = None,  # (n, 2) the first start; random if None
+    first_m: Floats | None = None,  # (n, 2) first initial deployment; random if None
 ) -> Deployment:
-    """Find a deployment of low cost: settle several starts, then move single agents of the best."""
+    """Find a low-cost deployment by multi-start descent and relocation of single agents."""
     settled: list[tuple[Floats, float]] = []
     for number in range(starts):
         first = first_m if number == 0 else None
@@ -63,7 +63,7 @@ def best_deployment(
 
 
 def settle(ground: Ground, places_m: Floats) -> tuple[Floats, float]:
-    """Move agents to their targets until the cost settles; return ``(n, 2)`` and the cost."""
+    """Move agents to their targets until the cost settles; return positions and cost."""
     places, here = places_m, ground.cover(places_m)
     for _ in range(MAX_STEPS):
         leapt = places + LEAP * (here.targets_m - places)
@@ -82,9 +82,9 @@ def settle(ground: Ground, places_m: Floats) -> tuple[Floats, float]:
 
 
 def draw_start(ground: Ground, count: int, generator: np.random.Generator) -> Floats:
-    """Draw positions ``(n, 2)`` one after the other, with probabilities by the cost that they save.
+    """Draw an initial deployment ``(n, 2)`` by weighted sampling, as k-means++ does.
 
-    That is the mass of a candidate times the squared distance to the nearest position before.
+    The weight of a candidate is its mass times the squared distance to the nearest drawn position.
     """
     candidates, mass = _candidates(ground, CANDIDATES * count, generator)
     chosen = [int(generator.choice(len(candidates), p=mass / mass.sum()))]
@@ -102,7 +102,7 @@ def draw_start(ground: Ground, count: int, generator: np.random.Generator) -> Fl
 def _candidates(
     ground: Ground, count: int, generator: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """Return positions (m, 2) where agents may be, and their masses (m,)."""
+    """Return allowed candidate positions (m, 2) and their masses (m,)."""
     if isinstance(ground, GeodesicGround):
         return ground.ends_m, ground.mass
     corners = ground.hull.corners_m
@@ -116,10 +116,10 @@ def _candidates(
 
 
 def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
-    """Move one agent at a time next to another and settle, as long as that lowers the cost.
+    """Move one agent at a time next to another and settle, while this lowers the cost.
 
-    The two agents whose removal raises the cost least are moved next to the two agents whose
-    doubling lowers it most.
+    The candidates to move are the two agents whose removal raises the cost least. Their
+    destinations are next to the two agents whose duplication lowers it most.
     """
     count = len(places)
     if count < 3:
@@ -147,12 +147,12 @@ def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, flo
 
 
 def cost_bound(ground: Ground, count: int) -> float:
-    """Return a cost that no deployment of `count` agents is below; 0 where none is proved.
+    """Return a lower bound of the cost of any deployment of `count` agents; 0 if none is known.
 
-    For the uniform density every cell costs at least as much as a disc of its area about its
-    centre, and equal areas cost least. In a convex polygon of at most six sides, without sensing
-    range, regular hexagons of equal area are a better bound (Fejes Tóth's moment theorem). Any
-    other density is a sum of uniform ones on its superlevel sets, whose bounds add up.
+    For the uniform density every cell costs at least as much as a disc of equal area, and the sum
+    is least for equal areas. In a convex polygon of at most six sides, without sensing range,
+    regular hexagons of equal area give a tighter bound (Fejes Tóth's moment theorem). Any other
+    density is a sum of uniform densities on its superlevel sets, whose bounds add up.
     """
     if not isinstance(ground, ConvexGround):
         return 0.0
@@ -172,7 +172,7 @@ def cost_bound(ground: Ground, count: int) -> float:
 
 
 def _levels(ground: ConvexGround) -> tuple[Floats, Floats]:
-    """Return lower bounds of the density on parts of a region, and the areas of the parts."""
+    """Return lower bounds of the density on parts of a region, and the areas of these parts."""
     density, area = ground.density, np.array([ground.area_m2])
     corners = ground.region.corners_m
     first: Floats = corners.min(axis=0)
@@ -193,7 +193,7 @@ def _levels(ground: ConvexGround) -> tuple[Floats, Floats]:
         places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         least = np.full((LEVELS, LEVELS), density.floor_per_m2)
         for number in range(len(density.weights)):
-            # A bump has no minimum within a convex cell: it is least at one of the corners.
+            # On a convex cell a bump attains its minimum at a corner.
             one = GaussianMixture(
                 density.weights[[number]],
                 density.means_m[[number]],

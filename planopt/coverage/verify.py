@@ -1,7 +1,7 @@
-"""Verification of released moves of a network, independent of their planning.
+"""Verifier of a network's moves, independent of the planner.
 
-Each move is verified as it is driven: straight at a constant velocity, with an even acceleration,
-or turning on the spot and then straight. Positions between the ends of a step are verified as well.
+The verifier checks each move in continuous time, as the agent executes it: straight at a constant
+velocity, at a constant acceleration, or by a turn on the spot followed by a straight line.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from planopt.channel.prediction import Prediction
 from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits
 
 SLACK = 1e-6
-"""Limits of motion may be exceeded by this share, distances to borders by this share of metres."""
+"""Relative tolerance of motion limits; tolerance in metres of distances to boundaries."""
 
 SAMPLES = 512
-"""Number of shorter lengths at which the probability that a link fails is evaluated as well."""
+"""Number of shorter lengths at which the failure probability of a link is also evaluated."""
 
 LOOKS = 9
-"""Positions of a move at which learnt channels of stations are evaluated."""
+"""Number of positions along a move at which estimated base-station channels are evaluated."""
 
 SHORTEST_M = 0.01
-"""Shorter links are evaluated at this length."""
+"""Least length in metres at which a link is evaluated."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a move."""
+    """Violated constraint of a move."""
 
-    # contact, clearance, speed, acceleration, turn, motion (the ends of the move do not fit
-    # together) or radio
+    # contact, clearance, speed, acceleration, turn, motion (inconsistent states at the ends of the
+    # move) or radio
     kind: str
     agent: int
     other: int | None  # The other agent of a contact
-    value: float  # Found value and limit in m, m/s, m/s^2, rad/s, or a probability
+    value: float  # Actual value, and limit, in m, m/s, m/s^2, rad/s, or as a probability
     limit: float
 
 
@@ -52,7 +52,7 @@ def verify_moves(
     limits: MoveLimits,
     radio: RadioLimits | None = None,
 ) -> tuple[Fault, ...]:
-    """Return all faults of one step of a network; none if it may be released."""
+    """Return all constraint violations in one step of a network; empty for a verified step."""
     before_m, after_m = before.places_m, after.places_m
     move, step = after_m - before_m, limits.time_step_s
     found: list[Fault] = []
@@ -96,7 +96,7 @@ def verify_moves(
 
 
 def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: float) -> list[Fault]:
-    """Return faults of agents whose swept areas (n,) come too near to the free area's border."""
+    """Return clearance faults of agents whose swept areas (n,) are too near to the boundary."""
     away = np.asarray(shapely.distance(shapely.boundary(free), swept), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
     slack = SLACK * max(1.0, keep_m)
     within = np.asarray(shapely.covers(free.buffer(slack), swept), dtype=np.bool_)
@@ -108,7 +108,7 @@ def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: fl
 def _contacts(
     swept: NDArray[np.object_], corners: Floats, least_m: float, timed: bool
 ) -> list[Fault]:
-    """Return pairs of agents that come as near as `least_m` at one time, or if not timed, ever."""
+    """Return faults of pairs within `least_m`, at equal times if `timed`, else at any two times."""
     tree = shapely.STRtree(swept)
     pairs = tree.query(swept, predicate="dwithin", distance=least_m)
     found: list[Fault] = []
@@ -124,10 +124,10 @@ def _contacts(
 
 
 def _least_distance(corners: Floats) -> float:
-    """Return the least distance from the origin of the parabola with control points (3, 2)."""
+    """Return the distance from the origin to the parabola with control points (3, 2)."""
     start, bend = corners[0], corners[0] - 2.0 * corners[1] + corners[2]
     slope = 2.0 * (corners[1] - corners[0])
-    # |start + slope t + bend t^2|^2 is least at an end or where its derivative is zero.
+    # |start + slope t + bend t^2|^2 is least at an end or at a root of its derivative.
     derivative = [
         2.0 * float(bend @ bend),
         3.0 * float(slope @ bend),
@@ -144,10 +144,10 @@ def _least_distance(corners: Floats) -> float:
 
 
 def _failures(corners: Floats, radio: RadioLimits) -> Floats:
-    """Return bounds (n,) on the probability that agents have no path to a station during a step.
+    """Return upper bounds (n,) of the probability that an agent is disconnected during a step.
 
-    Links are as long as they get between any positions of both ends' steps. Failures of the links
-    of a path are added; the best path counts.
+    Each link has the largest length between any positions of both ends. The bound of a path is
+    the sum of its link failures; the best path counts.
     """
     count = len(corners)
     length = np.zeros((count, count))
@@ -162,7 +162,7 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
     if isinstance(link, LinkLaw):
         best = _fails(link, direct, radio.threshold_dbm).min(axis=1)
     else:
-        # Learnt channels are evaluated along the move; to one station all the time.
+        # Evaluate estimated channels along the move; the station is the same throughout.
         t = np.linspace(0.0, 1.0, LOOKS)
         bend = np.stack(((1.0 - t) ** 2, 2.0 * t * (1.0 - t), t**2), axis=1)
         places = np.einsum("tk,nkx->tnx", bend, corners)
@@ -181,13 +181,13 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
 
 
 def _below(predicted: Prediction, threshold_dbm: float) -> Floats:
-    """Return the probabilities that predicted powers are below a threshold."""
+    """Return the probabilities of predicted powers below a threshold."""
     score = (predicted.mean_db - threshold_dbm) / np.maximum(predicted.deviation_db, 1e-9)
     return 0.5 * np.asarray(erfc(score / math.sqrt(2.0)), dtype=np.float64)
 
 
 def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
-    """Return the largest probability that a link of at most these lengths is below a threshold."""
+    """Return the largest failure probability of a link over all lengths up to the given ones."""
 
     def below(distance_m: Floats) -> Floats:
         slope = -10.0 * np.log10(distance_m)

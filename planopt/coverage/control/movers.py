@@ -1,4 +1,4 @@
-"""Moves of agents toward their targets in one step: by laws, or by a plan over a horizon."""
+"""Motion of agents toward their targets in one step, by a control law or a receding horizon."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ from planopt.coverage.voronoi import merge_coincident
 from planopt.errors import InputError
 
 BLENDS = (1.0, 0.999, 0.99, 0.9, 0.5)
-"""Shares of the planned move, the rest braking, that are tried before an agent only brakes."""
+"""Blending factors of planned move and braking, tried in turn before pure braking."""
 
 ROUNDING = 1e-12
-"""Positions may be outside of their sets by this share of the ground's radius."""
+"""Tolerance of positions outside their sets, as a share of the ground's radius."""
 
 Floats = NDArray[np.float64]
 
 SPLIT = 1e-9
-"""Covering agents at one position are separated by this share of the region's radius: their common
-cell is then cut into sectors, one for each, and they leave each other."""
+"""Distance, as a share of the region's radius, by which coincident covering agents are moved apart.
+Their common cell is then split into sectors, and they separate."""
 
 Partition = Literal["all", "coverage_only"]
-"""Whose cells divide the region: those of all agents, or of the covering ones alone."""
+"""Agents whose cells divide the region: all agents, or only the covering ones."""
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the laws."""
+    """Gains of the control laws."""
 
-    event_per_s: float = 1.0  # k_1, of agents that respond to an event, in 1/s
-    coverage_per_s: float = 1.0  # k_2, of agents that cover, in 1/s
+    event_per_s: float = 1.0  # Gain k_1 of agents that respond to an event, in 1/s
+    coverage_per_s: float = 1.0  # Gain k_2 of covering agents, in 1/s
 
     def shares(self, responds: NDArray[np.bool_], time_step_s: float) -> Floats:
-        """Return the share of the distance to its target that each agent covers in a step; (n,)."""
+        """Return the share of its distance to the target that each agent moves in a step; (n,)."""
         largest = max(self.event_per_s, self.coverage_per_s) * time_step_s
         if not 0.0 < largest <= 1.0 + 1e-12:
             raise InputError(
@@ -63,8 +63,8 @@ class Gains:
 
 def coverage_aims(
     ground: Ground,
-    agents_m: Floats,  # (n, 2) all agents
-    responds: NDArray[np.bool_],  # (n,) whether an agent responds to an event
+    agents_m: Floats,  # (n, 2) positions of all agents
+    responds: NDArray[np.bool_],  # (n,) mask of the agents that respond to an event
     partition: Partition = "all",
 ) -> Cover:
     """Return the targets of covering agents, and the cost of the partition."""
@@ -77,7 +77,7 @@ def coverage_aims(
 
 
 def _apart(ground: Ground, agents_m: Floats, covers: NDArray[np.bool_]) -> Floats:
-    """Return agents (n, 2), covering ones at one position moved onto a tiny ring about it."""
+    """Return positions (n, 2) with coincident covering agents moved onto a tiny ring."""
     within_m = 0.5 * SPLIT * ground.hull.radius_m
     if np.diff(np.sort(agents_m[covers, 0])).min(initial=np.inf) > within_m:
         return agents_m
@@ -101,13 +101,13 @@ def law_moves(
     time_step_s: float,
     speed_m_s: float | None = None,
 ) -> Floats:
-    """Return positions ``(n, 2)`` after a step of the laws, with speeds clipped."""
+    """Return positions ``(n, 2)`` after a step of the control laws with clipped speeds."""
     most_m = math.inf if speed_m_s is None else speed_m_s * time_step_s
     return _clipped_moves(agents_m, targets_m, gains.shares(responds, time_step_s), most_m)
 
 
 def _clipped_moves(agents: Floats, targets: Floats, share: Floats, most_m: float) -> Floats:
-    """Return the ends of moves over a share (n,) of the distance, clipped to the largest move."""
+    """Return the end points of moves by a share (n,) of the distance, clipped to `most_m`."""
     move = share[:, None] * (targets - agents)
     length = np.linalg.norm(move, axis=1)
     return agents + move * np.minimum(1.0, most_m / np.where(length > 0.0, length, 1.0))[:, None]
@@ -121,14 +121,14 @@ def plan_moves(
     gain_per_s: float | Floats,
     horizon: int,
     *,
-    kept: SafeSets = UNBOUNDED,  # Further sets that agents stay in
+    kept: SafeSets = UNBOUNDED,  # Additional safe sets of the agents
     drifts_m_s: Floats | None = None,  # (n, 2) velocities of the targets; zero if None
 ) -> Motion:
-    """Plan the moves of all agents over a horizon; return the motion after the first move.
+    """Plan the motion of all agents over a horizon; return the state after the first move.
 
-    The first move equals that of the law ``k (target - p)`` as long as no limit binds. Bodies never
-    touch, and keep off obstacles and the border, during the whole move; stopping always stays
-    possible.
+    The first move equals that of the control law ``k (target - p)`` if no constraint is active.
+    During the whole move bodies never touch each other and keep clear of obstacles and the outer
+    boundary. A feasible stop always remains.
     """
     places, step_s = motion.places_m, limits.time_step_s
     share = np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64) * step_s, (len(places),))
@@ -147,24 +147,24 @@ def plan_moves(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """A step to plan; `n` agents."""
+    """Planning problem of one step for `n` agents."""
 
     ground: Ground
     places: Floats  # (n, 2)
     targets: Floats  # (n, 2), and their motion in a step
     drifts: Floats
     limits: MoveLimits
-    share: Floats  # (n,) share of the distance to its target that an agent covers in a step
+    share: Floats  # (n,) share of its distance to the target that an agent moves in a step
     horizon: int
-    kept: SafeSets  # Further sets that agents stay in
+    kept: SafeSets  # Additional safe sets of the agents
 
     @property
     def most_m(self) -> float:
-        """Return the largest move in a step."""
+        """Return the largest displacement in a step."""
         return self.limits.speed_m_s * self.limits.time_step_s
 
     def sets(self, stops: Floats, step_m: Floats, reach_m: float) -> SafeSets:
-        """Return all sets that agents with reserves to stops (n, 2) stay in."""
+        """Return the safe sets of agents whose reserves end at stops (n, 2)."""
         cells = separate_cells(self.places, stops, self.limits.body_radius_m, step_m)
         keep_m = self.limits.keep_m
         free = ground_sets(self.ground, self.places, stops, self.targets, keep_m, reach_m)
@@ -172,9 +172,9 @@ class _Task:
 
 
 def _instant_moves(task: _Task) -> tuple[Floats, SafeSets]:
-    """Plan moves of agents whose velocity may jump; they stop at once.
+    """Plan moves of single integrators, which stop instantly.
 
-    Returns the ends of the first moves (n, 2), and the sets to stay in.
+    Returns the end points of the first moves (n, 2) and the safe sets.
     """
     places, share, drifts = task.places, task.share, task.drifts
     step_m = share * np.linalg.norm(task.targets - places, axis=1)
@@ -194,10 +194,10 @@ def _instant_moves(task: _Task) -> tuple[Floats, SafeSets]:
 
 
 def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
-    """Plan moves of double integrators with velocities (n, 2) per step.
+    """Plan moves of double integrators with velocities (n, 2) in metres per step.
 
-    Returns positions and velocities (n, 2) after the first move. Agents brake where no other move
-    was found.
+    Returns positions and velocities (n, 2) after the first move. An agent brakes if no planned move
+    is feasible.
     """
     assert task.limits.acceleration_m_s2 is not None
     places, most, horizon = task.places, task.most_m, task.horizon
@@ -212,7 +212,7 @@ def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
     fastest = np.minimum(speed + change, most)
     later = np.maximum(np.ceil(fastest / change - 1e-9), 1.0)
     inertia = Inertia(now, change, later.astype(np.intp))
-    # A step and then the longest reserve; over the horizon that of the largest speed.
+    # Over the horizon, reserves are those of the largest speed.
     reach_m = most * (horizon + 0.5 * math.ceil(most / change))
     sets = task.sets(stops, fastest * (1.0 + 0.5 * later), reach_m)
     path, rates = _braking(places, now, change, horizon)
@@ -237,25 +237,25 @@ def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
 
 
 def braking_offsets_m(velocities_m: Floats, change_m: float) -> Floats:
-    """Return the offsets ``(n, 2)`` on which double integrators brake straight to rest.
+    """Return the offsets ``(n, 2)`` from double integrators to their stopping positions.
 
-    Velocities ``(n, 2)`` are per step, and so is the largest change of velocity.
+    Velocities ``(n, 2)`` and the largest change of velocity are in metres per step.
     """
     return 0.5 * _stop_steps(velocities_m, change_m)[:, None] * velocities_m
 
 
 def _shorter(vectors: Floats, most: float) -> NDArray[np.bool_]:
-    """Return whether vectors (n, 2) are at most that long, but for rounding; (n,)."""
+    """Return whether vectors (n, 2) are at most `most` long, up to rounding; (n,)."""
     return np.linalg.norm(vectors, axis=1) <= most * (1.0 + 1e-9)
 
 
 def _stop_steps(rates: Floats, change: float) -> Floats:
-    """Return the least number of steps in which velocities (n, 2) end; (n,)."""
+    """Return the least number of braking steps from velocities (n, 2); (n,)."""
     return np.ceil(np.linalg.norm(rates, axis=1) / change - 1e-9)
 
 
 def _braking(places: Floats, now: Floats, change: float, horizon: int) -> tuple[Floats, Floats]:
-    """Return paths and velocities (n, N + 1, 2) of agents that brake straight and evenly."""
+    """Return paths and velocities (n, N + 1, 2) of agents that brake at a constant rate."""
     steps = _stop_steps(now, change)[:, None]
     left = np.maximum(1.0 - np.arange(horizon + 1) / np.maximum(steps, 1.0), 0.0)
     rates = left[:, :, None] * now[:, None]
@@ -267,12 +267,12 @@ def _braking(places: Floats, now: Floats, change: float, horizon: int) -> tuple[
 def _driven(
     places: Floats, ends: Floats, headings: Floats, limits: MoveLimits
 ) -> tuple[Floats, Floats]:
-    """Return positions and headings of unicycles (n, 2) that turn toward ends (n, 2) and drive."""
+    """Return positions and headings of unicycles (n, 2) that turn and drive toward ends (n, 2)."""
     assert limits.turn_rate_rad_s is not None
     offset = ends - places
     length = np.linalg.norm(offset, axis=1)
     turn = np.arctan2(offset[:, 1], offset[:, 0]) - headings
-    # Driving backwards needs no more than a quarter turn.
+    # With reverse driving a quarter turn suffices.
     turn -= np.pi * np.round(turn / np.pi)
     turn[length == 0.0] = 0.0
     most = limits.turn_rate_rad_s * limits.time_step_s
@@ -284,7 +284,7 @@ def _driven(
 
 @dataclass(frozen=True)
 class LawMover:
-    """Moves by the laws, with the speed clipped."""
+    """Mover that applies the control laws with clipped speed."""
 
     gains: Gains
     time_step_s: float
@@ -294,11 +294,11 @@ class LawMover:
         self,
         ground: Ground,
         motion: Motion,
-        targets_m: Floats,  # (n, 2), and their velocities as estimated
+        targets_m: Floats,  # (n, 2); drifts are the estimated target velocities
         responds: NDArray[np.bool_],  # (n,)
         drifts_m_s: Floats,
     ) -> Motion:
-        """Return the motion after a step of the laws."""
+        """Return the motion state after a step of the control laws."""
         here, gains = motion.places_m, self.gains
         moved = law_moves(here, targets_m, responds, gains, self.time_step_s, self.speed_m_s)
         return Motion(moved, (moved - here) / self.time_step_s, motion.headings_rad)
@@ -306,13 +306,13 @@ class LawMover:
 
 @dataclass(frozen=True)
 class RecedingMover:
-    """Plans over a horizon, and drives the first move."""
+    """Receding-horizon mover, which executes the first move of each plan."""
 
     gains: Gains
     limits: MoveLimits
     horizon: int
     radio: RadioLimits | None = None  # Required links to base stations
-    lead: bool = False  # Whether plans follow targets that move; else targets are held
+    lead: bool = False  # Whether plans predict moving targets; otherwise targets are held constant
 
     def __call__(
         self,
@@ -322,7 +322,7 @@ class RecedingMover:
         responds: NDArray[np.bool_],
         drifts_m_s: Floats,
     ) -> Motion:
-        """Return the motion after the first move of a plan."""
+        """Return the motion state after the first move of a plan."""
         step_s, kept = self.limits.time_step_s, UNBOUNDED
         most = self.limits.acceleration_m_s2
         if self.radio is not None:
@@ -340,4 +340,4 @@ class RecedingMover:
 
 
 Mover = LawMover | RecedingMover
-"""The law by which agents move toward their targets in one step."""
+"""Function that moves agents toward their targets for one step."""

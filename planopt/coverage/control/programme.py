@@ -1,7 +1,7 @@
-"""The optimal control problems of all agents as convex programmes.
+"""Optimal control problems of the agents as convex programmes.
 
-Agents share no variables. Each agent's programme is in units of its own distances, relative to its
-own position; velocities are in units of length per step.
+Agents share no variables. Each programme is scaled by the agent's own distances and relative to its
+position; velocities are lengths per step.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from planopt.coverage.control.safe_sets import SafeSets
 
 BLOCK = 50
-"""Number of agents in a block: each block takes as many iterations as its hardest programme."""
+"""Number of agents in a block, which takes as many iterations as its hardest programme."""
 
 VIOLATION = 1e-8
-"""Constraints that are violated by more than this are added."""
+"""Violation above which a constraint is added to the programme."""
 
 WITHIN = 1e-6
-"""Limits are kept with this relative spare, so that the solver's tolerance does not break them."""
+"""Relative margin of speed and acceleration limits for the tolerance of the solver."""
 
 LEAST_UNIT = 1e-3
-"""An agent nearer to its aim than this share of the farthest one's distance is scaled by that."""
+"""Least length unit of an agent as a share of the largest one."""
 
 NO_LIMIT = 1e3
-"""Radius of discs, in units of agents, that fill tables up."""
+"""Radius, in scaled lengths, of the inactive discs that pad tables."""
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,11 +35,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Programmes:
-    """Convex programmes of n agents, each with variables z of shape (V, 2).
+    """Convex programmes of n agents with variables z of shape (V, 2) each.
 
-    Minimise ``1/2 z' hessian z + linear' z``, the same Hessian for both dimensions. Places
-    ``place_map @ z + place_offset`` stay in half-planes and discs, and displacements
-    ``move_map @ z + move_offset`` are at most as long as `longest`.
+    Minimise ``1/2 z' hessian z + linear' z`` with the same Hessian for both dimensions. Positions
+    ``place_map @ z + place_offset`` stay in half-planes and discs. Displacements
+    ``move_map @ z + move_offset`` have at most the length `longest`.
     """
 
     hessian: Floats  # (n, V, V), positive definite
@@ -61,7 +61,7 @@ class Programmes:
 
 
 def solve_programmes(programmes: Programmes) -> Floats | None:
-    """Return the optima ``(n, V, 2)``, or None if Clarabel fails."""
+    """Return the solutions ``(n, V, 2)``, or None if Clarabel fails."""
     best = np.asarray(np.linalg.solve(programmes.hessian, -programmes.linear), dtype=np.float64)
     todo = np.arange(len(best))
     active = tuple(np.zeros_like(each) for each in _violated(programmes, best))
@@ -83,7 +83,7 @@ def solve_programmes(programmes: Programmes) -> Floats | None:
 
 
 def _violated(programmes: Programmes, z: Floats) -> tuple[Mask, Mask, Mask]:
-    """Return which half-planes (n, K, N), discs (n, D, N) and lengths (n, R) z violates."""
+    """Return masks of violated half-planes (n, K, N), discs (n, D, N) and lengths (n, R)."""
     places = programmes.place_map @ z + programmes.place_offset
     heights = programmes.normals @ places.transpose(0, 2, 1) - programmes.rooms[..., None]
     away = np.linalg.norm(places[:, None] - programmes.centres[:, :, None], axis=3)
@@ -96,7 +96,7 @@ def _violated(programmes: Programmes, z: Floats) -> tuple[Mask, Mask, Mask]:
 
 
 def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask) -> Floats | None:
-    """Return the optima (n, V, 2) under some of the constraints by one sparse programme."""
+    """Solve one sparse programme with the selected constraints; return solutions (n, V, 2)."""
     import clarabel
     from scipy.sparse import coo_array, csc_array
 
@@ -108,7 +108,7 @@ def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask)
     rooms = programmes.rooms[agent, plane] - (normals * offsets).sum(axis=1)
     disc_agent, disc, disc_step = np.nonzero(discs)
     move_agent, move = np.nonzero(moves)
-    # Cones are (radius, offset - matrix @ z).
+    # Second-order cones are (radius, offset - matrix @ z).
     matrix = np.concatenate(
         (programmes.place_map[disc_agent, disc_step], programmes.move_map[move])
     )
@@ -128,7 +128,7 @@ def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask)
     upper = hessian * np.tile(np.triu(np.ones((2 * size, 2 * size))), (count, 1))
 
     def sparse(dense: Floats, owner: NDArray[np.intp]) -> Any:
-        """Return rows (m, 2 V) of agents in the columns of all agents."""
+        """Return the sparse matrix with rows (m, 2 V) in the columns of their agents."""
         row, column = np.nonzero(dense)
         at = row, owner[row] * 2 * size + column
         return csc_array(coo_array((dense[row, column], at), (len(dense), count * 2 * size)))
@@ -150,16 +150,16 @@ def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask)
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """The variables and constraints that a double integrator adds to a programme."""
+    """Initial state and limits that a double integrator adds to a programme."""
 
-    velocities_m: Floats  # (n, 2) velocity of each agent, per step
-    change_m: float  # Largest change of that in a step
-    # (n,) number of steps in which an agent stops from the largest speed it can have after the next
+    velocities_m: Floats  # (n, 2) velocity of each agent in metres per step
+    change_m: float  # Largest change of velocity in a step
+    # (n,) number of braking steps from the largest speed possible after the next step
     stop_steps: NDArray[np.intp]
 
 
 def stage_weights(share: Floats, horizon: int) -> tuple[Floats, Floats]:
-    """Return the weights of places ``(n, N)`` and of moves ``(n,)`` that reproduce the law."""
+    """Return position weights ``(n, N)`` and move weights ``(n,)`` equivalent to the law."""
     # Shapes: share (n,).
     places = np.ones((len(share), horizon))
     places[:, -1] = 1.0 / share
@@ -176,12 +176,12 @@ def solve_programme(
     inertia: Inertia | None = None,
     drifts_m: Floats | None = None,  # (n, 2)
 ) -> tuple[Floats, Floats] | None:
-    """Return the optimal paths and velocities of agents, or None if the solver gives up.
+    """Return the optimal paths and velocities of agents, or None if the solver fails.
 
-    It minimises ``sum_j w_j |p_j - c|^2 + r |p_{j+1} - p_j|^2`` for each agent with aim c and the
-    weights of :func:`stage_weights`. With inertia, velocities w add
-    ``|w_{j+1} - w_j|^2 / (2 share)^2``, and half of the last place's weight is that of the place
-    where the agent would stop.
+    The objective is ``sum_j w_j |p_j - c|^2 + r |p_{j+1} - p_j|^2`` for each agent with aim c and
+    the weights of :func:`stage_weights`. With inertia, velocities v add
+    ``|v_{j+1} - v_j|^2 / (2 share)^2``, and half of the last position's weight applies to the
+    stopping position instead.
     """
     # Shapes: starts_m, aims_m (n, 2).
     count, changes = len(starts_m), np.eye(horizon) - np.eye(horizon, k=-1)
@@ -196,14 +196,14 @@ def solve_programme(
     none = np.zeros((count, horizon, 2))
     most = np.repeat((1.0 - WITHIN) * most_m / unit[:, None], horizon, axis=1)
     if inertia is None:
-        # Variables are places.
+        # The variables are positions.
         place, shift = np.eye(horizon), none
         reserve = np.repeat(place[None], count, axis=0)
         squares = [(place, weights, aims), (changes, effort[:, None], drifts)]
         kept = horizon if np.isfinite(most_m) else 0
         bounded, less, most = changes[:kept], none[:, :kept], most[:, :kept]
     else:
-        # Variables are velocities; a move is the mean of those before and after it.
+        # The variables are velocities; a move is the mean of the velocities at its ends.
         place = np.cumsum(np.eye(horizon) - 0.5 * changes, axis=0)
         now = none.copy()
         now[:, 0] = inertia.velocities_m / unit[:, None]
@@ -211,7 +211,7 @@ def solve_programme(
         reserve = place + 0.5 * inertia.stop_steps[:, None, None] * np.eye(horizon)
         last = np.zeros((count, horizon))
         last[:, -1] = 0.5 / share
-        # Last is the place where the agent would stop, if it kept up with the aim.
+        # The last row is the stopping position relative to the moving aim.
         stop = 0.5 * inertia.stop_steps[:, None, None]
         squares = [
             (place, weights - last, aims - shift),
@@ -219,7 +219,7 @@ def solve_programme(
             (np.eye(horizon) - 0.5 * changes, effort[:, None], drifts - 0.5 * now),
             (changes, 0.25 / share[:, None] ** 2, now),
         ]
-        # Places follow: each is between the one before, where that stops, and where it stops.
+        # Bounded reserves suffice: a position lies between the last one and the stops of both.
         bounded = np.concatenate((np.eye(horizon), changes))
         less = np.concatenate((none, now), axis=1)
         jolt = (1.0 - WITHIN) * inertia.change_m / unit[:, None]
@@ -258,7 +258,7 @@ def solve_programme(
 def _tables(
     sets: SafeSets, starts_m: Floats, unit: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return normals, rooms, centres and radii of sets, about the starts and in their units."""
+    """Return normals, rooms, centres and radii of sets relative to the starts, scaled by `unit`."""
     count = len(starts_m)
     room = sets.offsets_m - (sets.normals * starts_m[sets.agent]).sum(axis=1)
     normals, rooms = _filled(
@@ -273,7 +273,7 @@ def _tables(
 def _filled(
     agent: NDArray[np.intp], vectors: Floats, values: Floats, count: int, filler: float
 ) -> tuple[Floats, Floats]:
-    """Return vectors (k, 2) and values (k,) of agents as tables (n, most, 2) and (n, most)."""
+    """Arrange vectors (k, 2) and values (k,) by agent in tables (n, most, 2) and (n, most)."""
     order = np.argsort(agent, kind="stable")
     number = np.bincount(agent, minlength=count)
     column = np.arange(len(agent)) - np.repeat(np.cumsum(number) - number, number)

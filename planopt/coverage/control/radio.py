@@ -1,8 +1,8 @@
-"""Trees of radio links that agents keep while they move.
+"""Trees of radio links that moving agents maintain.
 
-Each agent reaches a base station over its parent in a tree. The probabilities that links fail are
-added along the path (union bound), so that no independence of the links is needed. Each link
-may get longer until its share of the allowed sum is used up, and half of that is left to each end.
+Each agent is connected to a base station over its parent in a tree. The failure probabilities of
+the links along a path are added (union bound), so links need not be independent. Each link may
+grow until it uses up its share of the allowed sum; each end stays in a disc of half that length.
 """
 
 from __future__ import annotations
@@ -22,32 +22,31 @@ from planopt.coverage.control.safe_sets import SPARE, UNBOUNDED, SafeSets, half_
 from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, line_distances_m
 
 LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
-"""Lengths of links at which laws are evaluated; links are rounded up to the next one."""
+"""Tabulated link lengths; the length of a link is rounded up to the next entry."""
 
 HOP = 0.02
-"""Least weight of a link as a share of the allowed failure, so that trees are not too deep."""
+"""Minimum weight of a link as a share of the allowed failure, which limits the tree depth."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class RadioTree:
-    """The links that carry the network, and the sets in which agents keep them."""
+    """Tree of radio links, and safe sets in which agents maintain these links."""
 
-    # (n,) the agent that each agent's link leads to; station k as -1 - k. An agent without
-    # connection is its own parent.
+    # (n,) parent of each agent; -1 - k for station k. A disconnected agent is its own parent.
     parent: NDArray[np.intp]
-    failure: Floats  # (n,) bound on the probability that an agent has no connection over the tree
-    kept: SafeSets  # Agents in them keep all links of the tree; none for agents without connection
+    failure: Floats  # (n,) upper bound of the probability that the path to a station fails
+    kept: SafeSets  # Sets in which agents keep all links; no constraint for disconnected agents
 
     @property
     def connected(self) -> NDArray[np.bool_]:
-        """Return whether each agent has a connection; (n,)."""
+        """Return whether each agent is connected to a station; (n,)."""
         return self.parent != np.arange(len(self.parent))
 
 
 def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = None) -> RadioTree:
-    """Return the tree in which paths of agents (n, 2) to stations fail least."""
+    """Return the tree of most reliable paths from agents (n, 2) to base stations."""
     stops = places_m if stops_m is None else stops_m
     count, allowed = len(places_m), 1.0 - radio.p_min
     between, mapped = _failures(radio.agent_link, radio), radio.station_link
@@ -59,7 +58,7 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
         direct = _failures(mapped, radio)
         alone = _at(direct, np.linalg.norm(ends, axis=3).max(axis=1))
     station = alone.argmin(axis=1)
-    # Links to a station come last; all stations are node n.
+    # Links to stations come last; all stations are represented by node n.
     agents = np.arange(count)
     pairs = np.concatenate((pairs, np.stack((agents, np.full(count, count)), axis=1)))
     fails = np.concatenate((_at(between, lengths), alone[agents, station]))
@@ -72,7 +71,7 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
     depth = dict.fromkeys([count], 0)
     for agent in linked:
         depth[agent] = depth[up[agent]] + 1
-    # The largest sum and the most links of any path over the agent.
+    # Largest failure sum and largest number of links of any path through the agent.
     most, deepest = failure.copy(), dict(depth)
     for agent in reversed(linked):
         if up[agent] != count:
@@ -106,9 +105,9 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
 
 
 def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: Floats) -> SafeSets:
-    """Return half-planes that contain an agent's reserve and no disc about nodes (m, 2).
+    """Return half-planes that contain an agent's reserve and exclude discs about nodes (m, 2).
 
-    The nearest disc gives one, the nearest disc that is not beyond it the next one.
+    The nearest disc defines a half-plane, the nearest disc inside it the next one, and so on.
     """
     radius = (1.0 + SPARE) * radius_m
     normals, offsets = list[Floats](), list[float]()
@@ -128,25 +127,25 @@ def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: F
 
 
 def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:
-    """Return the largest probability that a link fails that is at most as long as `LENGTHS_M`."""
+    """Return the largest failure probability of a link up to each length in `LENGTHS_M`."""
     decades = -10.0 * np.log10(LENGTHS_M)
     mean = law.theta[0] + law.theta[1] * decades
     path_loss = law.theta_covariance
     variance = path_loss[0, 0] + decades * (2.0 * path_loss[0, 1] + decades * path_loss[1, 1])
     deviation = np.sqrt(np.maximum(variance, 0.0) + law.deviation_db**2)
     margin = mean - radio.threshold_dbm
-    # Without any deviation a link holds or fails for sure.
+    # With zero standard deviation a link holds or fails with certainty.
     score = margin / np.maximum(deviation, 1e-9)
     return np.maximum.accumulate(np.asarray(ndtr(-score), dtype=np.float64))
 
 
 def _at(failures: Floats, lengths_m: Floats) -> Floats:
-    """Return the failures of links at the next length of the table; 1 beyond it."""
+    """Return failure probabilities at lengths rounded up to the table; 1 beyond it."""
     return np.append(failures, 1.0)[np.searchsorted(LENGTHS_M, lengths_m)]
 
 
 def _longest(failures: Floats, may_fail: float) -> float:
-    """Return the longest link that fails with at most that probability; 0 if none does."""
+    """Return the largest link length with at most that failure probability; 0 if none has."""
     number = int(np.searchsorted(failures, may_fail, side="right"))
     return float(LENGTHS_M[number - 1]) if number else 0.0
 
@@ -154,9 +153,9 @@ def _longest(failures: Floats, may_fail: float) -> float:
 def _links(
     places: Floats, stops: Floats, longest_m: float
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return pairs (e, 2) of agents whose links may hold, and least circles about their reserves.
+    """Return pairs (e, 2) of agents with feasible links, and circles about their reserves.
 
-    Circles have centres (e, 2) and diameters (e,): a link counts as long as that.
+    Circles have centres (e, 2) and diameters (e,); the diameter counts as the link length.
     """
     middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
     tree = KDTree(middle)
@@ -178,7 +177,7 @@ def _links(
             scaled = (u * u).sum(axis=1)[:, None] * v - (v * v).sum(axis=1)[:, None] * u
             offset = np.stack((scaled[:, 1], -scaled[:, 0]), axis=1)
             centre = a + offset / np.where(flat, 1.0, twice)[:, None]
-        # Any centre is valid with the radius that it needs; the least one is chosen.
+        # Any centre is valid with a sufficient radius; the smallest circle is chosen.
         radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
         better = radius < least
         best[better], least[better] = centre[better], radius[better]
@@ -188,10 +187,10 @@ def _links(
 def _tree(
     pairs: NDArray[np.intp], weights: Floats, fails: Floats, count: int
 ) -> tuple[NDArray[np.intp], Floats, list[int]]:
-    """Return shortest paths from node `count` to all others over links (e, 2) with weights (e,).
+    """Return the tree of shortest paths from node `count` over links (e, 2) with weights (e,).
 
-    They are the link (n,) toward it, the sum of `fails` (n + 1,) along the path, and the agents
-    that are reached, in the order of their distance.
+    The result is the link (n,) toward that node, the sum of `fails` (n + 1,) along the path, and
+    the connected agents in order of distance.
     """
     shape = (count + 1, count + 1)
     graph = csr_array((weights, (pairs[:, 0], pairs[:, 1])), shape=shape)

@@ -1,9 +1,9 @@
-"""Convex sets in which agents move independently of each other: cells and corridors.
+"""Convex safe sets, in which agents move independently of each other: cells and corridors.
 
-Each agent has a reserve, the straight line on which it can stop: its position, and with inertia the
-line from there to where it would stand. A cell separates the reserves of agents; a corridor
-contains no border. The reserve is always within both, so that an agent may stop whatever the others
-do.
+The reserve of an agent is its braking path: its position, or with inertia the straight line from
+there to the stopping position. A cell separates the reserve from those of other agents; a corridor
+contains no boundary. The reserve is always inside both sets, so an agent can stop regardless of the
+others.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from planopt.coverage.voronoi import FAR, ON_BORDER
 from planopt.errors import InputError
 
 SPARE = 1e-3
-"""Bodies keep this share of their radius more apart than they must, for rounding and solvers."""
+"""Extra margin, as a share of the body radius, for rounding and solver tolerances."""
 
 TOUCHES = 1e-9
-"""A border nearer to a seed than this share of the region's radius touches it."""
+"""Distance, as a share of the region's radius, up to which a boundary touches a seed."""
 
 LOOKS = 36
-"""Directions in which the nearest half-planes are kept."""
+"""Number of directions in which :meth:`SafeSets.thinned` keeps the nearest half-planes."""
 
 NEARLY = 1.05
-"""A half-plane at most this many times as far away as the nearest one in a direction is kept."""
+"""Ratio to the nearest half-plane's distance in a direction up to which others are kept."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class SafeSets:
-    """The half-planes and discs that each agent stays in."""
+    """Convex set of each agent: an intersection of half-planes and discs."""
 
     agent: NDArray[np.intp]  # (k,) agent of each half-plane
-    normals: Floats  # (k, 2) outward unit normals and (k,): the half-plane is normal @ q <= offset
+    normals: Floats  # (k, 2) outward unit normals; a half-plane is {q : normal @ q <= offset}
     offsets_m: Floats
     disc_agent: NDArray[np.intp]  # (l,) agent of each disc
-    centres_m: Floats  # (l, 2) and (l,)
+    centres_m: Floats  # (l, 2); radii_m (l,)
     radii_m: Floats
 
     def share_inside(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the share of the lines from starts ``(n, 2)`` to ends that is inside; (n,).
+        """Return the share of each line from starts to ends ``(n, 2)`` inside the set; (n,).
 
-        Starts count as inside.
+        The starts count as inside.
         """
         share = np.ones(len(starts_m))
         move = ends_m - starts_m
@@ -64,7 +64,7 @@ class SafeSets:
         out = square + 2.0 * middle > spare
         half = np.asarray(middle[out])
         root = np.sqrt(half * half + square[out] * spare[out])
-        # The positive root of square t^2 + 2 half t = spare, without cancellation.
+        # Positive root of square t^2 + 2 half t = spare without cancellation.
         ahead = np.asarray(spare[out] / np.where(half > 0.0, half + root, 1.0), dtype=np.float64)
         behind = np.asarray((root - half) / square[out], dtype=np.float64)
         np.minimum.at(share, self.disc_agent[out], np.where(half > 0.0, ahead, behind))
@@ -80,7 +80,7 @@ class SafeSets:
         return inside
 
     def widened(self, places_m: Floats) -> SafeSets:
-        """Return sets that are just wide enough to hold positions ``(n, j, 2)`` as well."""
+        """Return the sets relaxed just enough to contain positions ``(n, j, 2)``."""
         height = np.einsum("kjx,kx->kj", places_m[self.agent], self.normals).max(axis=1)
         away = np.linalg.norm(places_m[self.disc_agent] - self.centres_m[:, None], axis=2)
         offsets = np.maximum(self.offsets_m, height)
@@ -88,10 +88,10 @@ class SafeSets:
         return replace(self, offsets_m=offsets, radii_m=radii)
 
     def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
-        """Return the sets without half-planes that hardly matter near starts ``(n, 2)``.
+        """Return the sets without half-planes that are nearly redundant near starts ``(n, 2)``.
 
-        Those stay that are the first, or nearly, in one of `LOOKS` directions from the start up to
-        the reach (n,). The result is for planning alone; moves are checked with the complete sets.
+        A half-plane is kept if it is the first or almost the first within reach (n,) in one of
+        `LOOKS` directions. The result serves planning only; moves are checked against all sets.
         """
         turn = np.linspace(0.0, 2.0 * np.pi, LOOKS, endpoint=False)
         slope = self.normals @ np.stack((np.cos(turn), np.sin(turn)))
@@ -105,7 +105,7 @@ class SafeSets:
         return replace(self, agent=agent, normals=normals, offsets_m=offsets)
 
     def of(self, chosen: NDArray[np.intp]) -> SafeSets:
-        """Return the sets of some agents, numbered in that order."""
+        """Return the sets of selected agents, renumbered in the order of `chosen`."""
         largest = max(one.max(initial=0) for one in (self.agent, self.disc_agent, chosen))
         number = np.full(largest + 1, -1)
         number[chosen] = np.arange(len(chosen))
@@ -121,35 +121,35 @@ class SafeSets:
 
 
 def joined(*sets: SafeSets) -> SafeSets:
-    """Return the intersections of sets of the same agents."""
+    """Return the intersection of several sets for each agent."""
     names = [each.name for each in fields(SafeSets)]
     return SafeSets(*(np.concatenate([getattr(one, name) for one in sets]) for name in names))
 
 
 def half_planes(agent: NDArray[np.intp], normals: Floats, offsets_m: Floats) -> SafeSets:
-    """Return sets that consist of half-planes alone."""
+    """Return sets that consist of half-planes only."""
     return SafeSets(agent, normals, offsets_m, NOBODY, np.zeros((0, 2)), np.zeros(0))
 
 
 NOBODY = np.zeros(0, dtype=np.intp)
 UNBOUNDED = half_planes(NOBODY, np.zeros((0, 2)), np.zeros(0))
-"""Sets without any limit."""
+"""Sets without constraints."""
 
 
 def separate_cells(
     places_m: Floats, stops_m: Floats, body_radius_m: float, reach_m: Floats
 ) -> SafeSets:
-    """Return a convex cell of each agent, inset by its body, so that no two agents meet.
+    """Return disjoint convex cells of the agents, inset by the body radius.
 
-    The line between two agents is halfway between the nearest points of their reserves. For agents
-    that stop at once that is the bisector, and the cell is the Voronoi cell.
+    The separating line is halfway between the nearest points of two reserves. For agents that stop
+    instantly it is the bisector, and the cell is the Voronoi cell.
     """
     # Shapes: places_m, stops_m (n, 2); reach_m (n,).
     if body_radius_m == 0.0 or len(places_m) < 2:
         return UNBOUNDED
     pairs = _neighbours(places_m)
     if not np.array_equal(places_m, stops_m):
-        # Agents whose reach in a step, present reserves included, overlaps.
+        # Add pairs whose reachable sets in a step, including present reserves, overlap.
         middle = 0.5 * (places_m + stops_m)
         wide = reach_m + 0.5 * np.linalg.norm(stops_m - places_m, axis=1) + body_radius_m
         found = KDTree(middle).query_pairs(  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
@@ -185,14 +185,14 @@ def separate_cells(
 
 
 def _neighbours(places_m: Floats) -> NDArray[np.intp]:
-    """Return pairs (e, 2) of Voronoi neighbours, the smaller number first."""
+    """Return pairs (e, 2) of Voronoi neighbours, smaller number first."""
     count = len(places_m)
     every = np.stack(np.triu_indices(count, 1), axis=1)
     if count <= 4:
         return every
     centre = places_m.mean(axis=0)
     radius = float(np.linalg.norm(places_m - centre, axis=1).max())
-    # Four far places, as for cells, so that places on one line have neighbours too.
+    # As for cells, four far points ensure that collinear positions have neighbours.
     far = FAR * np.array([[1.0, 0.1], [-0.1, 1.0], [-1.0, -0.1], [0.1, -1.0]])
     try:
         mesh = Delaunay(np.concatenate(((places_m - centre) / radius, far)))
@@ -213,7 +213,7 @@ def ground_sets(
     keep_m: float,
     reach_m: float,
 ) -> SafeSets:
-    """Return a convex part of the ground for each agent that keeps off obstacles and border."""
+    """Return a convex part of the ground for each agent that keeps the clearance."""
     # Shapes: places_m, stops_m (n, 2).
     slack_m = ON_BORDER * ground.hull.radius_m
     outside = ~np.asarray(shapely.dwithin(ground.free, shapely.points(places_m), slack_m))
@@ -235,7 +235,7 @@ def ground_sets(
             key="world.clearance_m",
             remedy="make the ground with that clearance",
         )
-    # The part of the line to the aim that is in reach and free
+    # Clip the line to the aim to its reachable and free part.
     line = aims_m - places_m
     length = np.linalg.norm(line, axis=1)
     ends = places_m + line * np.minimum(1.0, reach_m / np.where(length > 0.0, length, 1.0))[:, None]
@@ -246,7 +246,7 @@ def ground_sets(
         shapely.multipoints(np.stack((places_m, stops_m, ends), axis=1))  # pyright: ignore[reportArgumentType, reportCallIssue]
     )
     meets = np.asarray(shapely.intersects(ground.border, hulls), dtype=np.bool_)
-    # Clearances of corners are round, the region's are mitred: an agent may be outside of it.
+    # The clearance is round at corners but `allowed` is mitred, so an agent may be outside it.
     meets |= ~ground.allows(places_m)
     ends[meets] = stops_m[meets]
     seeds = np.stack((places_m, stops_m, ends), axis=1)
@@ -255,7 +255,7 @@ def ground_sets(
 
 
 def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
-    """Return the last allowed position (2,) on a straight line from an allowed one."""
+    """Return the last allowed position (2,) on the straight line from `start` to `end`."""
     crossed = shapely.intersection(ground.border, shapely.LineString([start, end]))
     met = np.asarray(shapely.get_coordinates(crossed), dtype=np.float64)
     if not len(met):
@@ -266,7 +266,7 @@ def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
 
 
 def _border(free: shapely.Polygon) -> Floats:
-    """Return the sides (m, 2, 2) of a polygon with holes, the free area on their left."""
+    """Return the sides (m, 2, 2) of a polygon with holes, with the free area on the left."""
     rings = shapely.get_rings(shapely.orient_polygons(free))
     places, ring = shapely.get_coordinates(rings, return_index=True)
     same = ring[1:] == ring[:-1]
@@ -276,10 +276,10 @@ def _border(free: shapely.Polygon) -> Floats:
 def _corridors(
     edges: Floats, seeds: Floats, keep_m: float, reach_m: float, touch_m: float
 ) -> SafeSets:
-    """Return convex sets about seeds (n, 3, 2), triangles, that borders (m, 2, 2) do not enter.
+    """Return convex sets around seed triangles (n, 3, 2) that keep clear of edges (m, 2, 2).
 
-    The border's nearest point to the seed gives a half-plane, the nearest point of the border that
-    is not beyond it the next one.
+    The boundary point nearest to the seed defines a half-plane; the nearest boundary point inside
+    that half-plane defines the next one, and so on.
     """
     count = len(seeds)
     agent = np.repeat(np.arange(count), len(edges))
@@ -313,7 +313,7 @@ def _corridors(
         base = (normal * there[first]).sum(axis=1)
         within = np.einsum("kjx,kx->kj", seeds[chosen], normal).max(axis=1)
         found.append(half_planes(chosen, normal, np.maximum(base - keep_m, within)))
-        # Parts beyond the half-plane's own line need no further one, nor does the chosen part.
+        # Drop the parts beyond the new half-plane, and the part that defined it.
         row = np.zeros(count, dtype=np.intp)
         row[chosen] = np.arange(len(chosen))
         mine = row[agent]
@@ -331,10 +331,10 @@ def _corridors(
 
 
 def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float) -> Floats | None:
-    """Return a normal that separates a seed (3, 2) from a side that it touches.
+    """Return a normal that separates a seed (3, 2) from a boundary side that it touches.
 
-    None if neither the side nor a flat triangle lies on a separating line; for a single position
-    one does.
+    The result is None if neither the side nor a degenerate triangle defines a separating line. A
+    seed of a single position always has one.
     """
     if ((seed - part[0]) @ outward <= touch_m).all():
         return outward
@@ -348,9 +348,9 @@ def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float
 
 
 def _from_triangles(seeds: Floats, parts: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the nearest points (k, 2) of triangles (k, 3, 2) and lines (k, 2, 2), and distances.
+    """Return nearest points (k, 2) of triangles (k, 3, 2) and segments (k, 2, 2), and distances.
 
-    The lines do not enter the triangles.
+    The segments must not enter the triangles.
     """
     here, there = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 2))
     least = np.full(len(seeds), np.inf)
@@ -364,7 +364,7 @@ def _from_triangles(seeds: Floats, parts: Floats) -> tuple[Floats, Floats, Float
 
 
 def closest_points(one_m: Floats, other_m: Floats) -> tuple[Floats, Floats]:
-    """Return the nearest points of two straight lines that do not cross."""
+    """Return the nearest points of pairs of line segments that do not cross."""
     # Shapes: one_m, other_m (k, 2, 2).
     best = np.full(len(one_m), np.inf)
     here, there = one_m[:, 0].copy(), other_m[:, 0].copy()

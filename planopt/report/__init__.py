@@ -1,6 +1,6 @@
 """Figures, animations and text tables of results.
 
-Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+Names are imported on first use; the stub ``__init__.pyi`` lists them.
 """
 
 from planopt.lazy_names import lazy_names

@@ -1,8 +1,7 @@
 # pyright: basic
-"""Animated GIFs: a background that is drawn once, and the artists of each frame on top of it.
+"""Animated GIFs: a background drawn once, with the artists of each frame on top.
 
-This file is the boundary to Matplotlib's Agg canvas and to Pillow, which leave what is used here
-untyped.
+This module isolates Matplotlib's Agg canvas and Pillow, whose functions used here are untyped.
 """
 
 from __future__ import annotations
@@ -34,47 +33,47 @@ if TYPE_CHECKING:
 DPI = 76
 
 SAMPLED_STEPS = 9
-"""Number of steps, evenly spaced, whose artists the legend lists."""
+"""Number of evenly spaced steps whose artists appear in the legend."""
 
 MOST_FRAMES = 90
-"""Longer runs show every second or third step, so that files stay below some 2 MB."""
+"""Maximum number of frames; longer runs skip steps, so that files stay below about 2 MB."""
 
 COLOURS = 64
-"""Palette entries for the background."""
+"""Number of palette entries for the background."""
 
 MARKS = (*SERIES, YELLOW, FRAME, OBSTACLE, BLACK, WHITE)
-"""Palette entries for the marks, which cover too little of a frame to be chosen."""
+"""Fixed palette entries for marks, which are too small to be selected from a frame."""
 
 SCALE_COLOURS = 48
-"""Palette entries for the colour bar."""
+"""Number of palette entries for the colour bar."""
 
 UNCHANGED = 255
-"""Palette entry of pixels that are as in the frame before."""
+"""Palette entry of pixels that equal the previous frame."""
 
 FRAME_MS, LAST_MS = 120, 2500
-"""Duration of each frame and of the last one."""
+"""Durations of each frame and of the last one in ms."""
 
 LEGEND_COLUMNS = 4
 
 DrawFrame = Callable[[int], Sequence["Artist"]]
-"""Draws the artists of one step and returns them; they are removed after the frame."""
+"""Function that draws one step and returns its artists, which are removed after the frame."""
 
 
 def animate(
     figure: Figure, path: Path, count: int, draw_frame: DrawFrame, entries: Sequence[Artist] = ()
 ) -> None:
-    """Write the steps of a run as an animated GIF, whole or not at all.
+    """Write the steps of a run as an animated GIF, atomically.
 
     Parameters
     ----------
     figure
-        With the background drawn.
+        Figure with the background drawn.
     path
-        Ends in ``.gif``; its folder is made if it is missing.
+        File name ending in ``.gif``; its folder is created if missing.
     count
         Number of steps; at most about `MOST_FRAMES` of them are shown.
     draw_frame
-        Draws one step and returns its artists. Those with a label appear in the legend.
+        Function that draws one step and returns its artists; labelled ones enter the legend.
     entries
         Further legend entries.
 
@@ -111,13 +110,13 @@ def animate(
 def frames(
     figure: Figure, count: int, draw_frame: DrawFrame, entries: Sequence[Artist] = ()
 ) -> Iterator[Image]:
-    """Draw the frames of a run, the first at its start, the last at its end."""
+    """Yield the frames of a run from its start to its end."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
     figure.set_dpi(DPI)
     canvas = FigureCanvasAgg(figure)
-    # The layout is found once, with the legend, and kept.
+    # The layout is computed once, including the legend, and kept.
     steps = np.linspace(0, count - 1, SAMPLED_STEPS).round().astype(int).tolist()
     sample = [artist for step in sorted(set(steps)) for artist in draw_frame(step)]
     named = {str(artist.get_label()): artist for artist in sample}
@@ -140,13 +139,13 @@ def frames(
 
 
 def shown_steps(count: int) -> list[int]:
-    """Return the evenly spaced steps that are shown, the first and the last among them."""
+    """Return evenly spaced steps, including the first and the last."""
     every = -(-count // MOST_FRAMES)
     return sorted({*range(0, count, every), count - 1})
 
 
 def _with_palette(images: Sequence[Image]) -> list[Image]:
-    """Give all frames the palette of the last one, and leave out pixels that did not change."""
+    """Convert all frames to the palette of the last one, with unchanged pixels transparent."""
     from matplotlib import colormaps
     from PIL import Image, ImageColor
 

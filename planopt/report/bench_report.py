@@ -1,4 +1,4 @@
-"""The results of planners in the regression suite, as text and as a figure."""
+"""Results of planners in the regression suite, as text and as a figure."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEAST_EXCESS = 1e-6
-"""Objectives nearer than this share to the best known are drawn as if they were this far."""
+"""Smallest relative excess over the best known objective that is plotted."""
 
 SHOWN = 20
-"""Regressions and rejections that the text lists; the JSON file has all."""
+"""Maximum number of regressions and rejections in the text; the JSON file lists all."""
 
 
 def bench_text(data: Mapping[str, Any]) -> str:
-    """Return a report as plain text: scores, regressions, and what made the numbers."""
+    """Return a report as plain text: scores, regressions, and the software and machine."""
     header = [
         *("planner", "cases", "solved [%]", "correct [%]", "verified [%]", "rejected", "errors"),
         *("fallback [%]", "median excess [%]", "largest excess [%]", "iterations", "mean [s]"),
@@ -91,8 +91,8 @@ def bench_text(data: Mapping[str, Any]) -> str:
 def draw_bench(rows: Sequence[Row], best: Mapping[Question, float], manifest: Manifest) -> Figure:
     """Draw the results of planners.
 
-    Four panels: the performance profile of times, the share of cases by how much worse their
-    objective is than the best known, the rates, and the fallbacks that released plans.
+    Four panels show the performance profile of times, the cumulative distribution of the relative
+    excess over the best known objective, the rates, and the fallbacks that released plans.
     """
     figure, panels = new_figure(12.0, 9.0, ["AB", "CD"])
     each = scores(rows, best)
@@ -128,13 +128,13 @@ def draw_bench(rows: Sequence[Row], best: Mapping[Question, float], manifest: Ma
 def _draw_steps(
     panel: Panel, x: NDArray[np.float64], shares: NDArray[np.float64], planner: str, number: int
 ) -> None:
-    """Draw a planner's share of cases (n,) that increases at each x (n,)."""
+    """Draw a planner's cumulative share of cases (n,) as a step curve over x (n,)."""
     look = {"drawstyle": "steps-post", "label": planner, **dashed_look(number)}
     panel.plot(x, 100.0 * shares, **look)
 
 
 def _draw_rates(panel: Panel, each: Sequence[Score]) -> None:
-    """Draw the shares solved, verified, and of claims that hold, by planner."""
+    """Draw the shares of solved cases, verified cases and correct claims, by planner."""
     places = np.arange(len(each), dtype=np.float64)
     rates = np.array(
         [(one.success_rate, one.verified_rate, one.correct_rate) for one in each], dtype=np.float64
@@ -152,7 +152,7 @@ def _draw_rates(panel: Panel, each: Sequence[Score]) -> None:
 
 
 def _draw_fallbacks(panel: Panel, rows: Sequence[Row], planners: Sequence[str]) -> None:
-    """Draw which fallbacks released the plans of each planner, as stacked shares."""
+    """Draw the fallbacks that released the plans of each planner, as stacked shares."""
     names = list(dict.fromkeys(name for row in rows for name in row.rungs))
     counts = np.zeros((len(names), len(planners)))
     for row in rows:
@@ -177,7 +177,7 @@ def _percent(share: float | None, digits: int = 1) -> str:
 
 
 def _stacked(header: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
-    """Return a table whose headings stand one word below the other."""
+    """Return a table whose headings are split into one word per line."""
     words = [heading.split() for heading in header]
     height = max(map(len, words))
     above = [[*[""] * (height - len(each)), *each] for each in words]

@@ -1,4 +1,4 @@
-"""Figures of the channel: maps, fits, calibration, reliability, sensitivity, found stations."""
+"""Figures of the channel: maps, fits, calibration, reliability, sensitivity, station estimates."""
 
 from __future__ import annotations
 
@@ -62,17 +62,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PANEL_IN, AROUND_IN, MAX_SLENDER = 4.0, 1.9, 2.0
-"""Width of a map's panel, height of titles and legend in inches, largest ratio of its sides."""
+"""Width of a map panel and height of titles and legend in inches, and maximum aspect ratio."""
 
 SHOWN_DECORRELATIONS, SHOWN_EXTENT = 5.0, 0.25
-"""Largest shown lag in decorrelation distances and as a share of the extent; the larger one counts,
-but none beyond the extent, where there are no pairs."""
+"""Maximum lag shown: the larger of 5 decorrelation distances and 25 % of the extent."""
 
 LINE_DEVIATIONS, LINE_POINTS = 2.0, 200
-"""Half width of the band of a fitted line in standard deviations; points of a drawn curve."""
+"""Half width of a fitted line's band in standard deviations; number of points of a curve."""
 
 SERIES_WIDTH = 0.6
-"""Width that the series share in a bin of the reliability diagram."""
+"""Total width of all series within a bin of the reliability diagram."""
 
 MEASURED = "#dcdcdc"
 
@@ -86,16 +85,16 @@ PARAMETERS = {
 
 
 def draw_belief(problem: Problem, belief: Belief) -> Figure:
-    """Draw predicted power [dBm], its deviation [dB] and P(connected) with the p_min contour.
+    """Draw predicted power [dBm], its standard deviation [dB], P(connected) and the p_min contour.
 
-    Of several stations, power and deviation are the serving one's.
+    With several stations, power and standard deviation are those of the serving one.
 
     Parameters
     ----------
     problem
-        Gives the map, the threshold and p_min.
+        Problem with the map, the threshold and p_min.
     belief
-        Source of the prediction; its measurements are dots, the censored ones hollow.
+        Source of the prediction; its measurements are dots, hollow if censored.
     """
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
     chance = "P(any station connects)" if len(problem.stations) > 1 else _chance_words(threshold)
@@ -116,18 +115,18 @@ def draw_belief(problem: Problem, belief: Belief) -> Figure:
 def draw_posterior_map(
     maps: PosteriorMap, measurements: Measurements, station: Station, title: str
 ) -> Figure:
-    """Draw predicted power [dBm], its deviation [dB] and P(connected), side by side.
+    """Draw predicted power [dBm], its standard deviation [dB] and P(connected), side by side.
 
     Parameters
     ----------
     maps
-        The map.
+        Predicted rasters.
     measurements
-        Measurements of the prediction: dots on the deviation, the censored ones hollow.
+        Measurements behind the prediction: dots on the standard deviation, hollow if censored.
     station
-        Marked where it is inside the map.
+        Station, marked if it is inside the map.
     title
-        Of the figure.
+        Title of the figure.
     """
     bounds = x_min, y_min, x_max, y_max = raster_bounds(maps.mean_db)
     slender = min((y_max - y_min) / (x_max - x_min), MAX_SLENDER)
@@ -141,7 +140,7 @@ def draw_posterior_map(
     if x_min <= x <= x_max and y_min <= y <= y_max:
         entries += [draw_sites(panel, np.array([[x, y]])) for panel in panels][:1]
     for panel in panels:
-        show_bounds(panel, bounds)  # Nothing beyond the map, wherever measurements were taken
+        show_bounds(panel, bounds)  # Excludes measurements outside the map
     legend_below(figure, [*entries, *level], 4)
     head(figure, title)
     return figure
@@ -159,7 +158,7 @@ def _prediction_maps(
     chance_words: str,
     p_min: float | None,
 ) -> list[Artist]:
-    """Draw the layers of power, standard deviation and probability; the contour, for a legend."""
+    """Draw power, standard deviation and probability; return the contour as a legend entry."""
     mean, deviation, chance = rasters
     titles = "predicted power", "standard deviation of the prediction", chance_words
     for panel, title in zip(panels, titles, strict=True):
@@ -174,14 +173,14 @@ def _prediction_maps(
 
 
 def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> Figure:
-    """Draw power by distance with the fitted line, and the residuals' covariance by lag.
+    """Draw power over distance with the fitted line, and the covariance of residuals over lag.
 
     Parameters
     ----------
     measurements
-        Those of the fit.
+        Measurements used by the fit.
     fit
-        The fit.
+        Fitted channel.
     station
         Origin of distances.
     """
@@ -198,7 +197,7 @@ def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> F
 def _draw_path_loss(
     panel: Panel, measurements: Measurements, parameters: ChannelParameters, station: Station
 ) -> None:
-    """Draw power by distance, and the fitted line with two standard deviations of its residuals."""
+    """Draw power over distance, and the fitted line with a band of two standard deviations."""
     distance = station_distance_m(measurements.positions_m, station)
     exact = {"marker": "o", "facecolors": BLACK, "linewidths": 0.0}
     hollow = {"marker": "v", "facecolors": "none", "edgecolors": VERMILLION, "linewidths": 1.0}
@@ -211,7 +210,7 @@ def _draw_path_loss(
             panel.scatter(distance[selection], power, s=14.0, alpha=0.7, label=label, **look)
     nearest, farthest = float(distance.min()), float(distance.max())
     if farthest < 1.01 * nearest:
-        nearest, farthest = 0.9 * nearest, 1.1 * farthest  # an axis needs an extent
+        nearest, farthest = 0.9 * nearest, 1.1 * farthest  # an axis needs a positive extent
     span = np.geomspace(nearest, farthest, LINE_POINTS)
     line = parameters.k_pl_db - 10.0 * parameters.n_pl * np.log10(span)
     spread = LINE_DEVIATIONS * np.hypot(parameters.shadow_std_db, parameters.multipath_std_db)
@@ -227,9 +226,9 @@ def _draw_path_loss(
 def _draw_covariance(
     panel: Panel, counts: Panel, measurements: Measurements, fit: ChannelFit, station: Station
 ) -> None:
-    """Draw residual products by lag, the fitted covariance, and the number of pairs.
+    """Draw products of residuals over lag, the fitted covariance, and the number of pairs.
 
-    Only uncensored pairs: the residual of a censored power is not known.
+    Only uncensored pairs are used because the residual of a censored power is unknown.
     """
     parameters = fit.parameters
     exact = ~measurements.censored
@@ -267,7 +266,7 @@ def _draw_covariance(
 
 
 def _with_error(fit: ChannelFit, name: str) -> str:
-    """Return an estimate with its standard error, where that is known."""
+    """Return an estimate with its standard error, if known."""
     value, error = getattr(fit.parameters, name), fit.standard_errors.get(name, math.inf)
     if not math.isfinite(error):
         return f"{value:.3g}"
@@ -275,17 +274,17 @@ def _with_error(fit: ChannelFit, name: str) -> str:
 
 
 def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:
-    """Draw coverage against level with its 95 % interval, and the histogram of the PIT.
+    """Draw coverage over nominal level with its 95 % interval, and the histogram of the PIT.
 
     Parameters
     ----------
     scores
-        By the name of the predictor, for the legend.
+        Scores by the name of the predictor, for the legend.
 
     Raises
     ------
     InputError
-        There is none.
+        There are no scores.
     """
     if not scores:
         raise InputError("there is no score to draw", key="scores")
@@ -314,10 +313,10 @@ def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:
 
 
 def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str) -> Figure:
-    """Draw true against predicted connection, and their difference in each bin.
+    """Draw true over predicted connection, and their difference in each bin.
 
-    Bars are 95 % intervals over groups, where there are enough groups; each bin is labelled with
-    its number of predictions of the first series.
+    Bars are 95 % intervals over groups, if there are enough groups. Each bin is labelled with the
+    number of predictions of the first series.
     """
     edges = sorted({(one.low, one.high) for bins in series.values() for one in bins})
     if not edges:
@@ -331,7 +330,7 @@ def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str)
         at += SERIES_WIDTH * ((number + 0.5) / len(series) - 0.5)
         predicted = 100.0 * np.array([one.predicted for one in bins])
         rows = [(one.realised, *(one.interval or (np.nan, np.nan))) for one in bins]
-        found = 100.0 * np.array(rows)  # Share connected, ends of its interval
+        found = 100.0 * np.array(rows)  # Share connected, bounds of its interval
         look = {**curve_look(number), "label": name}
         entries.append(draw_intervals(diagram, predicted, *found.T, **look))
         look["linestyle"] = "none"
@@ -354,19 +353,19 @@ def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str)
 def draw_sensitivity(
     relative_errors: Sequence[float], curves: Mapping[str, NDArray[np.float64]]
 ) -> Figure:
-    """Draw the average of Delta^2 [dB^2] against the error [%], a curve a parameter.
+    """Draw the average of Delta^2 [dB^2] over the relative error [%], one curve per parameter.
 
     Parameters
     ----------
     relative_errors
-        ``(k,)`` shares.
+        Relative errors ``(k,)``.
     curves
-        From :func:`planopt.channel.sensitivity.sensitivity_curves`, or averages of several.
+        Result of :func:`planopt.channel.sensitivity.sensitivity_curves`, or averages of several.
 
     Raises
     ------
     InputError
-        A curve has another length than the errors, or there is none.
+        A curve and the errors differ in length, or there is no curve.
     """
     if not curves or any(len(curve) != len(relative_errors) for curve in curves.values()):
         raise InputError(
@@ -390,7 +389,7 @@ def draw_stations(
     estimates_m: Mapping[str, NDArray[np.float64]],
     measured_m: NDArray[np.float64],
 ) -> Figure:
-    """Draw the first estimates on a map, and the distribution of the errors of all.
+    """Draw the first estimates on a map, and the distribution of all errors.
 
     Parameters
     ----------
@@ -404,7 +403,7 @@ def draw_stations(
     Raises
     ------
     InputError
-        There are no estimates, or not as many as true positions.
+        There are no estimates, or their number differs from that of the true positions.
     """
     wrong = [name for name, found in estimates_m.items() if found.shape != true_m.shape]
     if not estimates_m or wrong or not len(true_m):
@@ -416,21 +415,21 @@ def draw_stations(
     shown = next(iter(estimates_m))
     found_m = estimates_m[shown]
     scene.scatter(*measured_m.T, s=3.0, color=MEASURED, linewidths=0.0)
-    # NaN breaks the line between two pairs.
+    # NaN interrupts the line between two pairs.
     ends = np.stack([true_m, found_m, np.full_like(true_m, np.nan)], axis=1).reshape(-1, 2)
     scene.plot(*ends.T, color=OBSTACLE_EDGE, linewidth=0.9)
     hollow = {"facecolors": "none", "edgecolors": SERIES[0], "linewidths": 1.2}
     entries: list[Artist] = [
         scene.scatter(*true_m.T, s=14.0, color=BLACK, label="true", zorder=3),
         scene.scatter(*found_m.T, s=22.0, label="estimated", zorder=4, **hollow),
-        # The dot in the legend is larger than those on the map.
+        # The legend needs a larger dot than the map.
         scene.scatter([], [], color=MEASURED, marker=MARKERS[0], label="measured here"),
     ]
     scene.set_aspect("equal", adjustable="datalim")
     dress(scene, f"{shown}: from true to estimated", X_LABEL, Y_LABEL)
     for number, (name, found) in enumerate(estimates_m.items()):
         ordered = np.sort(np.hypot(*(found - true_m).T))
-        # The curve steps up by one transmitter at each error.
+        # The empirical distribution steps up by one transmitter at each error.
         shares = np.repeat(np.arange(len(ordered) + 1), 2)[1:-1] / len(ordered)
         words = f"median {np.median(ordered):.2f} m, 90 % {np.quantile(ordered, 0.9):.2f} m"
         look = dashed_look(number)

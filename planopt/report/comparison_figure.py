@@ -1,4 +1,4 @@
-"""Figures of comparisons: a panel for each metric by horizon or swept key, and traces over time."""
+"""Figures of comparisons: metrics by horizon or swept key, and traces over time."""
 
 from __future__ import annotations
 
@@ -47,56 +47,56 @@ if TYPE_CHECKING:
 COLUMNS = 4
 
 SPREAD = 0.6
-"""Width that the settings of one tick share, in distances between ticks."""
+"""Total width of the settings at one tick, relative to the tick spacing."""
 
 RUN_SHIFT = 0.35
-"""Offset of single runs from the mean, as a share of a setting's width."""
+"""Offset of single runs from the mean, relative to the width of a setting."""
 
 ROOM = 0.35
-"""Room above and below the single runs, as a share of their range."""
+"""Margin above and below the single runs, relative to their range."""
 
 WHOLE_RUN = "whole run"
-"""Horizon of bounds, which foresee the run whatever it is."""
+"""Tick label of planners that optimise the whole run regardless of the horizon."""
 
 NORMALISED = {"trace_p": "normalised_trace_p"}
-"""Traces that are others over their first value: a second axis of these."""
+"""Traces with a second axis, which shows their ratio to the initial value."""
 
 LEGEND_WIDTH = 75
-"""Letters in a line of a setting's words."""
+"""Maximum line length of a setting in the legend, in characters."""
 
 LOG_RATIO = 30.0
-"""Traces whose means span this ratio or more have a logarithmic axis."""
+"""Ratio of largest to smallest mean from which a trace has a logarithmic axis."""
 
 LEAST_CHANGE = 0.01
-"""Traces whose means change by a smaller share of the largest are not drawn."""
+"""Minimum relative change of means for a trace to be drawn."""
 
 
 @dataclass(frozen=True)
 class Slot:
-    """A setting with its place along the panels and its style."""
+    """A setting with its position along the axis and its style."""
 
     setting: Setting
-    x: float  # In distances between ticks
-    width: float  # Of its share of a tick
+    x: float  # In tick spacings
+    width: float  # Width of this setting, in tick spacings
     label: str
     look: Mapping[str, Any]  # Colour and marker
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The slots of a comparison, and the axis that they stand on."""
+    """Slots of a comparison and their axis."""
 
     slots: tuple[Slot, ...]
     ticks: tuple[str, ...]
-    label: str  # Of the axis
-    numbered: bool  # Whether ticks are numbers of settings, which have different swept keys
+    label: str  # Axis label
+    numbered: bool  # Whether ticks are setting numbers, because the swept keys differ
 
 
 def layout_of(comparison: Comparison) -> Layout:
-    """Place settings by horizon, by a swept key, or by number if they have different keys.
+    """Arrange settings by horizon, by a swept key, or by number if their swept keys differ.
 
-    Colour by problem, changes and cost-to-go, if any of these differ; marker by planner, and
-    colour as well otherwise.
+    The colour encodes problem, changes and cost-to-go, if any of these differ, else the planner;
+    the marker always encodes the planner.
     """
     settings = comparison.settings
     names = short_keys(comparison.runs)
@@ -120,7 +120,7 @@ def layout_of(comparison: Comparison) -> Layout:
         ticks.sort(key=lambda place: (isinstance(place, str), place))
     kinds = list(dict.fromkeys(each[:2] for each in series))
     planners = list(dict.fromkeys(planner for *_, planner in series))
-    # Numbered settings have their own ticks and need no shift.
+    # Numbered settings have their own ticks and need no offset.
     distinct = list(dict.fromkeys(series))
     count = 1 if numbered else len(distinct)
     slots: list[Slot] = []
@@ -147,7 +147,7 @@ def layout_of(comparison: Comparison) -> Layout:
 def draw_comparison(comparison: Comparison) -> Figure:
     """Draw mean and interval of every metric by horizon or swept key, single runs as faint dots.
 
-    Metrics with the same value in every run are listed below. Two more panels have the runs that
+    Metrics with the same value in every run are listed below. Two more panels show the runs that
     did not reach the goal, if any, and the step times (median, and up to the 95 % quantile).
     """
     layout = layout_of(comparison)
@@ -187,7 +187,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
 
 
 def _draw_metric(panel: Panel, layout: Layout, metric: str) -> None:
-    """Draw a metric: single runs, mean and interval where there is one."""
+    """Draw a metric: single runs, mean, and interval if there is one."""
     name, known = metric_name(metric), list[float]()
     for slot in layout.slots:
         row, runs = slot.setting.rows.get(metric), slot.setting.runs
@@ -208,25 +208,25 @@ def _draw_metric(panel: Panel, layout: Layout, metric: str) -> None:
     title = name.words + (f"\ngrey: {BANDS[metric][-1]}" if metric in BANDS else "")
     dress(panel, title, layout.label, metric_label(metric))
     if known and min(known) < max(known):
-        # Intervals over few runs are many times wider than the runs themselves.
+        # Intervals over few runs are much wider than the range of the runs.
         room = ROOM * (max(known) - min(known))
         panel.set_ylim(min(known) - room, max(known) + room)
 
 
 def _draw_mean(panel: Panel, slot: Slot, value: float, low: float, high: float) -> Artist:
-    """Draw the mark of a setting with a bar between two values; the mark, for a legend."""
+    """Draw a setting's mean with a bar between two values; return a legend entry."""
     edge = {"markersize": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.8}
     look = {"linestyle": "none", "label": slot.label, **edge, **slot.look}
     return draw_intervals(panel, [slot.x], [value], [low], [high], **look)
 
 
 def _draw_stalled(panel: Panel, layout: Layout) -> None:
-    """Draw how many runs of each setting did not reach the goal."""
+    """Draw the number of runs of each setting that did not reach the goal."""
     most = max(len(slot.setting.runs) for slot in layout.slots)
     for slot in layout.slots:
         stalled = float(slot.setting.stalled)
         panel.bar([slot.x], [stalled], width=0.9 * slot.width, color=slot.look["color"])
-        # A zero has no bar: the marker tells it from a setting that was not run.
+        # The marker distinguishes zero, which has no bar, from a setting that was not run.
         edge = {"markersize": 5.0, "markeredgecolor": "white", "clip_on": False}
         panel.plot([slot.x], [stalled], linestyle="none", **edge, **slot.look)
     dress(panel, "stalled", layout.label, f"runs of {most} [count]")
@@ -235,11 +235,11 @@ def _draw_stalled(panel: Panel, layout: Layout) -> None:
 
 
 def _draw_step_times(panel: Panel, layout: Layout) -> list[Artist]:
-    """Draw median and 95 % quantile of the step time; the marks, for the legend."""
+    """Draw median and 95 % quantile of the step time; return legend entries."""
     entries: list[Artist] = []
     for slot in layout.slots:
         row = next(iter(slot.setting.rows.values()))
-        # Runs without a step have none, which draws nothing.
+        # Runs without steps have NaN, which draws nothing.
         median, slow = 1e3 * np.array([row.p50_step_s, row.p95_step_s], dtype=np.float64)
         entries.append(_draw_mean(panel, slot, median, median, slow))
     dress(panel, "step time: median, up to 95 % quantile", layout.label, "step time [ms]")
@@ -248,9 +248,9 @@ def _draw_step_times(panel: Panel, layout: Layout) -> list[Artist]:
 
 
 def draw_traces(comparison: Comparison) -> Figure | None:
-    """Draw quantities over time: each setting's mean, and its 95 % interval as a band.
+    """Draw quantities over time: the mean of each setting, and its 95 % interval as a band.
 
-    Means are over the runs of a setting, for as many steps as all of them drove. None if no run
+    Means are taken over the runs of a setting, up to the end of the shortest run. None if no run
     has a trace that changes.
     """
     tables = _trace_tables(comparison)
@@ -276,7 +276,7 @@ def draw_traces(comparison: Comparison) -> Figure | None:
 
 
 def _trace_tables(comparison: Comparison) -> dict[str, dict[int, NDArray[np.float64]]]:
-    """Return each trace that changes: (runs, steps) by the number of the setting."""
+    """Return each trace that changes, as arrays (runs, steps) by the number of the setting."""
     tables: dict[str, dict[int, NDArray[np.float64]]] = {}
     names = dict.fromkeys(name for run in comparison.runs for name in run.traces)
     for name in names:
@@ -296,7 +296,7 @@ def _trace_tables(comparison: Comparison) -> dict[str, dict[int, NDArray[np.floa
 def _scale_trace(
     panel: Panel, comparison: Comparison, name: str, means: Sequence[NDArray[np.float64]]
 ) -> None:
-    """Choose the scale of a trace, and add the axis over its first value if all runs share it."""
+    """Set the scale of a trace; add a normalised axis if all runs have one initial value."""
     low, high = min(map(np.min, means)), max(map(np.max, means))
     logarithmic = low > 0.0 and high >= LOG_RATIO * low
     if logarithmic:
@@ -326,7 +326,7 @@ def _title(comparison: Comparison) -> str:
 
 
 def _setting_words(comparison: Comparison) -> list[str]:
-    """Return the words of every setting, in lines of a legend."""
+    """Return the description of every setting, wrapped for the legend."""
     names, several = short_keys(comparison.runs), bool(comparison.others)
     ones = [setting.one for setting in comparison.settings]
     words = [setting_words(one, names, several_problems=several) for one in ones]

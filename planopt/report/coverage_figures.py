@@ -1,4 +1,4 @@
-"""Figures of networks: cells, paths, radio links, teams at events, cost over time, an animation."""
+"""Figures and animation of networks: cells, paths, radio links, event response, cost over time."""
 
 from __future__ import annotations
 
@@ -45,24 +45,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CELL = "#9a9a9a"
-"""Colour of borders between cells."""
+"""Colour of boundaries between cells."""
 
 EVENT_SHADE = 0.12
-"""Opacity of the times of events."""
+"""Opacity of the shading of events."""
 
 TIME, COST = "time [s]", "H [m$^4$ x density]"
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkPicture:
-    """The run of a network that is drawn, and its surroundings."""
+    """The run of a network to draw, and its surroundings."""
 
-    name: str  # Of the problem
+    name: str  # Name of the problem
     run: NetworkRun
     ground: Ground
-    obstacles: tuple[shapely.Polygon, ...]  # Areas that agents may not enter
+    obstacles: tuple[shapely.Polygon, ...]  # Areas forbidden to agents
     events: tuple[Event, ...]
-    radio: RadioLimits | None = None  # Required links to base stations; None for none
+    radio: RadioLimits | None = None  # Required links to base stations, if any
 
     def links(self, step: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the links ``(e, 2, 2)`` of the radio tree in a step, and unlinked agents (u, 2).
@@ -74,13 +74,13 @@ class NetworkPicture:
         if self.radio is None:
             return np.zeros((0, 2, 2)), np.zeros((0, 2))
         tree = radio_tree(here, self.radio)
-        # Station k is parent -1 - k: the stations in reverse order follow the agents.
+        # Station k is parent -1 - k, so the stations follow the agents in reverse order.
         ends = np.concatenate((here, self.radio.stations_m[::-1]))[tree.parent]
         return np.stack((here, ends), axis=1)[tree.connected], here[~tree.connected]
 
     @property
     def busiest(self) -> int:
-        """The last step with an event in which most agents respond; 0 without events."""
+        """Last step with the largest number of agents responding to events; 0 without events."""
         times_s = self.run.times_s[:-1].tolist()
         there = np.array([any(e.is_there(t) for e in self.events) for t in times_s])
         team = np.where(there, (self.run.states >= 0).sum(axis=1), 0)
@@ -88,7 +88,7 @@ class NetworkPicture:
 
 
 def draw_network(picture: NetworkPicture) -> Figure:
-    """Draw a network when most agents responded and at its end, and its cost over time."""
+    """Draw a network at the peak of its response and at its end, and its cost over time."""
     run, eventful = picture.run, bool(picture.events)
     rows = ["AAABBB", "CCDDEE" if eventful else "CCCDDD"]
     figure, panels = new_figure(12.0, 8.2, rows, height_ratios=(1.75, 1.0))
@@ -136,7 +136,7 @@ def draw_deployment(
 
 
 def draw_costs(runs: Mapping[str, NetworkRun]) -> Figure:
-    """Draw the coverage cost of runs over time, one line for each name."""
+    """Draw the coverage cost of runs over time, one line per name."""
     figure, (panel,) = new_figure(7.0, 4.4)
     for number, (name, run) in enumerate(runs.items()):
         _draw_cost(panel, run, label=name, **dashed_look(number))
@@ -145,7 +145,7 @@ def draw_costs(runs: Mapping[str, NetworkRun]) -> Figure:
 
 
 def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]]) -> Figure:
-    """Draw the processor times of a step by the number of agents, one line for each name."""
+    """Draw the CPU time per step over the number of agents, one line per name."""
     figure, (panel,) = new_figure(7.0, 4.4)
     sizes = np.array(agents, dtype=np.float64)
     for number, (name, times) in enumerate(times_s.items()):
@@ -177,7 +177,7 @@ def _draw_area(
     obstacles: tuple[shapely.Polygon, ...],
     radio: RadioLimits | None,
 ) -> list[Artist]:
-    """Draw the region's outline, obstacles and base stations; legend entries."""
+    """Draw the outline of the region, obstacles and base stations; return legend entries."""
     ring = shapely.get_coordinates(ground.free.exterior)
     panel.plot(*ring.T, color=OBSTACLE_EDGE, linewidth=1.0)
     panel.set_aspect("equal")
@@ -220,7 +220,7 @@ def _draw_state(panel: Panel, picture: NetworkPicture, step: int) -> list[Artist
 
 
 def _draw_paths(panel: Panel, picture: NetworkPicture, begin: int, end: int) -> list[Artist]:
-    """Draw paths between two steps; agents that respond at either end have their own colour."""
+    """Draw paths between two steps; agents that respond at either end have a distinct colour."""
     run = picture.run
     if end <= begin:
         return []
@@ -237,7 +237,7 @@ def _draw_cost(panel: Panel, run: NetworkRun, color: str, **look: Any) -> None:
 
 
 def _draw_teams(panel: Panel, picture: NetworkPicture) -> None:
-    """Draw the numbers of agents that respond to each event and that it requires."""
+    """Draw the number of agents that respond to each event, and the required number."""
     run, times_s = picture.run, picture.run.times_s[:-1]
     for number, event in enumerate(picture.events):
         colour = SERIES[number % len(SERIES)]
@@ -268,7 +268,7 @@ def _draw_errors(panel: Panel, picture: NetworkPicture) -> None:
 
 
 def _shade_events(panel: Panel, picture: NetworkPicture) -> None:
-    """Shade the times of events."""
+    """Shade the durations of events."""
     last_s = float(picture.run.times_s[-1])
     for number, event in enumerate(picture.events):
         if event.appears_s < last_s:

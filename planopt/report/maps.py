@@ -1,4 +1,4 @@
-"""Maps: predicted rasters, obstacles, layers, marks, and the shown part of the workspace."""
+"""Maps: predicted rasters, obstacles, layers, marks, and the visible part of the workspace."""
 
 from __future__ import annotations
 
@@ -48,43 +48,43 @@ if TYPE_CHECKING:
 Bounds = tuple[float, float, float, float]
 
 NODES = 150
-"""Grid cells along the longer side of a map: about four pixels each."""
+"""Number of grid cells along the longer side of a map, each about four pixels wide."""
 
 LAYER_Z, CONTOUR_Z, OBSTACLE_Z, MARGIN_Z, PATH_Z, PLACE_Z = 1.0, 1.5, 2.0, 2.5, 3.0, 4.0
-"""Drawing order of layers, contours, obstacles, margins, paths and places."""
+"""Drawing order of layers, contours, obstacles, margins, paths and positions."""
 
 X_LABEL, Y_LABEL = "x [m]", "y [m]"
 
 DISCS = 6
-"""Largest number of discs drawn of a moving obstacle, evenly over time; later ones are paler."""
+"""Maximum number of discs per moving obstacle, evenly spaced in time; later ones are paler."""
 
 DARKEST, PALEST = 0.9, 0.3
 """Opacity of the first and of the last disc."""
 
 MANY, DOT_AREA, SMALLEST_DOT_AREA = 300, 13.0, 1.5
-"""Dots of measurements become smaller where there are more than `MANY`."""
+"""Number of measurements above which dots shrink, and normal and minimum dot area."""
 
 WINDOW_MARGIN = 0.3
-"""Margin around the shown positions, as a share of their extent."""
+"""Margin around the positions to show, as a share of their extent."""
 
 BORDER = 0.05
-"""Margin beyond positions and workspace bounds, as a share of the window's side."""
+"""Margin around positions and workspace bounds, as a share of the window's side."""
 
 EDGE_MARGIN = 0.02
 """Margin around the whole workspace, as a share of its longer side."""
 
 MIN_WINDOW_STEPS = 10.0
-"""Least side of a window, in longest steps of a robot."""
+"""Minimum side of a window, in maximum step lengths of a robot."""
 
 INSET = 0.3
-"""Side of the inset as a share of the map's."""
+"""Side of the inset, as a share of the map's."""
 
 INSET_BELOW = 0.6
-"""A window wider than this share of the workspace has no inset."""
+"""Share of the workspace from which a window has no inset."""
 
 
 def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return centres along x and y of about square cells that fill `bounds_m`; see `NODES`."""
+    """Return x and y of the centres of nearly square cells that fill `bounds_m`; see `NODES`."""
     x_min, y_min, x_max, y_max = bounds_m
     side = max(x_max - x_min, y_max - y_min) / NODES
     axes: list[NDArray[np.float64]] = []
@@ -98,9 +98,9 @@ def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.floa
 def drawn_cells(
     workspace: Workspace, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return the cells that are free at their centre, and their neighbours; (ny, nx).
+    """Return a mask (ny, nx) of the cells with a free centre and of their neighbours.
 
-    With the neighbours, a layer reaches under the outlines of the obstacles drawn over it.
+    The neighbours make a layer extend below the outlines of the obstacles drawn over it.
     """
     centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
     places = centres.reshape(-1, 2)
@@ -116,8 +116,8 @@ def believed_rasters(
 ) -> tuple[Raster, Raster, Raster]:
     """Return predicted power (dBm), its standard deviation (dB) and P(connected); NaN in obstacles.
 
-    Of several stations, power and standard deviation are those of the one whose predicted power is
-    furthest above its threshold; the probability is that of any.
+    With several stations, power and standard deviation are those of the station with the largest
+    margin above its threshold; the probability is that of a connection to any station.
     """
     x, y = cell_centres(bounds_m)
     drawn = drawn_cells(problem.workspace, x, y)
@@ -140,9 +140,9 @@ def believed_rasters(
 
 
 def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
-    """Draw obstacles and bounds, with axes in metres of equal scale over the whole workspace.
+    """Draw obstacles and bounds on axes in metres with equal scale, over the whole workspace.
 
-    Obstacles that come or go are hatched and labelled with their times.
+    Temporary obstacles are hatched and labelled with their times.
     """
     draw_polygons(panel, [each.polygon for each in workspace.lasting])
     timed: Look = {"facecolors": "none", "edgecolors": FRAME, "linewidths": 0.9, "hatch": "///"}
@@ -163,7 +163,7 @@ def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
 def draw_polygons(
     panel: Panel, polygons: Sequence[shapely.Polygon], label: str = "", **look: Any
 ) -> Artist:
-    """Draw obstacles, courtyards left open; a legend entry."""
+    """Draw polygons with their holes left open; return a legend entry."""
     from matplotlib.collections import PathCollection
     from matplotlib.patches import Patch
 
@@ -174,7 +174,7 @@ def draw_polygons(
 
 
 def outline(polygon: shapely.Polygon) -> Outline:
-    """Return a polygon with its holes as one path; rings turn opposite ways to keep holes open."""
+    """Return a polygon and its holes as one path, with opposite orientation of the rings."""
     from matplotlib.path import Path as Outline
 
     rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon.normalize())]
@@ -211,7 +211,7 @@ def draw_layer(
     limits: tuple[float, float] | None = None,
     mark: float | None = None,
 ) -> None:
-    """Draw a raster below the obstacles, with its colour bar and a marked value on it."""
+    """Draw a raster below the obstacles, with a colour bar on which a value may be marked."""
     x_min, y_min, x_max, y_max = raster_bounds(raster)
     low, top = (None, None) if limits is None else limits
     layer = panel.imshow(
@@ -235,7 +235,7 @@ def draw_layer(
 def draw_level(
     panel: Panel, raster: Raster, level: float, colour: str, label: str = ""
 ) -> list[Artist]:
-    """Draw the contour of a raster at `level`, if it has one; a legend entry for a label."""
+    """Draw the contour of a raster at `level`, if it exists; return legend entries."""
     from matplotlib.lines import Line2D
 
     known = raster.values[np.isfinite(raster.values)]
@@ -252,7 +252,7 @@ def draw_sites(panel: Panel, positions_m: NDArray[np.float64], label: str = "sta
 
 
 def draw_places(panel: Panel, problem: Problem) -> list[Artist]:
-    """Mark start and goal of every robot and the stations; the artists, for a legend."""
+    """Mark the stations and the start and goal of every robot; return legend entries."""
     starts = np.array([robot.start_m for robot in problem.robots], dtype=np.float64)
     goals = [robot.goal_m for robot in problem.robots if robot.goal_m is not None]
     look = {"edgecolors": BLACK, "linewidths": 1.0, "zorder": PLACE_Z}
@@ -269,7 +269,7 @@ def draw_places(panel: Panel, problem: Problem) -> list[Artist]:
 
 
 def draw_measurements(panel: Panel, measurements: Measurements) -> list[Artist]:
-    """Mark measured positions, censored ones hollow; the artists, for a legend."""
+    """Mark measured positions, hollow if censored; return legend entries."""
     area = max(SMALLEST_DOT_AREA, DOT_AREA * min(1.0, MANY / max(len(measurements), 1)))
     artists: list[Artist] = []
     for label, selection, fill, edge in (
@@ -281,7 +281,7 @@ def draw_measurements(panel: Panel, measurements: Measurements) -> list[Artist]:
             width = (0.5 if fill == BLACK else 1.1) * np.sqrt(area / DOT_AREA)
             positions = measurements.positions_m[selection]
             panel.scatter(*positions.T, s=area, linewidths=width, **look)
-            # The dot in the legend is visible however small the others are.
+            # The legend dot must be visible even if the dots on the map are tiny.
             artists.append(panel.scatter([], [], s=DOT_AREA, linewidths=1.0, label=label, **look))
     return artists
 
@@ -289,7 +289,7 @@ def draw_measurements(panel: Panel, measurements: Measurements) -> list[Artist]:
 def draw_path(
     panel: Panel, path_m: NDArray[np.float64], *, casing: float = 0.0, **look: Any
 ) -> Sequence[Artist]:
-    """Draw a path (n, 2), on a white casing of that width in points; the line."""
+    """Draw a path (n, 2) with a white outline of `casing` points; return the line."""
     zorder = look.pop("zorder", PATH_Z)
     if casing:
         rounded = {"solid_capstyle": "round", "label": "_casing"}
@@ -321,7 +321,7 @@ def draw_discs(
 
 
 def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) -> list[Artist]:
-    """Draw the positions of every moving obstacle over the first `steps` steps; for a legend."""
+    """Draw every moving obstacle over the first `steps` steps; return legend entries."""
     artists: list[Artist] = []
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     end_s = problem.planner.step_s * steps
@@ -343,7 +343,7 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
         draw_path(panel, path, casing=2.6, zorder=MARGIN_Z + 0.1, **look)
         for (x, y), time in zip(centres.tolist(), times.tolist(), strict=True):
             if not (x_min <= x <= x_max and y_min <= y <= y_max):
-                continue  # text far outside cannot be rendered, nor seen
+                continue  # text far outside cannot be rendered
             words = obstacle.name if time == 0.0 else f"{time:g} s"
             middle = {"ha": "center", "va": "center", "clip_on": True, "zorder": MARGIN_Z + 0.2}
             panel.text(x, y, words, fontsize=NOTE_PT, **middle)
@@ -351,7 +351,7 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
 
 
 def window_about(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
-    """Return a square around positions (n, 2), shifted into the workspace as far as it fits."""
+    """Return a square around positions (n, 2), shifted into the workspace as far as possible."""
     low, high = positions_m.min(axis=0), positions_m.max(axis=0)
     side = max(
         float((high - low).max()) * (1.0 + 2.0 * WINDOW_MARGIN),
@@ -364,14 +364,14 @@ def window_about(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
         (first + last - side) / 2.0,
         np.clip((low + high - side) / 2.0, first - margin, last + margin - side),
     )
-    # Positions outside the bounds, such as base stations, stay visible.
+    # Positions outside the bounds, such as base stations, remain visible.
     begin = np.minimum(np.maximum(begin, high + margin - side), low - margin)
     x, y = begin.tolist()
     return x, y, x + side, y + side
 
 
 def map_window(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
-    """Return the window around positions and stations; the whole workspace if that is not larger.
+    """Return the window around positions and stations, at most the whole workspace.
 
     Problems about the channel itself show the whole workspace.
     """
@@ -386,7 +386,7 @@ def map_window(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
 
 
 def _is_small(problem: Problem, window: Bounds) -> bool:
-    """Return whether a window shows so little of the workspace that it needs an inset."""
+    """Return whether a window shows so little of the workspace that an inset is needed."""
     x_min, _, x_max, _ = problem.workspace.bounds_m
     return window[2] - window[0] < INSET_BELOW * (x_max - x_min)
 
@@ -394,7 +394,7 @@ def _is_small(problem: Problem, window: Bounds) -> bool:
 def show_window(
     panel: Panel, problem: Problem, positions_m: NDArray[np.float64], window: Bounds
 ) -> None:
-    """Limit a map to a window; a small one gets an inset of the workspace away from positions."""
+    """Limit a panel to a window; a small one gets an inset of the workspace, clear of positions."""
     show_bounds(panel, window)
     if not _is_small(problem, window):
         return

@@ -1,4 +1,4 @@
-"""Figures of plans, runs and refused problems: maps, time series and certificates."""
+"""Figures of plans, runs and problems without plan: maps, time series and certificates."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS = 5
-"""Columns of a legend."""
+"""Number of columns of a legend."""
 
 MESSAGE_WIDTH = 100
-"""Letters in a line of a message above a map."""
+"""Maximum line length of a message above a map, in characters."""
 
 WORDS_WIDTH, WORDS_LINES = 70, 15
-"""Letters in a line, and number of lines for each robot, of the certificates."""
+"""Line length in characters and number of lines per robot of the certificates."""
 
 
 def draw_solution(solution: Solution) -> Figure:
-    """Draw plans on the predicted channel, their predictions and their certificates."""
+    """Draw plans on the predicted channel, with their predictions and certificates."""
     problem, plans = solution.problem, solution.plans
     target_m = solution.aims[0].target_m
     shown = [plan.positions_m for plan in plans]
@@ -83,7 +83,7 @@ def draw_solution(solution: Solution) -> Figure:
 
 
 def _certificates(solution: Solution) -> list[str]:
-    """Return the plans in lines that fit their panel, a single one with its certificate."""
+    """Return the plans as lines that fit their panel; a single plan has its certificate."""
     found: list[str] = []
     in_words = certificate_in_words if len(solution.plans) == 1 else plan_in_words
     for number, plan in enumerate(solution.plans):
@@ -97,14 +97,14 @@ def _certificates(solution: Solution) -> list[str]:
 
 
 def draw_run(run: Run) -> Figure:
-    """Draw the driven paths; the map of one robot to a goal is separate from its time series.
+    """Draw the executed paths; for one robot with a goal, the time series are a separate figure.
 
-    That map shows the true power; the maps of other runs show the first robot's final belief.
+    Its map shows the true power; the maps of other runs show the first robot's final belief.
 
     Parameters
     ----------
     run
-        From :func:`planopt.simulate`.
+        Result of :func:`planopt.simulate`.
     """
     problem = run.problem
     alone = problem.task == "reach" and len(run.runs) == 1
@@ -120,7 +120,7 @@ def draw_run(run: Run) -> Figure:
 
 
 def _draw_courier(run: Run) -> Figure:
-    """Draw the path of one robot to its goal on the true power, where that is available."""
+    """Draw the path of one robot to its goal on the true power, if available."""
     problem, log = run.problem, run.run.log
     figure, (panel,) = new_figure(10.0, 9.6, maps_only=True)
     message = wrap(f"{spaced(run.outcome)}: {run.reason}", MESSAGE_WIDTH)
@@ -144,7 +144,7 @@ def _draw_courier(run: Run) -> Figure:
 
 
 def _draw_team(run: Run) -> Figure:
-    """Draw all robots on the final belief of the first, and the time series of the run."""
+    """Draw all robots on the final belief of the first one, and the time series of the run."""
     problem = run.problem
     plans = [released[-1] for released in run.plans if released]
     shown = [one.log.positions_m for one in run.runs] + [plan.positions_m for plan in plans]
@@ -172,7 +172,7 @@ def _draw_team(run: Run) -> Figure:
 
 
 def draw_run_series(run: Run) -> Figure:
-    """Draw one robot's power, connection, predicted connectivity and step times over time."""
+    """Draw power, connection, predicted connectivity and step times of one robot over time."""
     series = power_series(run)
     shares = [share for _, share in series]
     rows = [[row] for row in range(len(series))]
@@ -190,7 +190,7 @@ def draw_run_series(run: Run) -> Figure:
 def draw_no_plan(
     problem: Problem, belief: Belief, message: str, blocked: Sequence[BlockedWay]
 ) -> Figure:
-    """Draw why there is no plan: the cheapest paths, and the holes that a bound forbids."""
+    """Draw the cheapest paths of a problem without plan, and the holes that forbid them."""
     positions = np.concatenate([one.way_m for one in blocked])
     figure, (panel,) = new_figure(10.0, 9.6, maps_only=True)
     window = window_about(problem, positions)
@@ -217,7 +217,7 @@ def _sheet(problem: Problem, series: Sequence[Series]) -> tuple[Figure, list[Pan
 def _draw_series(
     series: Sequence[Series], panels: Sequence[Panel], begin_s: float, end_s: float
 ) -> None:
-    """Draw panels above each other with one time axis, labelled below the last."""
+    """Draw series in stacked panels with a common time axis, labelled below the last."""
     for (draw, _), panel in zip(series, panels, strict=False):
         draw(panel)
         panel.set_xlim(begin_s, end_s)

@@ -65,14 +65,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CURVE_POINTS = 16
-"""Points of the curve that a robot with dynamics follows during a step."""
+"""Number of points on the curve of a robot with dynamics during a step."""
 
 LAYERS = {"map": ("power", "deviation"), "learn": ("power",)}
-"""Channel layers of a task; the other tasks show the probability of connection."""
+"""Channel layers by task; other tasks show the probability of connection."""
 
 
 def layers_of(problem: Problem) -> tuple[str, ...]:
-    """Return the channel layers of a problem, one panel each."""
+    """Return the channel layers of a problem, one per panel."""
     return LAYERS.get(problem.task, ("connectivity",))
 
 
@@ -81,10 +81,10 @@ def draw_belief_maps(
     panels: Sequence[Panel],
     problem: Problem,
     belief: Belief,
-    positions_m: NDArray[np.float64],  # (n, 2) that the maps must show
+    positions_m: NDArray[np.float64],  # (n, 2) positions that the maps must show
     window: Bounds,
 ) -> list[Artist]:
-    """Draw the workspace on each layer of the predicted channel; legend entries."""
+    """Draw the workspace on each layer of the predicted channel; return legend entries."""
     mean, deviation, chance = believed_rasters(problem, belief, window)
     p_min = problem.constraints.step_p_min
     entries: list[Artist] = []
@@ -108,7 +108,7 @@ def draw_belief_maps(
 
 
 def draw_true_power(figure: Figure, panel: Panel, run: Run) -> None:
-    """Draw the true power of the serving station, with the threshold on its colour bar."""
+    """Draw the true power of the serving station, with the threshold marked on the colour bar."""
     raster = run.truths[0].raster
     if len(run.truths) > 1:
         cells = np.stack(np.meshgrid(raster.x_m, raster.y_m), axis=-1)
@@ -122,7 +122,7 @@ def draw_true_power(figure: Figure, panel: Panel, run: Run) -> None:
 def path_curve(
     problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None, first: int = 0
 ) -> tuple[NDArray[np.float64], list[int]]:
-    """Return points (k, 2) of the curve through positions (n + 1, 2), and which are positions."""
+    """Return points (k, 2) on the curve through positions (n + 1, 2), and their indices in it."""
     if drive is None or len(drive.inputs) <= first:
         return positions_m[first:], list(range(len(positions_m) - first))
     dynamics, step_s = drive.dynamics, problem.planner.step_s
@@ -138,7 +138,7 @@ def path_curve(
 
 
 def draw_tracks(panel: Panel, problem: Problem, runs: Sequence[RobotRun]) -> list[Artist]:
-    """Draw the driven path of each robot, every step marked."""
+    """Draw the executed path of each robot, with every step marked."""
     entries: list[Artist] = []
     for number, run in enumerate(runs):
         curve, steps = path_curve(problem, run.log.positions_m, run.drive)
@@ -178,7 +178,7 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
 
 
 def draw_blocked(panel: Panel, blocked: Sequence[BlockedWay]) -> list[Artist]:
-    """Draw the cheapest paths that a hard bound forbids, and the holes on them."""
+    """Draw the cheapest paths that a hard chance constraint forbids, and the holes on them."""
     entries: list[Artist] = []
     for one in blocked:
         entries += _draw_dotted(panel, one.way_m, "cheapest path, forbidden")
@@ -207,7 +207,7 @@ def _draw_holes(panel: Panel, path_m: NDArray[np.float64], holes: Sequence[Hole]
 
 
 def _part_in_hole(path_m: NDArray[np.float64], hole: Hole) -> NDArray[np.float64]:
-    """Return the part of a path from half a step before a hole to half a step behind it."""
+    """Return the part of a path from half a step before a hole to half a step after it."""
     first = int(np.argmin(np.linalg.norm(path_m - np.array(hole.from_m), axis=1)))
     last = int(np.argmin(np.linalg.norm(path_m - np.array(hole.to_m), axis=1)))
     first, last = min(first, last), max(first, last)
@@ -217,7 +217,7 @@ def _part_in_hole(path_m: NDArray[np.float64], hole: Hole) -> NDArray[np.float64
 
 
 def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artist]:
-    """Draw the outline that paths must stay outside of; nothing without obstacles in sight."""
+    """Draw the clearance contour around obstacles; nothing if none is in view."""
     clearance = problem.constraints.clearance_m
     around = shapely.box(*window).buffer(clearance)
     near = [
@@ -236,9 +236,9 @@ def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artis
 
 
 def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
-    """Draw a driven path by true connection: solid on white, or dashed on black if disconnected.
+    """Draw an executed path: solid on white where connected, dashed on black where not.
 
-    Lightness and dashes distinguish the two without colour. A step has the state of its end.
+    Lightness and dashes make the two distinct without colour. A step has the state at its end.
     """
     entries: list[Artist] = []
     for label, colour, casing, dashes, state in (
@@ -256,7 +256,7 @@ def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
 
 
 def _pieces(log: StepLog, connected: bool) -> list[NDArray[np.float64]]:
-    """Return the longest pieces of the path whose steps all end in the same state."""
+    """Return the maximal segments of the path whose steps all end in the given state."""
     states = log.connected[1:]
     changes = np.flatnonzero(np.diff(states)) + 1
     bounds = [0, *changes.tolist(), len(states)] if len(states) else [0]
@@ -292,7 +292,7 @@ def draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
 
 
 def draw_target(panel: Panel, target: TargetLog) -> list[Artist]:
-    """Draw the true trajectory of the target above the station's estimates of it."""
+    """Draw the true trajectory of the target above the station's estimates."""
     true_m, station_m = target.true_m, target.station_mean_m
     look = {"color": BLACK, "linewidth": 1.6, "zorder": PATH_Z + 0.4}
     track = draw_path(panel, true_m, casing=2.6, label="target, true path", **look)
@@ -312,7 +312,7 @@ def draw_expected_target(panel: Panel, target_m: NDArray[np.float64]) -> list[Ar
 
 
 def save_animation(run: Run, path: Path) -> None:
-    """Write a run as an animated GIF; errors as :func:`planopt.report.animation.animate`."""
+    """Write a run as an animated GIF; errors as in :func:`planopt.report.animation.animate`."""
     problem = run.problem
     shown = [one.log.positions_m for one in run.runs]
     shown += [np.array([robot.goal_m]) for robot in problem.robots if robot.goal_m is not None]
@@ -329,7 +329,7 @@ def save_animation(run: Run, path: Path) -> None:
 
 
 def _draw_frame(panel: Panel, run: Run, step: int) -> list[Artist]:
-    """Draw everything that changes, as it is after `step` steps."""
+    """Draw all dynamic content after `step` steps."""
     t_s = run.runs[0].log.t_s
     ending = f", {spaced(run.outcome)}" if step == len(t_s) - 1 else ""
     drawn = [frame_title(panel, f"t = {t_s[step]:.0f} s{ending}")]

@@ -1,4 +1,4 @@
-"""Time series of plans and runs, one panel each: power, connection, target, channel, fallbacks."""
+"""Time series of plans and runs, one per panel: power, connection, target, channel, fallbacks."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from planopt.robots.dynamics import Drive
 TIME = "time [s]"
 
 LEAST_SPAN_DB = 1.0
-"""Least span of an axis of errors: small changes must not look large."""
+"""Minimum span of an error axis in dB, so that small changes do not look large."""
 
 RUNG_LOOKS = {
     Rung.PLAN: ("o", PREDICTED),
@@ -63,7 +63,7 @@ RUNG_LOOKS = {
 """Marker and colour of every fallback."""
 
 Series = tuple[Callable[[Panel], None], float]
-"""Draws one panel; its share of the height."""
+"""Function that draws a panel, and its relative height."""
 
 Curve = tuple[NDArray[np.float64], NDArray[np.float64], str]
 """Times (n,), values (n,) and label of one robot."""
@@ -73,7 +73,7 @@ Track = tuple[NDArray[np.float64], Drive | None]
 
 
 def run_series(run: Run) -> list[Series]:
-    """Return the panels that a run has data for."""
+    """Return the panels for which a run has data."""
     problem, t_s, channel = run.problem, run.runs[0].log.t_s, run.channel
     strip = 0.18 + 0.13 * len(run.runs)
     panels: list[Series] = []
@@ -85,7 +85,7 @@ def run_series(run: Run) -> list[Series]:
     elif channel is not None:
         initial = problem.channel.given
         if initial is None or initial.k_pl_db is None:
-            # Known path loss has no uncertainty to draw.
+            # A known path loss has no uncertainty to draw.
             variance = np.asarray(channel.theta_variance_db, dtype=np.float64)
             panels.append((partial(_draw_path_loss, t_s=t_s, variance_db=variance), 1.0))
         panels += error
@@ -113,7 +113,7 @@ def power_series(run: Run) -> list[Series]:
 def plan_series(
     problem: Problem, plans: Sequence[Plan], target_m: NDArray[np.float64] | None
 ) -> list[Series]:
-    """Return the panels that plans have data for; `target_m` (N, 2) is the expected target."""
+    """Return the panels for which plans have data; `target_m` (N, 2) is the expected track."""
     panels: list[Series] = []
     if target_m is not None:
         panels.append(
@@ -127,14 +127,14 @@ def plan_series(
 
 
 def _draw_robots(panel: Panel, curves: Sequence[Curve]) -> None:
-    """Draw one curve for each robot."""
+    """Draw one curve per robot."""
     for number, (t_s, values, label) in enumerate(curves):
         look = {"color": robot_colour(number), "marker": robot_marker(number), "markersize": 3.5}
         panel.plot(t_s, values, linewidth=1.2, label=label, **look)
 
 
 def _draw_power(panel: Panel, run: Run) -> None:
-    """Draw the power predicted one step ahead, with its band, and the true power."""
+    """Draw the power predicted one step ahead with its band, and the true power."""
     log, station = run.run.log, run.problem.stations[0]
     half = BAND_Z * log.deviation_db
     low, high = log.predicted_dbm - half, log.predicted_dbm + half
@@ -151,7 +151,7 @@ def _draw_power(panel: Panel, run: Run) -> None:
 
 
 def _draw_planned_power(panel: Panel, problem: Problem, plans: Sequence[Plan]) -> None:
-    """Draw each robot's predicted power with its band, and the threshold if it matters."""
+    """Draw each robot's predicted power with its band, and the threshold if it is relevant."""
     _draw_robots(panel, [(plan.t_s, plan.mean_dbm, "_power") for plan in plans])
     for number, plan in enumerate(plans):
         half, label = BAND_Z * plan.deviation_db, None if number else BAND_WORDS
@@ -191,10 +191,10 @@ def _draw_connectivity(
     panel: Panel,
     problem: Problem,
     curves: Sequence[Curve],
-    relaxed: Sequence[tuple[float, float]],  # Times and probabilities of relaxed steps
+    relaxed: Sequence[tuple[float, float]],  # Times and probabilities
     title: str,
 ) -> None:
-    """Draw probabilities of connection, their bound and the steps at which it is relaxed."""
+    """Draw probabilities of connection, the bound p_min and the steps at which it is relaxed."""
     _draw_robots(panel, curves)
     p_min = problem.constraints.step_p_min
     lowest = float(np.fmin.reduce([0.9, *np.concatenate([values for _, values, _ in curves])]))
@@ -205,13 +205,13 @@ def _draw_connectivity(
         look = {"marker": "D", "s": 28.0, "color": PURPLE, "edgecolors": BLACK}
         panel.scatter(*np.array(relaxed).T, zorder=3.0, label="bound relaxed", **look)
     dress(panel, title, TIME, "P [1]")
-    # The axis follows the values, but does not magnify values that are all close to 1.
+    # The axis follows the values but does not magnify values that are all close to 1.
     panel.set_ylim(lowest - 0.02, 1.02)
     legend_above(panel)
 
 
 def _draw_connection(panel: Panel, run: Run) -> None:
-    """Draw a row for each robot: its marker where truly connected, a cross elsewhere."""
+    """Draw a row per robot: its marker if truly connected, a cross if not."""
     for number, one in enumerate(run.runs):
         own = {"marker": robot_marker(number), "color": robot_colour(number)}
         cross = {"marker": "x", "color": BLACK}
@@ -226,7 +226,7 @@ def _draw_connection(panel: Panel, run: Run) -> None:
 
 
 def _draw_fallbacks(panel: Panel, run: Run) -> None:
-    """Draw a row for each robot: the fallback of every plan, circled if it is not verified."""
+    """Draw a row per robot: the fallback of every plan, circled if the plan is not verified."""
     logs = [one.log for one in run.runs]
     for rung, (marker, colour) in RUNG_LOOKS.items():
         rows = [_release_times(log, rung) for log in logs]
@@ -275,12 +275,12 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
 
 
 def _release_times(log: StepLog, rung: Rung) -> NDArray[np.float64]:
-    """Return when plans of a fallback were released; the start has no plan."""
+    """Return the release times of a fallback's plans; the start has no plan."""
     return log.t_s[1:][np.array([found is rung for found in log.rung[1:]], dtype=bool)]
 
 
 def _label_rows(panel: Panel, problem: Problem) -> None:
-    """Give every robot a row, the first on top."""
+    """Label one row per robot, the first on top."""
     count = len(problem.robots)
     panel.set_yticks([float(row) for row in range(count)], [r.name for r in problem.robots])
     panel.set_ylim(count - 0.4, -0.6)
@@ -289,7 +289,7 @@ def _label_rows(panel: Panel, problem: Problem) -> None:
 def _distance_series(
     problem: Problem, tracks: Sequence[Track], t_s: NDArray[np.float64]
 ) -> list[Series]:
-    """Return the panel of distances, if robots must keep any."""
+    """Return the panel of distances, if any separation or clearance is required."""
     separated = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
     if not (separated or problem.workspace.moving):
         return []
@@ -299,7 +299,7 @@ def _distance_series(
 def _draw_distances(
     panel: Panel, problem: Problem, tracks: Sequence[Track], t_s: NDArray[np.float64]
 ) -> None:
-    """Draw the least distances during each step, and the required ones."""
+    """Draw the minimum distances during each step, and the required ones."""
     limits, motions = (
         problem.constraints,
         [driven_motion(*track, problem.planner.step_s) for track in tracks],
@@ -312,7 +312,7 @@ def _draw_distances(
         least = least_moving_clearances_m(problem, motions)
         curves.append(("moving obstacle", VERMILLION, limits.clearance_m, least))
     for label, colour, required, least in curves:
-        # The value of a step holds during the whole step.
+        # Values are constant during a step.
         steps = np.append(least[:1], least)
         panel.plot(t_s, steps, color=colour, drawstyle="steps-pre", label=label)
         panel.axhline(required, color=colour, linestyle="dashed")
@@ -322,7 +322,7 @@ def _draw_distances(
 
 
 def _draw_target(panel: Panel, run: Run) -> None:
-    """Draw the trace of the station's covariance, marked where a packet arrived."""
+    """Draw the trace of the station's covariance, with a mark for each packet that arrived."""
     assert run.target is not None
     t_s, trace = run.runs[0].log.t_s, run.target.station_variance_m2
     panel.plot(t_s, trace, color=PREDICTED)
@@ -357,7 +357,7 @@ def _draw_map_error(panel: Panel, t_s: NDArray[np.float64], rms_db: NDArray[np.f
 def _draw_target_distance(
     panel: Panel, problem: Problem, plans: Sequence[Plan], target_m: NDArray[np.float64]
 ) -> None:
-    """Draw each robot's distance to the expected target, and the best distance of its sensor."""
+    """Draw each robot's distance to the expected target, and its sensor's optimal distance."""
     distances = [np.linalg.norm(plan.positions_m[1:] - target_m, axis=1) for plan in plans]
     times = [plan.t_s[1:] for plan in plans]
     _draw_robots(panel, [(t, d, "_distance") for t, d in zip(times, distances, strict=True)])

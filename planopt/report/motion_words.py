@@ -1,4 +1,4 @@
-"""Problems, plans, certificates and runs of motion planning in lines of text."""
+"""Problems, plans, certificates and runs of motion planning as lines of text."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from planopt.planning.plan import Plan
 
 COLUMNS = 3
-"""Number of metrics in a line."""
+"""Number of metrics per line."""
 
 MEANING = {
     Verdict.VERIFIED: "constraints hold; contact is left only where unavoidable or worth its price",
@@ -35,7 +35,7 @@ MEANING = {
 
 
 def solution_in_words(solution: Solution) -> list[str]:
-    """Return the verdict, each plan, and what would help or why plans cross coverage holes."""
+    """Return the verdict, each plan, helpful changes, and reasons for crossing coverage holes."""
     problem, plans = solution.problem, solution.plans
     lines = [
         f"{problem.name}: {solution.verdict.value}, horizon {problem.planner.horizon}, "
@@ -47,13 +47,13 @@ def solution_in_words(solution: Solution) -> list[str]:
     for number, plan in enumerate(plans):
         lines += [f"  {line}" for line in plan_in_words(problem_of_robot(problem, number), plan)]
         own = [one for one in solution.explanation if one.robot == plan.robot]
-        # The coverage holes are listed above.
+        # The coverage holes are already listed.
         lines += [f"  {one.why if isinstance(one, Crossing) else one}" for one in own]
     return lines
 
 
 def _value(problem: Problem, objective: float) -> str:
-    """Return an objective value; with a goal it is a cost in seconds, which is no travel time."""
+    """Return an objective value as text; with a goal it is a cost in seconds, not a travel time."""
     if problem.task == "reach":
         return f"cost of time, effort and outage {shown_number(objective, ' s')}"
     return f"value {shown_number(objective)}"
@@ -82,7 +82,7 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
 
 
 def certificate_in_words(problem: Problem, plan: Plan) -> list[str]:
-    """Return a plan in words with the details of its certificate."""
+    """Return a plan as text, with the details of its certificate."""
     proof, limits = plan.certificate, problem.constraints
     residual = (
         "not refined"
@@ -106,7 +106,7 @@ def certificate_in_words(problem: Problem, plan: Plan) -> list[str]:
 
 
 def run_in_words(run: Run) -> list[str]:
-    """Return how a run ended, and its metrics."""
+    """Return the outcome of a run and its metrics as text."""
     problem = run.problem
     planner = problem.planner
     rungs = ", ".join(f"{name} {count}" for name, count in run.rungs.items())
@@ -139,7 +139,7 @@ def run_in_words(run: Run) -> list[str]:
 
 
 def _unverified_in_words(run: Run) -> list[str]:
-    """Return how many plans of each robot are not verified, and why the last of them is not."""
+    """Return the number of unverified plans of each robot, and the reason for the last one."""
     lines: list[str] = []
     for plans in run.plans:
         missing = [plan for plan in plans if plan.verdict is not Verdict.VERIFIED]
@@ -155,7 +155,7 @@ def _unverified_in_words(run: Run) -> list[str]:
 
 
 def _costs_in_words(run: Run) -> list[str]:
-    """Return the cost of a run, that of a clairvoyant, and why steps below p_min were accepted."""
+    """Return the costs of a run and of the clairvoyant, and why steps below p_min were accepted."""
     lines = [
         f"realised cost {shown_number(run.costs['realised_cost_m'], ' m')}: path length, and "
         f"{run.problem.reach.outage_price:g} m for each metre out of contact; a planner that knows "
@@ -177,7 +177,7 @@ def _costs_in_words(run: Run) -> list[str]:
 
 
 def words_ahead(problem: Problem, plans: Sequence[Plan]) -> Iterator[str]:
-    """Yield the coverage holes on the route to each goal, from the first plans."""
+    """Yield the coverage holes on the route to each goal, according to the first plans."""
     if problem.task != "reach":
         return
     for number, plan in enumerate(plans):
@@ -190,7 +190,7 @@ def words_ahead(problem: Problem, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def problem_in_words(problem: Problem) -> list[str]:
-    """Return a problem in lines of text."""
+    """Return a problem as lines of text."""
     planner, workspace, limits = problem.planner, problem.workspace, problem.constraints
     west, south, east, north = workspace.bounds_m
     truth, measured = problem.channel.truth, problem.channel.measurements
@@ -227,7 +227,7 @@ def problem_in_words(problem: Problem) -> list[str]:
 
 
 def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
-    """Return names with their values, `COLUMNS` of them a line, one below the other."""
+    """Return names with their values, `COLUMNS` per line, aligned."""
     lines: list[str] = []
     sizes = [
         [max((len(cell[part]) for cell in cells[column::COLUMNS]), default=0) for part in (0, 1)]
@@ -245,9 +245,9 @@ def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
-    """Return the clearance of planned paths, and the least P(connected) of planned steps.
+    """Return the clearance of planned paths and the minimum P(connected) of planned steps.
 
-    The least probability of a run is that of driven steps.
+    The minimum probability of a run refers to executed steps.
     """
     return (
         f"clearance {shown_number(clearance_m, ' m')}, least P(connected) of the planned steps "
@@ -256,7 +256,7 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
-    """Return the distances of plans from robots and moving obstacles; empty without these."""
+    """Return the distances of plans to robots and moving obstacles; empty without these."""
     parts = [
         f"{shown_number(distance, ' m')} from {what}"
         for distance, what in (

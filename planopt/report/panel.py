@@ -1,6 +1,6 @@
 """Figures and panels: layout, files, and the common style of all figures.
 
-No pyplot and no global settings: figures belong to the caller.
+Neither pyplot nor global settings are used: figures belong to the caller.
 Colours are those of Okabe and Ito (2008) and the perceptually uniform maps viridis and cividis.
 """
 
@@ -39,34 +39,34 @@ POWER_MAP, DEVIATION_MAP, PROBABILITY_MAP = "viridis", "cividis", "cividis"
 TITLE_PT, LABEL_PT, TICK_PT, NOTE_PT = 11.0, 10.0, 9.0, 9.0
 
 BAND_Z = 1.28
-"""Half width of drawn bands in standard deviations: the middle 80 % of a normal distribution."""
+"""Half width of bands in standard deviations: the central 80 % of a normal distribution."""
 
 BAND_WORDS = "80 % band"
 
 ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
 ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
-"""Colours and markers of robots; with different lengths, their pairs repeat late."""
+"""Markers of robots; their number differs from that of colours, so that pairs repeat late."""
 
 LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
-"""Width in inches of a letter of a legend and of the mark before its words; height of a line."""
+"""Widths of a legend's character and handle and height of a line, in inches."""
 
 DPI = 110
-"""Resolution of pixel formats."""
+"""Resolution of pixel formats in dpi."""
 
 UNDATED: dict[str, dict[str, None]] = {
     ".png": {},
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
 }
-"""Formats, and the date that is left out of their metadata."""
+"""File formats, with metadata that suppress the date."""
 
 Values = NDArray[np.float64] | Sequence[float]
 Look = dict[str, Any]
-"""Keywords of Matplotlib that style what is drawn."""
+"""Keyword arguments of Matplotlib that define a style."""
 
 
 Panel = Any
-"""One ``matplotlib.axes.Axes``, whose styling keywords Matplotlib leaves untyped."""
+"""One ``matplotlib.axes.Axes``, whose style keywords Matplotlib leaves untyped."""
 
 
 def new_figure(
@@ -74,10 +74,10 @@ def new_figure(
     height_in: float,
     mosaic: Sequence[Sequence[object]] = ("A",),
     *,
-    maps_only: bool = False,  # Panels of equal scale leave gaps: move them together
+    maps_only: bool = False,  # Panels of equal scale leave gaps, which are closed
     **ratios: Sequence[float],  # width_ratios, height_ratios of columns and rows
 ) -> tuple[Figure, list[Panel]]:
-    """Return a figure and its panels; equal entries of the mosaic are one panel, "." is empty."""
+    """Return a figure and its panels; equal entries of the mosaic form one panel, "." is empty."""
     from matplotlib.figure import Figure
 
     layout = "compressed" if maps_only else "constrained"
@@ -89,7 +89,7 @@ def new_figure(
 
 
 def split_panel(figure: Figure, panel: Panel, shares: Sequence[float]) -> list[Panel]:
-    """Replace a panel by panels above each other, with these shares of its height."""
+    """Replace a panel by stacked panels with these shares of its height."""
     from matplotlib.gridspec import GridSpecFromSubplotSpec
 
     cell = panel.get_subplotspec()
@@ -99,19 +99,19 @@ def split_panel(figure: Figure, panel: Panel, shares: Sequence[float]) -> list[P
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure, whole or not at all.
+    """Write a figure atomically.
 
     Parameters
     ----------
     figure
-        From any of the ``draw_*`` functions.
+        Figure made by any of the ``draw_*`` functions.
     path
-        Ends in ``.png``, ``.svg`` or ``.pdf``; its folder is made if need be.
+        File name ending in ``.png``, ``.svg`` or ``.pdf``; its folder is created if missing.
 
     Raises
     ------
     InputError
-        Another ending.
+        The path has another suffix.
     OutputError
         The file cannot be written.
     """
@@ -126,7 +126,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def robot_colour(number: int) -> str:
-    """Return the colour of a robot, the first has number 0."""
+    """Return the colour of a robot; numbers start at 0."""
     return ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
 
 
@@ -146,18 +146,18 @@ def curve_look(number: int) -> dict[str, Any]:
 
 
 def dashed_look(number: int) -> dict[str, Any]:
-    """Return the colour and dashes of a curve without marks by its number."""
+    """Return the colour and dashes of a curve without markers by its number."""
     dashes = DASHES[number % len(DASHES)]
     return {"color": SERIES[number % len(SERIES)], "linestyle": dashes, "linewidth": 1.8}
 
 
 def spaced(name: str) -> str:
-    """Return a name as words."""
+    """Return a name with spaces between its words."""
     return name.replace("_", " ")
 
 
 def dress(panel: Panel, title: str, x_label: str, y_label: str, *, grid: bool = True) -> None:
-    """Give a panel its title and labels, in the common sizes."""
+    """Set the title and labels of a panel, in the common font sizes."""
     panel.set_title(title, fontsize=TITLE_PT, loc="left")
     panel.set_xlabel(x_label, fontsize=LABEL_PT)
     panel.set_ylabel(y_label, fontsize=LABEL_PT)
@@ -168,22 +168,22 @@ def dress(panel: Panel, title: str, x_label: str, y_label: str, *, grid: bool = 
 
 
 def frame_title(panel: Panel, words: str) -> Artist:
-    """Return the title of one frame of an animation, as an artist that can be removed."""
+    """Return the title of one animation frame, as an artist that can be removed."""
     return panel.text(
         0.0, 1.01, words, transform=panel.transAxes, fontsize=TITLE_PT, va="bottom", zorder=9.0
     )
 
 
 def head(figure: Figure, words: str) -> None:
-    """Give a figure its title."""
+    """Set the title of a figure."""
     cast("Any", figure).suptitle(words, fontsize=TITLE_PT + 1.0, fontweight="bold")
 
 
 def draw_intervals(
     panel: Panel, x: Values, y: Values, low: Values, high: Values, **look: Any
 ) -> Artist:
-    """Draw marks (n,) with bars from `low` to `high`, none where these are NaN; the marks."""
-    # An end that equals the value may pass it by rounding; NaN stays.
+    """Draw markers (n,) with bars from `low` to `high`, none if NaN; return the markers."""
+    # Rounding may put a bound on the wrong side of the value; NaN is kept.
     ends = (np.maximum(np.subtract(y, low), 0.0), np.maximum(np.subtract(high, y), 0.0))
     bars = {"elinewidth": 1.5, "capsize": 3.0, "linestyle": "none"}
     panel.errorbar(x, y, yerr=ends, ecolor=look["color"], **bars)
@@ -199,7 +199,7 @@ def draw_band(
 
 
 def legend_entries(entries: Iterable[Artist]) -> list[Artist]:
-    """Return legend entries with one for each label: the first of each, in their order."""
+    """Return the first legend entry of each label, in order."""
     found: dict[str, Artist] = {}
     for entry in entries:
         found.setdefault(str(entry.get_label()), entry)
@@ -207,9 +207,9 @@ def legend_entries(entries: Iterable[Artist]) -> list[Artist]:
 
 
 def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> None:
-    """Add a legend under all panels, where it covers no start and no goal.
+    """Add a legend below all panels, where it covers neither start nor goal.
 
-    Long words reduce the number of columns; the figure grows with the number of lines.
+    Long labels reduce the number of columns; the figure grows with the number of lines.
     """
     handles = legend_entries(entries)
     labels = [str(handle.get_label()) for handle in handles]
@@ -230,7 +230,7 @@ def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> Non
 
 
 def legend_above(panel: Panel, columns: int = 6) -> None:
-    """Add a legend of curves, if any has a label, on the line of the panel's title."""
+    """Add a legend of labelled curves, if any, on the line of the panel's title."""
     if not panel.get_legend_handles_labels()[1]:
         return
     panel.legend(
@@ -245,7 +245,7 @@ def legend_above(panel: Panel, columns: int = 6) -> None:
 
 
 def legend_inside(panel: Panel, place: str = "best") -> None:
-    """Add a legend in a panel of dots, which leave room for it."""
+    """Add a legend inside a panel of dots, which leave space for it."""
     panel.legend(fontsize=NOTE_PT, loc=place, framealpha=0.9, edgecolor="none")
 
 

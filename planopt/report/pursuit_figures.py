@@ -1,4 +1,4 @@
-"""Figures of pursuits: paths, what pursuers knew when, an animation, and the network's design."""
+"""Figures of pursuits: paths, age of records, animation, and design of the network."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ QUANTITIES = {
     "record_bits": "record",
     "mote_spacing_m": "mote spacing",
 }
-"""Names of the quantities of a design's sensitivities."""
+"""Labels of the quantities in a design's sensitivities."""
 
 CURVES = 5
-"""Numbers of bits whose power is drawn: those that cost least."""
+"""Number of curves of power, one for each of the cheapest numbers of bits."""
 
 
 def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
     """Draw the paths, the age of the records in use, and the distances to the evaders."""
     figure, (plane, ages, distances) = new_figure(12.0, 6.4, ["AB", "AC"], width_ratios=(1.5, 1.0))
     entries = _draw_scene(plane, pursuit)
-    # An almost straight flight fills the panel as well.
+    # An almost straight flight must fill the panel as well.
     plane.set_aspect("equal", adjustable="datalim")
     radius_m = pursuit.scene.capture_radius_m
     for label, paths, colour, marker in (
@@ -132,9 +132,9 @@ def draw_view(
     mote: NDArray[np.int64],  # (2,) column and row
     time_s: float,
 ) -> Figure:
-    """Draw the snapshot of one mote: age and resolution of its records of every place."""
+    """Draw the snapshot of one mote: age and resolution of its records of every position."""
     here_m = mote_centres_m(service)[mote[1], mote[0]]
-    # The levels that show a place to the mote are those that show the mote to the place.
+    # Visibility is mutual: a level that shows one mote to another also shows the reverse.
     seen = snapshot(service, Track(np.zeros(1), here_m[None]), time_s)
     ages_s = np.asarray(seen.ages_s[seen.level_map()], dtype=np.float64)
     figure, panel = _motes(service, ages_s, "the snapshot of one mote", "age of its records [s]")
@@ -160,7 +160,7 @@ def draw_view(
 def _motes(
     service: SnapshotService, ages_s: NDArray[np.float64], title: str, label: str
 ) -> tuple[Figure, Panel]:
-    """Return a figure and panel with an age (rows, columns) for each mote's cell."""
+    """Return a figure and a panel with the age (rows, columns) at each mote."""
     figure, (panel,) = new_figure(7.4, 6.6)
     side_m, count = service.side_m, len(ages_s)
     centres = (np.arange(count) + 0.5) * side_m / count
@@ -203,7 +203,7 @@ def _draw_frame(panel: Panel, pursuit: Pursuit, step: int) -> list[Artist]:
             look = {"color": colour, "marker": marker, "markersize": 7.0, "markevery": [-1]}
             drawn += panel.plot(*path[: step + 1, :2].T, linewidth=1.2, label=label, **look)
     begun = [use for use in pursuit.uses if use.time_s <= now_s]
-    in_use: dict[int, Use] = {use.pursuer: use for use in begun}  # The last of each
+    in_use: dict[int, Use] = {use.pursuer: use for use in begun}  # The latest of each pursuer
     for use in in_use.values():
         around = use.record.reported_m[:, None] + use.record.error_m * UNIT_CIRCLE
         drawn += panel.plot(*around, color=ORANGE, linewidth=1.6, label="reported position")
@@ -215,7 +215,7 @@ def _draw_frame(panel: Panel, pursuit: Pursuit, step: int) -> list[Artist]:
 
 
 def _draw_scene(panel: Panel, pursuit: Pursuit) -> list[Artist]:
-    """Draw obstacles and bounds; legend entries."""
+    """Draw obstacles and bounds; return legend entries."""
     arena = pursuit.scene.arena
     dress(panel, "", X_LABEL, Y_LABEL)
     if arena.bounds_m is not None:
@@ -226,7 +226,7 @@ def _draw_scene(panel: Panel, pursuit: Pursuit) -> list[Artist]:
 
 
 def draw_design(task: DesignTask, data: Mapping[str, Any]) -> Figure:
-    """Draw the answer to a design problem: power, sensitivities, and energy against time."""
+    """Draw the solution of a design problem: power, sensitivities, and energy over time."""
     front = data["pareto"]
     figure, panels = new_figure(13.0, 4.6, ["ABC"] if front else ["AB"])
     _draw_power(panels[0], task, data)
@@ -243,7 +243,7 @@ def draw_design(task: DesignTask, data: Mapping[str, Any]) -> Figure:
 
 
 def _draw_power(panel: Panel, task: DesignTask, data: Mapping[str, Any]) -> None:
-    """Draw power over the slot width, from the payload's slot to the widest, by bits."""
+    """Draw power over slot width, from the payload's slot to the widest, by number of bits."""
     rows = [row for row in data["cost_curve"] if row["objective"] is not None]
     least = sorted(rows, key=lambda row: row["objective"])[:CURVES]
     for number, row in enumerate(sorted(least, key=lambda row: row["bits_per_axis"])):
@@ -260,7 +260,7 @@ def _draw_power(panel: Panel, task: DesignTask, data: Mapping[str, Any]) -> None
 
 
 def _draw_sensitivities(panel: Panel, data: Mapping[str, Any]) -> None:
-    """Draw by how much one per cent more of each quantity changes the objective."""
+    """Draw the relative change of the objective if each quantity increases by one per cent."""
     found = sorted(data["sensitivities"].items(), key=lambda item: abs(item[1]))
     places = np.arange(len(found), dtype=np.float64)
     colours = [VERMILLION if value > 0.0 else BLUE for _, value in found]

@@ -20,12 +20,12 @@ from planopt.studies.comparison_rows import (
 
 @dataclass(frozen=True)
 class MetricName:
-    """The name, unit and form of a metric."""
+    """Name, unit and number format of a metric."""
 
     words: str
     unit: str
     scale: float = 1.0  # Factor from the value to the unit
-    digits: int = 1  # Digits after the point in tables
+    digits: int = 1  # Decimal places in tables
 
 
 METRIC_NAMES = {
@@ -68,14 +68,14 @@ METRIC_NAMES = {
 
 
 BANDS = {"nis": ("nis_low", "nis_high", "95 % of filters that are right")}
-"""Metrics that come with a band to be in: the metrics of its ends, and what it is in words."""
+"""Metrics with an expected range: the metrics of its bounds, and its description."""
 
 BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends}
-"""Metrics that are ends of a band, with the metric that it is for; no columns of their own."""
+"""Metrics that are bounds of a range, with the metric they belong to; they have no column."""
 
 
 def metric_name(metric: str) -> MetricName:
-    """Return the name of a metric; one that is not listed keeps its own name and value."""
+    """Return the name of a metric; one that is not listed keeps its key and value."""
     return METRIC_NAMES.get(metric, MetricName(spaced(metric), "as is", 1.0, 3))
 
 
@@ -87,16 +87,16 @@ def metric_label(metric: str) -> str:
 MISSING = "-"
 
 WIDTH = 100
-"""Letters in a line of a comparison's table."""
+"""Maximum line length of a comparison table in characters."""
 
 OWN = "own"
-"""Value of a swept key that a setting leaves as it is in the problem."""
+"""Value of a swept key that a setting does not change."""
 
 SETTING_WIDTH = 80
-"""Letters of a setting in words, where settings are numbered."""
+"""Maximum length in characters of a description, if settings are numbered."""
 
 VERIFIED, POLISH = ("verified [%]", ""), ("polish gain [%]", "polish_gain")
-"""Columns of every task; the first is of no metric."""
+"""Columns of every task; the first one belongs to no metric."""
 
 GOAL_COLUMNS = (
     ("time to goal [s]", "goal_time_s"),
@@ -108,20 +108,20 @@ GOAL_COLUMNS = (
     VERIFIED,
     POLISH,
 )
-"""Metrics shown where there is a goal, and their headings; the first with its interval."""
+"""Metrics shown for tasks with a goal, and their headings; the first has an interval."""
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Return the table of a comparison, aligned, one line a setting in the order of the rows.
+    """Return the table of a comparison, aligned, one line per setting in the order of the rows.
 
-    Columns beyond `WIDTH` letters go below, with the names of the setting before them again. With
-    several swept keys settings are numbered, and described in words once.
+    Columns beyond `WIDTH` characters follow in further blocks that repeat the names of the
+    settings. With several swept keys, settings are numbered and described once.
 
     Parameters
     ----------
     comparison
-        The comparison. A metric that a setting does not have is shown as ``-``; where there is no
-        goal, one that no setting has is left out.
+        Comparison to print. Missing metrics are shown as ``-``; without a goal, metrics that no
+        setting has are omitted.
     """
     settings = comparison.settings
     problems = (comparison.problem, *comparison.others)
@@ -148,7 +148,7 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
-    """Return the headings and cells that name the settings."""
+    """Return the headings and cells that identify the settings."""
     settings, swept = comparison.settings, list(short_keys(comparison.rows))
     if len(swept) > 1:
         return [["setting"], *([str(number + 1)] for number in range(len(settings)))]
@@ -162,7 +162,7 @@ def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
 
 
 def _listed(comparison: Comparison) -> list[str]:
-    """Return numbered settings in words; no line if at most one key is swept."""
+    """Return descriptions of numbered settings; no line if at most one key is swept."""
     names, several = short_keys(comparison.rows), bool(comparison.others)
     if len(names) < 2:
         return []
@@ -178,9 +178,9 @@ def _listed(comparison: Comparison) -> list[str]:
 def _paired(
     settings: Sequence[Setting], names: Sequence[Sequence[str]], metrics: Sequence[str]
 ) -> list[str]:
-    """Return the table of differences from the first setting, seed by seed, with their intervals.
+    """Return the table of paired differences from the first setting, with their intervals.
 
-    Intervals without zero have a star. No line where there is no interval.
+    Intervals that exclude zero have a star. The table is empty if there is no interval.
     """
     cells = {m: [_difference(each.rows.get(m)) for each in settings] for m in metrics}
     known = [m for m in metrics if any(cell != MISSING for cell in cells[m])]
@@ -202,12 +202,12 @@ def _paired(
 
 
 def _differs(row: Row | None) -> bool:
-    """Return whether a metric differs from the first setting's on any seed."""
+    """Return whether a metric differs from that of the first setting on any seed."""
     return row is not None and any((row.paired_difference, row.difference_low, row.difference_high))
 
 
 def _difference(row: Row | None) -> str:
-    """Return the paired difference with its interval, and a star where that excludes zero."""
+    """Return the paired difference with its interval, and a star if that excludes zero."""
     if row is None or row.paired_difference is None:
         return MISSING
     low, high, name = row.difference_low, row.difference_high, metric_name(row.metric)
@@ -220,7 +220,7 @@ def _difference(row: Row | None) -> str:
 
 
 def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Return heading and name of every metric of a sum of terms that a setting has."""
+    """Return heading and name of every available metric of a sum of terms."""
     there = dict.fromkeys(row.metric for row in rows if row.mean is not None)
     bands = {metric: f", and of {words}" for metric, (*_, words) in BANDS.items()}
     metrics = [m for m in there if m != "polish_gain" and m not in BAND_ENDS]
@@ -228,7 +228,7 @@ def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 def _cells(setting: Setting, shown: Sequence[str]) -> list[str]:
-    """Return the numbers of a line; entries that belong to no metric are the same in every row."""
+    """Return the numbers of a line; entries not tied to a metric are equal in all rows."""
     one = next(iter(setting.rows.values()))
     verified = MISSING if one.verified_rate is None else f"{100.0 * one.verified_rate:.1f}"
     cells = [str(one.seeds), str(one.stalled)]
@@ -240,7 +240,7 @@ def _cells(setting: Setting, shown: Sequence[str]) -> list[str]:
 
 
 def _mean(rows: Mapping[str, Row], metric: str, *, interval: bool) -> str:
-    """Return the mean of a metric in the unit shown, with its interval if wanted, and its band."""
+    """Return the mean of a metric in its unit, with interval (if `interval`) and expected range."""
     row, name = rows.get(metric), metric_name(metric)
     if row is None or row.mean is None:
         return MISSING
@@ -256,10 +256,10 @@ def _mean(rows: Mapping[str, Row], metric: str, *, interval: bool) -> str:
 
 
 def _in_blocks(table: Sequence[Sequence[str]], first: int) -> list[str]:
-    """Return aligned lines, with headings in several lines where they are wider than their cells.
+    """Return aligned lines, with headings wrapped if they are wider than their cells.
 
-    Blocks of columns of at most `WIDTH` letters stand below each other, an empty line between
-    them; each begins with the `first` columns, which name the line, the last of them to the right.
+    Columns are split into blocks of at most `WIDTH` characters, separated by an empty line. Each
+    block repeats the `first` columns, which identify the line; the last of them is right-aligned.
     """
     columns = [
         [textwrap.wrap(heading, max(map(len, (*heading.split(), *below)))), below]
@@ -282,7 +282,7 @@ def _in_blocks(table: Sequence[Sequence[str]], first: int) -> list[str]:
 
 
 def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
-    """Return where the 95 % intervals stand, or why there is none."""
+    """Return a note on where the 95 % intervals are shown, or why there is none."""
     if any(row.ci_low is not None for row in comparison.rows):
         return f"95 % interval {where}"
     return f"no interval from fewer than {FEWEST_GROUPS}"
@@ -291,7 +291,7 @@ def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
 def reliability_lines(
     bins: Sequence[ReliabilityBin], what: str, groups: str | None = None
 ) -> list[str]:
-    """Return the table of predicted against true connection, a line a bin; no line without bins."""
+    """Return the table of predicted against true connection, one line per bin."""
     if not bins:
         return []
     title, with_intervals = "predicted against true connection", any(one.interval for one in bins)
@@ -312,7 +312,7 @@ def reliability_lines(
 
 
 def _interval(one: ReliabilityBin) -> str:
-    """Return the interval, with a star where it misses the mean prediction."""
+    """Return the interval, with a star if it excludes the mean prediction."""
     if one.interval is None:
         return MISSING
     words = f"{one.interval[0]:.4f} to {one.interval[1]:.4f}"
@@ -320,7 +320,7 @@ def _interval(one: ReliabilityBin) -> str:
 
 
 def aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
-    """Return columns two spaces apart, the first `words` to the left, the others to the right."""
+    """Return aligned columns, the first `words` to the left, the others to the right."""
     widths = [max(len(line[column]) for line in table) for column in range(len(table[0]))]
     return [
         "  ".join(

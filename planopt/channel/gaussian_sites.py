@@ -1,19 +1,18 @@
-"""Censored ("at most this power") and coarsely rounded measurements as Gaussian sites.
+"""Gaussian sites for censored (upper limit only) and coarsely rounded measurements.
 
-A power rounded to steps of r is known within r / 2. While r is at most `FINE_STEP` omega, its
-likelihood is that of a Gaussian of variance omega^2 + r^2 / 12 (Sheppard's correction). Coarser
-steps and limits use expectation propagation (EP): a receiver's floor gives the likelihood
-Phi((floor - f) / omega) of the noise-free power f, a scale of step r gives
+A power rounded to steps of r is known within r / 2. If r is at most `FINE_STEP` omega, the
+likelihood is approximately Gaussian with variance omega^2 + r^2 / 12 (Sheppard's correction).
+Coarser steps and limits use expectation propagation (EP). A limit has the likelihood
+Phi((floor - f) / omega) of the noise-free power f, a power rounded to steps of r has
 Phi((y + r/2 - f) / omega) - Phi((y - r/2 - f) / omega). Both are log-concave, so EP replaces each
-by a Gaussian *site* of positive variance, an ordinary measurement with noise of its own (Rasmussen
-and Williams, Gaussian Processes for Machine Learning, section 3.6, with the moments of the
-truncated normal).
+by a Gaussian *site* of positive variance: a measurement with its own noise (Rasmussen and Williams,
+Gaussian Processes for Machine Learning, section 3.6, with the moments of the truncated normal).
 
 Differences of distribution functions lose all digits for narrow intervals and far tails. Moments of
-the truncated normal are therefore integrals of its density, scaled to 1 at its highest point, by
-Gauss-Legendre quadrature over the part of the interval where it is not negligible: the relative
-error of the variance is below 1e-12 from intervals of 1e-9 standard deviations to half lines. Half
-lines short of the far tail have a closed form, which is faster.
+the truncated normal are therefore computed by Gauss-Legendre quadrature of its density, scaled to a
+maximum of 1, over the part of the interval where it is not negligible. The relative error of the
+variance is below 1e-12 from intervals of 1e-9 standard deviations to half-lines. Half-lines outside
+the far tail use a closed form, which is faster.
 """
 
 from __future__ import annotations
@@ -37,36 +36,36 @@ from planopt.channel.parameters import ChannelParameters, regressors
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(40)
 NODES, WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
-"""Quadrature over [0, 1]; 40 nodes integrate the whole normal density to 5e-14."""
+"""Quadrature over [0, 1]; 40 nodes integrate the normal density with an error of 5e-14."""
 
 NEGLIGIBLE = 76.0
-"""If x^2 exceeds its least value by this, the density has fallen by exp(-38) = 3e-17."""
+"""Increase of x^2 over its minimum at which the density has fallen by exp(-38) = 3e-17."""
 
 LEAST_CLOSED_FORM = -20.0
-"""The closed form's variance of a half line loses digits as the fourth power of its end: at this
-end its relative error is 1e-10."""
+"""Minimum end of a half-line for the closed form. The relative error of its variance grows with the
+fourth power of the end and is 1e-10 here."""
 
 
 @dataclass(frozen=True)
 class TruncatedNormal:
-    """Standard normal variables x, each given that it lies in its interval."""
+    """Moments of standard normal variables truncated to intervals."""
 
-    log_probability: NDArray[np.float64]  # (m,) of the interval
-    mean: NDArray[np.float64]  # (m,) given the interval
-    variance: NDArray[np.float64]
+    log_probability: NDArray[np.float64]  # (m,) log-probability of the interval
+    mean: NDArray[np.float64]  # (m,)
+    variance: NDArray[np.float64]  # (m,)
 
 
 def truncated_normal(upper: NDArray[np.float64], width: NDArray[np.float64]) -> TruncatedNormal:
-    """Condition standard normal variables on ``upper - width <= x <= upper``."""
+    """Return the moments of standard normal variables given ``upper - width <= x <= upper``."""
     # Shapes: upper (m,); width (m,).
     if np.isinf(width).all() and (upper > LEAST_CLOSED_FORM).all():
         return _half_line(upper)
-    # Mirrored if the middle is below 0, so that the density is highest at 0 or the lower end.
+    # Mirrored if the middle is below 0, so that the density peaks at 0 or at the lower end.
     mirrored = upper < 0.5 * width
     lower = np.where(mirrored, -upper, upper - width)
     highest = np.maximum(lower, 0.0)
-    # Beyond these the density is negligible. The far end as a step from the highest point, whose
-    # difference from `highest` would vanish in rounding.
+    # The density is negligible beyond these. The far end is a step from the peak, because a
+    # difference of large numbers would lose it in rounding.
     begin = np.maximum(lower, -np.sqrt(NEGLIGIBLE))
     reach = NEGLIGIBLE / (highest + np.sqrt(highest**2 + NEGLIGIBLE))
     length = np.minimum(width - (begin - lower), highest - begin + reach)
@@ -87,7 +86,7 @@ def truncated_normal(upper: NDArray[np.float64], width: NDArray[np.float64]) -> 
 
 
 def _half_line(upper: NDArray[np.float64]) -> TruncatedNormal:
-    """Condition on ``x <= upper``: mean -h, variance 1 - h (upper + h), h the hazard."""
+    """Return moments given ``x <= upper``: mean -h, variance 1 - h (upper + h), h the hazard."""
     hazard = np.sqrt(2.0 / np.pi) / np.asarray(erfcx(-np.sqrt(0.5) * upper), dtype=np.float64)
     return TruncatedNormal(
         np.asarray(log_ndtr(upper), dtype=np.float64), -hazard, 1.0 - hazard * (upper + hazard)
@@ -95,7 +94,7 @@ def _half_line(upper: NDArray[np.float64]) -> TruncatedNormal:
 
 
 MAX_SITE_VARIANCE_DB2 = 1e5
-"""Finite value for the infinite variance of a limit without information."""
+"""Maximum variance of a site; replaces the infinite variance of an uninformative limit."""
 
 TOLERANCE = 1e-7
 """Default tolerance of the sites' fixed point."""
@@ -103,47 +102,46 @@ TOLERANCE = 1e-7
 MAX_SWEEPS = 300
 
 MIN_NOISE_VARIANCE_DB2 = 1e-4
-"""Least omega^2, so that factors exist where positions repeat."""
+"""Minimum omega^2, so that factors exist if positions repeat."""
 
 FINE_STEP = 2.0
-"""Largest step r of a fine scale, as a multiple of omega.
+"""Maximum rounding step r for Sheppard's correction, as a multiple of omega.
 
-With Sheppard's correction the error of the log likelihood's slopes is then at most 0.06 of their
-standard deviations (0.1 with ten measurements per place), that of the mean of the noise-free power
-0.015 of its own (0.03): 40 channels with 300 measurements each, compared with EP. With ten
-measurements per place it is 0.6 and 0.17 at r = 3 omega.
-"""
+At this step the error of the log-likelihood's gradient is at most 0.06 of its standard deviation,
+and that of the mean noise-free power 0.015 (0.1 and 0.03 with ten measurements per position), in 40
+channels of 300 measurements compared with EP. At r = 3 omega and ten measurements per position it
+is 0.6 and 0.17."""
 
 
 @dataclass(frozen=True)
 class Sites:
-    """Measurements as Gaussian ones: value = path loss + shadowing + independent noise."""
+    """Gaussian measurements: value = path loss + shadowing + independent noise."""
 
     values_db: NDArray[np.float64]  # (n,) dBm
-    # (n,) variance of the noise, positive; at most `MAX_SITE_VARIANCE_DB2` if censored
+    # (n,) noise variance, positive; at most `MAX_SITE_VARIANCE_DB2` if censored
     noise_variance_db2: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Intervals:
-    """Intervals that contain the noisy powers."""
+    """Intervals that contain the powers with multipath."""
 
-    upper_db: NDArray[np.float64]  # (m,) upper end
-    width_db: NDArray[np.float64]  # (m,) infinite for a censored measurement
+    upper_db: NDArray[np.float64]  # (m,) upper ends
+    width_db: NDArray[np.float64]  # (m,) infinite for censored measurements
 
 
 @dataclass(frozen=True)
 class LatentPrior:
     """Prior distribution of the noise-free power f.
 
-    f = mean + columns @ delta + u with u ~ N(0, covariance) and delta of density proportional to
-    exp(score' delta - delta' information delta / 2): path loss given other measurements.
+    f = mean + columns @ delta + u with u ~ N(0, covariance). delta, the path loss given other
+    measurements, has a density proportional to exp(score' delta - delta' information delta / 2).
     """
 
     mean_db: NDArray[np.float64]  # (m,)
     covariance_db2: NDArray[np.float64]  # (m, m)
     columns: NDArray[np.float64]  # (m, p); p = 0 for a known mean
-    # (p, p); may be zero (a flat prior) if intervals of finite width determine delta
+    # (p, p); may be zero (flat prior) if intervals of finite width determine delta
     information: NDArray[np.float64]
     score: NDArray[np.float64]  # (p,)
 
@@ -156,9 +154,9 @@ class LatentPrior:
         return LatentPrior(mean_db, covariance_db2, nothing, np.zeros((0, 0)), np.zeros(0))
 
     def integrated(self) -> tuple[LatentPrior, float]:
-        """Integrate delta out; return also the log of the integral of its density.
+        """Return the prior with delta integrated out, and the log of the integral over delta.
 
-        `information` must determine delta. EP's sweeps are then cheaper.
+        This makes EP's sweeps cheaper. `information` must be positive definite.
         """
         lower = lower_factor(self.information)
         moved = solve_lower(lower, self.columns.T)
@@ -176,12 +174,12 @@ class LatentPrior:
 class IntervalSites:
     """EP's approximation of the prior times the probability of the intervals."""
 
-    mean_db: NDArray[np.float64]  # (m,) the prior's mean, origin of the sites
+    mean_db: NDArray[np.float64]  # (m,) prior mean, the origin of the sites
     # (m,) natural parameters: exp(-precision (f - mean)^2 / 2 + shift (f - mean))
     precision: NDArray[np.float64]
     shift: NDArray[np.float64]
-    log_evidence: float  # EP's log of the integral of that product over f and delta
-    evidence_slope: float  # Derivative of `log_evidence` by omega^2 through the likelihood alone
+    log_evidence: float  # EP's log of the product's integral over f and delta
+    evidence_slope: float  # Direct derivative of `log_evidence` by omega^2, with sites fixed
 
     def as_measurements(self) -> Sites:
         """Return the sites as Gaussian measurements of f."""
@@ -199,21 +197,21 @@ def first_sites(
     width_db: NDArray[np.float64],  # (m,)
     noise_variance_db2: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return initial precisions and shifts (m,): the middles of the intervals, without limits."""
+    """Return initial precisions and shifts (m,): interval midpoints; no information for limits."""
     precision = 1.0 / (noise_variance_db2 + rounded_variance_db2(width_db))
     return precision, precision * (limit_db - 0.5 * np.where(np.isinf(width_db), 0.0, width_db))
 
 
 def matched_sites(
-    mean_db: NDArray[np.float64],  # (m,) of the cavities
-    variance_db2: NDArray[np.float64],  # (m,)
+    mean_db: NDArray[np.float64],  # (m,) means of the cavities
+    variance_db2: NDArray[np.float64],  # (m,) variances of the cavities
     inside: TruncatedNormal,
     noise_variance_db2: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return precisions and shifts (m,) of sites that match cavities times interval likelihoods.
 
-    With s^2 the variance inside the interval in units of the cavity's prediction, the precision is
-    (1 - s^2) / (omega^2 + s^2 v), v the cavity's variance: no cancellation in narrow intervals.
+    The precision is (1 - s^2) / (omega^2 + s^2 v), v the cavity's variance and s^2 the truncated
+    variance relative to omega^2 + v. This form has no cancellation in narrow intervals.
     """
     shrink = np.maximum(1.0 - inside.variance, 0.0)
     left = noise_variance_db2 + variance_db2 * inside.variance
@@ -228,7 +226,7 @@ def interval_sites(
     start: IntervalSites | None = None,
     tolerance: float = TOLERANCE,
 ) -> IntervalSites:
-    """Match the sites of intervals of a Gaussian vector by EP, all at once, damped."""
+    """Match the sites of all intervals of a Gaussian vector by damped parallel EP."""
     limit, width = intervals.upper_db - prior.mean_db, intervals.width_db
     if start is None:
         precision, shift = first_sites(limit, width, noise_variance_db2)
@@ -246,7 +244,7 @@ def interval_sites(
         # Sites that oscillate between sweeps are damped more, permanently.
         step = step if state.error < last else max(0.7 * step, 0.05)
         last = state.error
-        # A flat prior of theta may need intervals that have no information at first.
+        # With a flat prior on theta, intervals must not lose all their information.
         precision = np.maximum(precision + step * (state.matched_precision - precision), least)
         shift = shift + step * (state.matched_shift - shift)
         state = _swept(prior, precision, shift, limit, width, noise_variance_db2)
@@ -257,7 +255,7 @@ def interval_sites(
 
 @dataclass(frozen=True)
 class _Sweep:
-    """Sites, the sites that match their cavities, and the largest difference between both."""
+    """Sites, the sites that match their cavities, and the maximum difference between them."""
 
     precision: NDArray[np.float64]
     shift: NDArray[np.float64]
@@ -276,7 +274,7 @@ def _swept(
     width: NDArray[np.float64],
     noise: float,
 ) -> _Sweep:
-    """Leave each site out in turn and match the moments of cavity times likelihood."""
+    """Return one EP sweep: match each site to the moments of its cavity times its likelihood."""
     variance, mean, log_integral = _conditioned(prior, precision, shift)
     left = np.maximum(1.0 - precision * variance, 1e-12)
     cavity, cavity_mean = variance / left, (mean - variance * shift) / left
@@ -309,7 +307,7 @@ def _conditioned(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Return variances and means of f - mean given the sites, and the log of the integral.
 
-    Conditions on the sites through B = I + S^1/2 covariance S^1/2, then on delta.
+    Conditions on the sites by factorising I + S^1/2 covariance S^1/2, S the precisions.
     """
     root = np.sqrt(precision)
     scaled = root[:, None] * prior.covariance_db2
@@ -323,7 +321,7 @@ def _conditioned(
     if prior.columns.shape[1]:
         half_columns = solve_lower(lower, root[:, None] * prior.columns)
         information = lower_factor(prior.information + half_columns.T @ half_columns)
-        # The part of the columns that the sites leave free.
+        # The columns' part that the sites do not explain.
         moved = solve_lower(information, (prior.columns - half.T @ half_columns).T)
         score = moved @ shift + solve_lower(information, prior.score)
         variance = variance + np.einsum("ij,ij->j", moved, moved)
@@ -334,7 +332,7 @@ def _conditioned(
 
 
 def needs_site(measurements: Measurements, noise_variance_db2: float) -> NDArray[np.bool_]:
-    """Return which are censored, or too coarsely rounded for Sheppard's correction; ``(n,)``.
+    """Return a mask of censored measurements and those too coarse for Sheppard's correction.
 
     `noise_variance_db2` is omega^2.
     """
@@ -343,7 +341,7 @@ def needs_site(measurements: Measurements, noise_variance_db2: float) -> NDArray
 
 
 def intervals(measurements: Measurements) -> Intervals:
-    """Return each power's interval; the upper end is r / 2 above the value, censored or not."""
+    """Return the interval of each power; its upper end is r / 2 above the recorded value."""
     resolution = measurements.resolution_db
     width = np.where(measurements.censored, np.inf, resolution)
     return Intervals(measurements.power_dbm + 0.5 * resolution, width)
@@ -351,10 +349,10 @@ def intervals(measurements: Measurements) -> Intervals:
 
 @one_blas_thread()
 def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
-    """Replace censored and rounded measurements by Gaussian ones, given the channel's parameters.
+    """Replace censored and coarsely rounded measurements by Gaussian ones.
 
-    Sites are conditioned jointly on all measurements: a limit among strong neighbours has more
-    information than one where a weak signal is expected.
+    Sites are matched jointly given all measurements: a limit among strong neighbours is more
+    informative than one where a weak signal is expected.
     """
     omega2 = parameters.multipath_std_db**2
     values = measurements.power_dbm.astype(np.float64)
@@ -364,7 +362,7 @@ def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) ->
         return Sites(values, variances)
     theta = np.array([parameters.k_pl_db, parameters.n_pl])
     path_loss = regressors(measurements.positions_m, parameters.station) @ theta
-    # A site belongs to the true position, not to the recorded one.
+    # A site describes the power at the true position, not at the recorded one.
     displaced = measured_path_loss_variance_db2(measurements, parameters)
     origins = measured_origins(measurements, parameters)
     at_interval = origins.at(np.flatnonzero(rows))

@@ -1,10 +1,10 @@
-"""Kriging: mean and standard deviation of power, from all measurements or from the nearest.
+"""Kriging: mean and standard deviation of power from all measurements or from the nearest.
 
 :func:`predict` uses all measurements if the posterior has a factor. The local channel model
-(:class:`LocalChannel`) uses those nearest to chosen positions: lattice maps, refinements of paths,
-rankings of initial guesses and predictions for long logs are this model around different positions.
-Conditioning on fewer measurements gives a true posterior of less data: the variance is never
-smaller. Path loss and receivers' offsets are those of all measurements, with their uncertainty.
+(:class:`LocalChannel`) uses the measurements nearest to chosen positions; it serves lattice maps,
+path refinement, the ranking of initial guesses, and long logs. It is an exact posterior given fewer
+measurements, so its variance is never too small. Path loss and receivers' offsets come from all
+measurements, with their uncertainty.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
 
 PREDICTION_ELEMENTS = 2**17
-"""Target number of covariances in a block of a large prediction, which then stays in cache."""
+"""Target number of covariances in a block of predictions, so that a block stays in cache."""
 
 LEAST_BLOCK = 256
 
 
 def predict(
     posterior: ChannelPosterior,
-    positions_m: ArrayLike,  # (n, 2); memory stays bounded whatever n
+    positions_m: ArrayLike,  # (n, 2); memory is bounded for any n
     position_std_m: NDArray[np.float64] | None = None,  # (n,)
 ) -> Prediction:
     """Predict mean and standard deviation of the power that would be measured (equation 1.8).
 
-    Uses all measurements if `posterior` has a factor, else the `NEIGHBOURS_BEYOND` nearest to each
-    place and the theta of all.
+    Uses all measurements if `posterior` has a factor, else theta from all measurements and the
+    `NEIGHBOURS_BEYOND` measurements nearest to each position.
     """
     places = require_places(positions_m, at_least=0)
     terms = kriging_terms(posterior, places, position_std_m)
@@ -64,7 +64,7 @@ def kriging_terms(
     positions_m: NDArray[np.float64],  # (n, 2)
     position_std_m: NDArray[np.float64] | None = None,  # (n,)
 ) -> KrigingTerms:
-    """Return the parts of a prediction that do not depend on theta."""
+    """Return the terms of a prediction that do not depend on theta."""
     if not posterior.has_factor:
         return nearby_terms(posterior, positions_m, NEIGHBOURS_BEYOND, position_std_m)
     count, known = len(positions_m), len(posterior.measurements)
@@ -82,7 +82,7 @@ def kriging_terms(
         projected[:, part] = columns.T @ whitened
         explained[part] = np.einsum("ij,ij->j", whitened, whitened)
     trend = regressors(positions_m, parameters.station) - projected[1:].T
-    # Rounding can make the latent variance negative at a place that is known exactly.
+    # Rounding errors can make the latent variance negative at a noise-free measured position.
     latent = np.maximum(parameters.shadow_std_db**2 - explained, 0.0)
     variance = latent + parameters.multipath_std_db**2
     if position_std_m is not None:
@@ -93,7 +93,7 @@ def kriging_terms(
 
 
 def predict_noiseless(posterior: ChannelPosterior, more: Measurements) -> Prediction:
-    """Predict measurements without multipath, but with their offsets and position errors."""
+    """Predict measurements without multipath, but with receiver offsets and position errors."""
     parameters = posterior.parameters
     origins = measured_origins(more, parameters)
     gamma = regressors(more.positions_m, parameters.station)
@@ -119,33 +119,33 @@ def predict_noiseless(posterior: ChannelPosterior, more: Measurements) -> Predic
 
 
 NEIGHBOURS_BEYOND = 192
-"""Minimum number of measurements per position without a factor of all. With 50,000 on a square of
-100 m the mean is within 0.005 dB and the standard deviation within 1e-5 dB of those from 1,024."""
+"""Minimum number of measurements per position without a full factor. For 50,000 measurements on a
+100 m square, mean and standard deviation are within 0.005 dB and 1e-5 dB of those from 1,024."""
 
 GROUP = 64
 """Maximum number of positions that share measurements: a path, or a square of a grid."""
 
 GROUP_SHARE = 2.5
-"""Maximum number of measurements of a group, as a multiple of those per position; positions farther
-apart are predicted separately, because a factor costs the cube of its rows."""
+"""Maximum number of measurements of a group, as a multiple of those per position. Larger groups are
+split, because a factor costs the cube of its rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class LocalChannel:
-    """Kriging from one set of m measurements, or from k sets of m (leading axis k).
+    """Kriging model of one set of m measurements, or of k sets of m (leading axis k).
 
     With phi_i(q) = xi^2 exp(-sqrt(|q - position_i|^2 + blur_i) / beta), a prediction at q has mean
     ``gamma theta + phi' (weights - trend theta)`` and variance
-    ``xi^2 + omega^2 - phi' precision phi + b' M b`` with ``b = gamma - trend' phi``. Age is part of
-    these numbers: with a_i its factor they are a_i P_ij a_j and a_i w_i.
+    ``xi^2 + omega^2 - phi' precision phi + b' M b`` with ``b = gamma - trend' phi``. `precision`,
+    `weights` and `trend` include the age factors a_i: a_i P_ij a_j and a_i w_i.
     """
 
     parameters: ChannelParameters
-    origins: Origins  # (..., m) of the measurements, receivers' offsets left out
+    origins: Origins  # (..., m) of the measurements, without receivers' offsets
     now_s: float  # Time of the prediction
     covariance_db2: NDArray[np.float64]  # (..., m, m) U_mm without offsets
     columns: NDArray[np.float64]  # (..., m, 3) [y, Gamma] less the receivers' mean offsets
-    received: NDArray[np.float64]  # (..., m, R) Z, indicators of the receivers
+    received: NDArray[np.float64]  # (..., m, R) receiver indicators Z
     offsets: OffsetsGivenTheta
     theta: NDArray[np.float64]  # (2,) (K_PL, n_PL)
     theta_covariance: NDArray[np.float64]  # (2, 2) M
@@ -153,10 +153,10 @@ class LocalChannel:
     @staticmethod
     def of(
         posterior: ChannelPosterior,
-        used: NDArray[np.intp],  # (..., m) numbers of the measurements
+        used: NDArray[np.intp],  # (..., m) indices of the measurements
         offsets: OffsetsGivenTheta | None = None,
     ) -> LocalChannel:
-        """Condition on the measurements `used`."""
+        """Return the channel conditional on the measurements `used`."""
         parameters = posterior.parameters
         offsets = offsets or offsets_given_theta(posterior)
         origins = posterior.origins.at(used).without_offsets()
@@ -184,14 +184,14 @@ class LocalChannel:
     def around(
         posterior: ChannelPosterior, positions_m: NDArray[np.float64], count: int
     ) -> LocalChannel:
-        """Condition on the `count` measurements nearest to a path (h, 2), one set for all of it."""
+        """Return the channel conditional on the `count` measurements nearest to a path (h, 2)."""
         return LocalChannel.of(posterior, nearest_to_path(posterior, positions_m, count))
 
     @staticmethod
     def around_each(
         posterior: ChannelPosterior, centres_m: NDArray[np.float64], count: int
     ) -> LocalChannel:
-        """Condition on k sets, the `count` measurements nearest to each of `centres_m` (k, 2)."""
+        """Return k channels, each from the `count` measurements nearest to a centre (k, 2)."""
         return LocalChannel.of(posterior, posterior.index.nearest(centres_m, count)[0])
 
     @property
@@ -201,15 +201,15 @@ class LocalChannel:
 
     @cached_property
     def added_m2(self) -> NDArray[np.float64]:
-        """Squared distance that the kernel adds to that from each measurement, ``(..., m)``."""
+        """Blur that the kernel adds to the squared distance of each measurement, ``(..., m)``."""
         blur = self.origins.blur_m2
         return np.zeros(self.columns.shape[:-1]) if blur is None else blur
 
     @cached_property
     def inverse(self) -> NDArray[np.float64]:
-        """U_mm^-1 with the offsets' uncertainty, without age; ``(..., m, m)``.
+        """Inverse U_mm^-1 with the offsets' uncertainty, without age factors; ``(..., m, m)``.
 
-        With P the inverse for known offsets and V their covariance given theta, P - P Z V Z' P.
+        It is P - P Z V Z' P, P the inverse for known offsets and V their covariance given theta.
         """
         if self.covariance_db2.ndim == 2:
             found = inverse(lower_factor(self.covariance_db2))
@@ -222,32 +222,32 @@ class LocalChannel:
 
     @cached_property
     def _weighted(self) -> NDArray[np.float64]:
-        """U_mm^-1 [y, Gamma_m] for known offsets, without age; ``(..., m, 3)``."""
+        """Product U_mm^-1 [y, Gamma_m] for known offsets, without age factors; ``(..., m, 3)``."""
         if not len(self.offsets.receivers):
             return self.inverse @ self.columns
         return np.asarray(np.linalg.solve(self.covariance_db2, self.columns), dtype=np.float64)
 
     @cached_property
     def _aged(self) -> NDArray[np.float64] | None:
-        """Factor of age of each measurement, ``(..., m)``; None if the channel does not forget."""
+        """Age factor of each measurement, ``(..., m)``; None for a static channel."""
         times = self.origins.time_s
         return None if times is None else ageing(times, self.now_s, self.parameters)
 
     @cached_property
     def precision(self) -> NDArray[np.float64]:
-        """U_mm^-1, ``(..., m, m)``."""
+        """Inverse U_mm^-1 with age factors, ``(..., m, m)``."""
         aged = self._aged
         return self.inverse if aged is None else self.inverse * aged[..., None] * aged[..., None, :]
 
     @cached_property
     def weights(self) -> NDArray[np.float64]:
-        """U_mm^-1 y, ``(..., m)``."""
+        """Kriging weights U_mm^-1 y with age factors, ``(..., m)``."""
         weights = self._weighted[..., 0]
         return np.ascontiguousarray(weights if self._aged is None else self._aged * weights)
 
     @cached_property
     def trend(self) -> NDArray[np.float64]:
-        """U_mm^-1 Gamma_m, ``(..., m, 2)``."""
+        """Product U_mm^-1 Gamma_m with age factors, ``(..., m, 2)``."""
         trend = self._weighted[..., 1:]
         return np.ascontiguousarray(trend if self._aged is None else self._aged[..., None] * trend)
 
@@ -256,7 +256,7 @@ class LocalChannel:
         places_m: NDArray[np.float64],  # (..., p, 2)
         position_std_m: NDArray[np.float64] | None = None,  # (..., p)
     ) -> NDArray[np.float64]:
-        """Return covariances of places with the measurements, age included; ``(..., p, m)``."""
+        """Return covariances of positions with the measurements, with age; ``(..., p, m)``."""
         places = place_origins(places_m, self.now_s, self.parameters, position_std_m)
         return covariance_db2(places, self.origins, self.parameters)
 
@@ -265,7 +265,7 @@ class LocalChannel:
         places_m: NDArray[np.float64],  # (..., p, 2)
         rows_db2: NDArray[np.float64] | None = None,  # (..., p, m) from `rows_db2`, if computed
     ) -> KrigingTerms:
-        """Return kriging terms at places, from each set's measurements."""
+        """Return kriging terms at positions from each set of measurements."""
         rows = self.rows_db2(places_m) if rows_db2 is None else rows_db2
         latent = np.full(rows.shape[:-1], self.parameters.shadow_std_db**2)
         if rows.ndim == 2:
@@ -281,21 +281,21 @@ class LocalChannel:
             projected = rows @ self._weighted
             latent -= ((rows @ self.inverse) * rows).sum(axis=-1)
         trend = regressors(places_m, self.parameters.station) - projected[..., 1:]
-        # Rounding can make the latent variance negative at a position that is known exactly.
+        # Rounding errors can make the latent variance negative at a noise-free measured position.
         variance = np.maximum(latent, 0.0) + self.parameters.multipath_std_db**2
         return KrigingTerms(projected[..., 0], trend, variance)
 
     def predict(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Predict at places (..., p, 2)."""
+        """Predict at positions (..., p, 2)."""
         return combine(self.terms(places_m), self.theta, self.theta_covariance)
 
 
 def nearest_to_path(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], count: int
 ) -> NDArray[np.intp]:
-    """Return the numbers of the `count` measurements nearest to a path (h, 2), or of all.
+    """Return indices of the `count` measurements nearest to a path (h, 2), or of all.
 
-    The nearest of each position come first, then the second nearest, and so on, so that every
+    They are the nearest to each position, then the second nearest, and so on, so that every
     position is represented.
     """
     places = require_places(path_m)
@@ -310,7 +310,7 @@ def nearest_to_path(
 
 @dataclass(frozen=True, eq=False)
 class LocalGrid:
-    """Positions of a map, prepared for one local channel."""
+    """Grid positions with precomputed kriging terms of one local channel."""
 
     positions_m: NDArray[np.float64]  # (g, 2)
     root_weight: NDArray[np.float64]  # (g,) square roots of the weights
@@ -321,7 +321,7 @@ class LocalGrid:
     def of(
         channel: LocalChannel, grid_m: NDArray[np.float64], weight: NDArray[np.float64]
     ) -> LocalGrid:
-        """Prepare `grid_m` (g, 2) of weights (g,) >= 0."""
+        """Precompute the terms of `grid_m` (g, 2) with weights (g,) >= 0."""
         phi = shadow_covariance_db2(
             channel.positions_m, grid_m, channel.parameters, channel.added_m2[:, None]
         )
@@ -336,7 +336,7 @@ class LocalGrid:
 def predict_nearby(
     posterior: ChannelPosterior, positions_m: NDArray[np.float64], count: int
 ) -> Prediction:
-    """Predict at `positions_m` (n, 2), each from at least the `count` nearest measurements."""
+    """Predict at `positions_m` (n, 2) from at least the `count` nearest measurements each."""
     terms = nearby_terms(posterior, positions_m, count)
     return combine(terms, posterior.theta, posterior.theta_covariance)
 
@@ -345,9 +345,9 @@ def nearby_terms(
     posterior: ChannelPosterior,
     positions_m: NDArray[np.float64],
     count: int,
-    position_std_m: NDArray[np.float64] | None = None,  # (n,) standard deviation of their errors
+    position_std_m: NDArray[np.float64] | None = None,  # (n,) of position errors
 ) -> KrigingTerms:
-    """Return the parts of :func:`predict_nearby` that do not depend on theta."""
+    """Return the terms of :func:`predict_nearby` that do not depend on theta."""
     offsets = offsets_given_theta(posterior)
     places = len(positions_m)
     terms = KrigingTerms(np.empty(places), np.empty((places, 2)), np.empty(places))
@@ -367,7 +367,7 @@ def nearby_terms(
 def _groups(
     posterior: ChannelPosterior, positions_m: NDArray[np.float64], count: int
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """Yield groups of positions, and the union of the measurements nearest to each."""
+    """Yield groups of positions with the union of the measurements nearest to each."""
     pending = [np.arange(len(positions_m))] if len(positions_m) else []
     while pending:
         rows = pending.pop()

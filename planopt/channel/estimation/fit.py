@@ -1,7 +1,7 @@
-"""Estimate the channel from power measurements, by one of five methods.
+"""Estimation of the channel from power measurements by one of five methods.
 
-Every method reports a status, standard errors and, in words, which parameters the measurements do
-not determine and which values stand in for them.
+Every method reports a status, standard errors, and warnings about parameters that the measurements
+do not determine.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ from planopt.channel.posterior import condition
 from planopt.errors import InputError
 
 PRIOR_K_PL_STD_DB = 20.0
-"""Standard deviation of K_PL where every measurement is censored."""
+"""Standard deviation of K_PL if every measurement is censored."""
 
 
 @dataclass(frozen=True)
 class _FitInput:
-    """Measurements, ordered by place, and the model of their mean."""
+    """Measurements sorted by position, with the model of their mean."""
 
     model: MeanModel
     measurements: Measurements
@@ -65,7 +65,7 @@ class _FitInput:
     def parameters(
         self, coefficients: NDArray[np.float64], covariance: Covariance
     ) -> ChannelParameters:
-        """Return an estimate as parameters."""
+        """Return the channel parameters of an estimate."""
         k_pl, n_pl = self.model.theta(coefficients)
         shadow, nugget, beta = covariance
         return ChannelParameters(
@@ -81,7 +81,7 @@ class _FitInput:
 
 @dataclass(frozen=True)
 class _Estimate:
-    """Covariance and mean, with what is to be noted."""
+    """Estimated covariance and mean, with notes for the user."""
 
     covariance: CovarianceFit
     coefficients: NDArray[np.float64]
@@ -95,7 +95,7 @@ def _by_likelihood(data: _FitInput) -> _Estimate:
     line = least_squares(data.model, data.measurements)
     beta_bounds = data.allows.decorrelation_bounds_m
     bounds = covariance_bounds(line.variance_db2, beta_bounds)
-    # Errors of path loss need n_PL before it is known: that of the least-squares line.
+    # The path loss variance of position errors uses n_PL of the least-squares line.
     rough = fallback_fit(line.variance_db2, beta_bounds, "a first guess")
     known = data.parameters(line.coefficients, rough.values)
     found = reml_fit(data.model, data.measurements, bounds, known)
@@ -134,7 +134,7 @@ def _by_assumption(data: _FitInput, reason: str) -> _Estimate:
     if not data.measurements.censored.all():
         line = least_squares(data.model, data.measurements)
         return _with_line(line.coefficients, data, covariance)
-    # The highest path loss line of slope `PRIOR_N_PL` that no limit contradicts.
+    # The highest path loss line of slope `PRIOR_N_PL` that satisfies every upper limit.
     highest = float((data.measurements.power_dbm - data.model.offset_db).min())
     return _Estimate(covariance, np.array([highest]), np.array([[PRIOR_K_PL_STD_DB**2]]))
 
@@ -145,15 +145,15 @@ def _with_line(
     covariance: CovarianceFit,
     notes: tuple[str, ...] = (),
 ) -> _Estimate:
-    """Return a least-squares line with its covariance under `covariance`."""
+    """Return the estimate of a least-squares line under the shadowing of `covariance`."""
     parameters = data.parameters(coefficients, covariance.values)
     spread = coefficient_covariance(data.model, data.measurements, parameters)
     return _Estimate(covariance, coefficients, spread, notes)
 
 
 WEAK_SHARE = 0.5
-"""A parameter whose standard error is more than this share of itself is hardly determined: the ends
-of its 95 % interval are a factor of seven apart."""
+"""Relative standard error above which a parameter is hardly determined; the ends of its 95 %
+interval then differ by a factor of seven."""
 
 WORDS: dict[str, tuple[str, str]] = {
     "n_pl": ("path loss exponent n_PL", ""),
@@ -167,9 +167,9 @@ WORDS: dict[str, tuple[str, str]] = {
 def _weak_words(
     parameters: ChannelParameters, standard_errors: dict[str, float], n_pl_is_assumed: bool
 ) -> list[str]:
-    """Name the parameters with a standard error that is known but large.
+    """Return warnings about parameters with a known but large standard error.
 
-    That of n_PL is compared with its prior, which holds without measurements.
+    The standard error of n_PL is compared with that of its prior.
     """
     said: list[str] = []
     for name, (called, unit) in WORDS.items():
@@ -182,7 +182,7 @@ def _weak_words(
 
 
 def _mode_words(parameters: ChannelParameters, below: float) -> str:
-    """Say that other parameters are nearly as likely; their log likelihood is `below` less."""
+    """Return the warning about a mode whose log-likelihood is lower by only `below`."""
     return (
         f"another set of parameters is nearly as likely (log likelihood {below:.2f} lower): "
         f"K_PL {parameters.k_pl_db:.1f} dBm, n_PL {parameters.n_pl:.2f}, shadowing "
@@ -192,32 +192,32 @@ def _mode_words(parameters: ChannelParameters, below: float) -> str:
 
 
 PLAUSIBLE_N_PL = (1.0, 6.0)
-"""From waveguides to the densest buildings; free space is 2."""
+"""Plausible range of n_PL, from waveguides to the densest buildings; free space is 2."""
 
 EXTENT_SHARE = 1.0 / 3.0
-"""A decorrelation distance beyond this share of the log's extent is hardly seen in it: the places
-that far apart are few, and shadowing cannot be told from path loss."""
+"""Maximum plausible decorrelation distance as a share of the log's extent; beyond it, shadowing
+cannot be distinguished from path loss."""
 
 PLAUSIBLE_POWER_DBM = (-200.0, 100.0)
-"""Thermal noise in 1 Hz is -174 dBm; 100 dBm are ten megawatts."""
+"""Plausible range of powers; thermal noise in 1 Hz is -174 dBm, and 100 dBm are ten megawatts."""
 
 LEAST_PILE = 5
-"""Fewer equal lowest powers are no pile."""
+"""Minimum count of the lowest power for a suspected floor."""
 
 PILE_RATIO = 2.0
-"""A pile is one that is this many times as high as any other: powers that were rounded coincide
-too, but most in the middle of their range."""
+"""Ratio of the lowest power's count to any other count above which a floor is suspected. Rounded
+powers repeat too, but mostly in the middle of their range."""
 
 PILE_NEIGHBOURS = 3
 PILE_CHANCE = 1e-3
-"""Or it is one where its height, against the highest of the next few values, has no larger
-probability than this: towards the end of a range values become rarer, not more frequent."""
+"""Significance level of the alternative test: the lowest power's count against the largest of the
+next few counts. Without a floor, counts decrease towards the end of the range."""
 
 
 def implausible_values(
     parameters: ChannelParameters, measurements: Measurements, extent_m: float
 ) -> tuple[str, ...]:
-    """Name the values that are implausible."""
+    """Return warnings about implausible powers and parameters."""
     said: list[str] = []
     low, high = PLAUSIBLE_POWER_DBM
     for power in (measurements.power_dbm.min(), measurements.power_dbm.max()):
@@ -242,7 +242,7 @@ def implausible_values(
 
 
 def suspected_floor(measurements: Measurements) -> str | None:
-    """Say that the lowest power occurs suspiciously often without being censored; None if not."""
+    """Return a warning if the lowest uncensored power looks like a receiver's floor, else None."""
     exact = measurements.power_dbm[~measurements.censored]
     values, counts = np.unique(exact, return_counts=True)
     if len(values) < 2 or not _is_pile(counts):
@@ -255,11 +255,11 @@ def suspected_floor(measurements: Measurements) -> str | None:
 
 
 def _is_pile(counts: NDArray[np.intp]) -> bool:
-    """Return whether the first of ascending values' counts is too high for a range's end."""
+    """Return whether the count of the lowest value is too high for the end of a range."""
     pile, beside = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
     if pile < LEAST_PILE:
         return False
-    # Where values become rarer it has at most half of both.
+    # Without a floor the lowest value has at most half of the two counts.
     chance = float(bdtrc(pile - 1, pile + beside, 0.5))
     return pile > PILE_RATIO * int(counts[1:].max()) or chance < PILE_CHANCE
 
@@ -275,29 +275,29 @@ def fit_channel(
 ) -> ChannelFit:
     """Estimate path loss, shadowing and multipath.
 
-    Errors of position and the age of measurements are terms of the likelihood of ``reml``; the
-    other methods leave them out, and say so. Offsets of receivers are estimated with any method.
+    Position errors and the age of measurements enter the likelihood of ``reml``; the other methods
+    ignore them and warn. All methods estimate receivers' offsets.
 
     Parameters
     ----------
     measurements
-        Where, how much, and which are only upper limits. Repeated positions are data.
+        Measured positions and powers, censored ones included. Repeated positions are allowed.
     station
-        The fixed station.
+        Fixed base station.
     method
-        ``lemma1``: Lemma 1 of [GM11] as printed. ``capped``: the same with
-        a lag cap and weights n r^2. ``convex``: that as a convex programme with xi^2 <= alpha and
-        beta bounded. ``nls``: the exponential fitted without logarithm to all bins. ``reml``:
-        restricted maximum likelihood (default); of more than
-        :data:`planopt.channel.estimation.reml.EXACT_ROWS` measurements by blocks. The first
-        four complete censored powers by their expected values and ignore what that hides of the
-        correlation; only ``reml`` has them as a term of the likelihood.
+        ``reml`` (default): restricted maximum likelihood, by blocks for more than
+        :data:`planopt.channel.estimation.reml.EXACT_ROWS` measurements. ``lemma1``: Lemma 1 of
+        [GM11] as printed. ``capped``: Lemma 1 with a lag cap and weights n r^2. ``convex``:
+        ``capped`` as a convex programme with xi^2 <= alpha and bounds on beta. ``nls``: nonlinear
+        least squares of the exponential on all bins. Censored powers enter the likelihood of
+        ``reml``; the other methods replace them by expected values, which ignores their part of
+        the correlation.
     forgetting_s
-        T: shadowing at two times has correlation ``exp(-|t - t'| / T)``. Given, not estimated;
-        ``math.inf`` for a channel that does not drift.
+        Known time scale T: shadowing at two times has correlation ``exp(-|t - t'| / T)``;
+        ``math.inf`` for a static channel.
     loss
-        What ``convex`` makes of the scatter about its line
-        (:func:`planopt.channel.estimation.correlation_fit.convex_fit`); others have squares.
+        Loss of ``convex`` on the residuals of its line
+        (:func:`planopt.channel.estimation.correlation_fit.convex_fit`); others use squares.
 
     Raises
     ------
@@ -325,7 +325,7 @@ def fit_channel(
             key="forgetting_s",
             remedy="give more than 0, or inf for a channel that does not drift",
         )
-    # Errors name a row as in the input; the rest does not depend on the order of rows.
+    # Errors name a row of the input, so check before sorting.
     allows = examine(measurements, station)
     measurements = measurements.by_place()
     exact = ~measurements.censored
@@ -341,7 +341,7 @@ def fit_channel(
 
 
 def _channel_fit(estimate: _Estimate, data: _FitInput, method: FitMethod) -> ChannelFit:
-    """Return the estimate with standard errors, status, warnings and receivers' offsets."""
+    """Return the fit: the estimate with standard errors, status, warnings and receiver offsets."""
     covariance, allows, measurements = estimate.covariance, data.allows, data.measurements
     parameters = data.parameters(estimate.coefficients, covariance.values)
     theta_covariance = data.model.theta_covariance(estimate.coefficient_covariance)

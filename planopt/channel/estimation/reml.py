@@ -1,14 +1,14 @@
 """Restricted maximum likelihood of xi, omega and beta, with generalised least squares for theta.
 
-The default fit: unlike Lemma 1 of [GM11] it has no selection bias, weighs every pair rightly and
-has censored measurements as a term of the likelihood. Up to `EXACT_ROWS` measurements the
-likelihood is exact, from one factor; beyond, it is that of blocks
-(:mod:`planopt.channel.estimation.likelihood`), whose cost is proportional to their number.
+This is the default fit. Unlike Lemma 1 of [GM11] it has no selection bias, weights all pairs
+efficiently and includes censored measurements in the likelihood. Up to `EXACT_ROWS` measurements
+the likelihood is exact; beyond, it is approximated by blocks at linear cost
+(:mod:`planopt.channel.estimation.likelihood`).
 
-The likelihood may have several maxima, above all two: a steep path loss with a short decorrelation
-distance, and a flat one with a long distance, in whose slow shadowing the slope is hidden. Their
-basins differ in beta, so a sample of the measurements is searched over a range of beta, and the
-likelihood of all is maximised from each maximum of the sample's.
+The likelihood may have several maxima, typically two: steep path loss with a short decorrelation
+distance, and flat path loss with a long one, where slow shadowing absorbs the slope. Their basins
+differ in beta. The likelihood of a sample is therefore searched over a range of beta, and each of
+its maxima is the initial guess for the likelihood of all measurements.
 """
 
 from __future__ import annotations
@@ -41,76 +41,76 @@ from planopt.channel.parameters import ChannelParameters, MeanModel
 
 Vector = NDArray[np.float64]
 Objective = Callable[[Vector], tuple[float, Vector, Vector]]
-"""Value, gradient (k,) and curvature (k, k) at a point (k,)."""
+"""Function that returns value, gradient (k,) and curvature (k, k) at a point (k,)."""
 
 EXACT_ROWS = 2_000
-"""Up to so many measurements the likelihood is exact. A fit of 1,900 takes 2 s of CPU, 8 s if 60 %
-are censored; by blocks it takes 0.8 s."""
+"""Maximum number of measurements with an exact likelihood. A fit of 1,900 takes 2 s of CPU time,
+8 s if 60 % are censored, and 0.8 s by blocks."""
 
 MOST_DENSE = 800
-"""Measurements of a sample that stands for all where a fit is repeated: in the search for the
+"""Maximum sample size where a dense likelihood is evaluated many times: in the search for the
 station, and for the weights of covariances."""
 
 FINE, BLOCK_FINE = 1e-5, 2e-3
-"""A climb ends where a Newton step promises less log likelihood than this. For blocks that is a
-sixteenth of a standard error, no more than the error of the approximation."""
+"""A search ends when the predicted gain of a Newton step in log-likelihood is below this. For
+blocks this is a sixteenth of a standard error, within the error of the approximation."""
 
 SAMPLED_ROWS, SAMPLED_BLOCKS = 250, 12
-"""The sample has at most so many exact measurements, or the exact ones of so many blocks, which are
-spread over all places."""
+"""Maximum number of exact measurements in the sample, or of blocks whose exact measurements form
+it; the blocks are spread over the whole area."""
 
 START_SHARES = (0.3, 0.7, 0.95)
-"""Correlated shares xi^2 / alpha of the starts."""
+"""Correlated shares xi^2 / alpha of the initial guesses."""
 
 START_DECORRELATIONS = 5
-"""Values of beta of the starts, spaced geometrically within its bounds."""
+"""Number of values of beta of the initial guesses, spaced geometrically within its bounds."""
 
 STARTS_FOLLOWED = 2
-"""Minimum number of starts that are followed to their optimum, the best by the likelihood."""
+"""Minimum number of initial guesses that are optimised, the most likely first."""
 
 ROUGH = 3e-2
-"""The same as `FINE` for climbs of the sample."""
+"""Counterpart of `FINE` for the sample's likelihood."""
 
 SAME_LOGS = 0.05
-"""Optima nearer than this in every logarithm are one."""
+"""Optima that differ by less than this in every logarithm are the same."""
 
 NO_DIP = 0.1
-"""Two optima belong to one ridge if log L halfway is lower than at either by no more than this."""
+"""Maximum dip of log L halfway between two optima that belong to one ridge."""
 
 FLAT = 1e-6
-"""Information of a logarithm below which the likelihood counts as flat."""
+"""Regularisation of the information in logarithms where the likelihood is flat."""
 
 NEARLY_AS_LIKELY = 2.0
-"""Optima whose log L is lower by no more than this are reported with the best."""
+"""Maximum difference in log L of other optima that are reported with the best."""
 
 LITTLE_MULTIPATH = 0.03
-"""omega^2 / alpha of a point that is to all intents without multipath."""
+"""Share omega^2 / alpha below which a point has practically no multipath."""
 
 MAX_CONDITION = 1e12
-"""Condition of the information beyond which the three parameters are not told apart."""
+"""Maximum condition number of the information; above, the parameters are not identified."""
 
 THINNING_SEED = 20_000
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """One maximum of the likelihood."""
+    """Local maximum of the likelihood."""
 
     logs: Vector  # (3,) logarithms of xi^2, omega^2 and beta
-    at: Evaluation  # The likelihood there, with the mean by generalised least squares
+    at: Evaluation  # Likelihood at `logs`, with the mean by generalised least squares
 
     @property
     def covariance(self) -> Covariance:
-        """(xi^2, omega^2, beta)."""
+        """Covariance parameters (xi^2, omega^2, beta)."""
         return variances(self.logs)
 
 
 @dataclass(frozen=True, eq=False)
 class RemlFit:
-    """A covariance with the mean that goes with it."""
+    """Result of restricted maximum likelihood."""
 
-    covariance: CovarianceFit  # xi, omega, beta
-    best: Mode  # The same with the mean, as a maximum of the likelihood
+    covariance: CovarianceFit  # xi, omega, beta with standard errors
+    best: Mode  # Global maximum, with the mean
     others: tuple[Mode, ...]  # Other maxima that are nearly as likely, the best first
 
 
@@ -132,7 +132,7 @@ def reml_fit(
         modes = _modes(likelihood, [further, *(mode.logs for mode in modes)], box, fine)
     as_interval = needs_site(measurements, math.exp(modes[0].logs[1]))
     if as_interval.sum() > measurements.censored.sum():
-        # Chosen once, from the fit with Sheppard's correction: the likelihood stays smooth.
+        # Chosen once, from the fit with Sheppard's correction, so that the likelihood is smooth.
         data = likelihood_data(model, measurements, known, as_interval, blocks)
         likelihood = RestrictedLikelihood(data)
         modes = _modes(likelihood, [mode.logs for mode in modes], box, fine)
@@ -140,7 +140,7 @@ def reml_fit(
 
 
 def thinned(count: int, limit: int) -> NDArray[np.intp]:
-    """Return indices of at most `limit` of `count` measurements, a fixed uniform draw in order."""
+    """Return sorted indices of at most `limit` of `count` measurements, drawn with a fixed seed."""
     if count <= limit:
         return np.arange(count)
     return np.sort(np.random.default_rng(THINNING_SEED).permutation(count)[:limit])
@@ -153,7 +153,7 @@ def variances(logs: Vector) -> Covariance:
 
 
 def _starts(data: LikelihoodData, bounds: CovarianceBounds, box: Vector) -> list[Vector]:
-    """Return the maxima of the likelihood of a sample."""
+    """Return initial guesses: the maxima of a sample's likelihood."""
     taken = data.gaussian.copy()
     if data.is_whole:
         rows = np.flatnonzero(taken)
@@ -168,9 +168,9 @@ def _starts(data: LikelihoodData, bounds: CovarianceBounds, box: Vector) -> list
 
 
 def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Vector]:
-    """Return the best points and the local maxima over beta of a grid, alpha profiled out."""
+    """Return the best grid points and the local maxima over beta, with alpha profiled out."""
     low, high = bounds.decorrelation_m
-    # Ends of the range are no use as starts: the gradient there is nearly flat.
+    # The ends of the range are poor initial guesses, because the likelihood is flat there.
     betas = np.geomspace(low, high, START_DECORRELATIONS + 2)[1:-1]
     values = np.empty((len(betas), len(START_SHARES)))
     logs = np.empty((*values.shape, 3))
@@ -189,7 +189,7 @@ def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Vecto
 def _modes(
     likelihood: RestrictedLikelihood, starts: Iterable[Vector], box: Vector, fine: float
 ) -> list[Mode]:
-    """Return the distinct optima reached from `starts` that are nearly as likely as the best."""
+    """Return the distinct optima reached from `starts`, except those that are much less likely."""
     found = _distinct(likelihood, [_climbed(likelihood, start, box, fine) for start in starts])
     least = found[0].at.log_likelihood - NEARLY_AS_LIKELY
     return [mode for mode in found if mode.at.log_likelihood >= least]
@@ -216,7 +216,7 @@ def _climbed(
 
 
 def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[Mode]:
-    """Return those modes that share no ridge with a better one, the best first."""
+    """Return the modes that do not share a ridge with a better one, the best first."""
     kept: list[Mode] = []
 
     def is_on_ridge_of(better: Mode, mode: Mode) -> bool:
@@ -232,9 +232,9 @@ def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[M
 
 
 def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> Vector | None:
-    """Return a start on the other side of the multipath if the likelihood rises away from `best`.
+    """Return a guess with the opposite multipath share, None unless L rises there away from `best`.
 
-    Shadowing over a short distance may look like multipath, and vice versa.
+    Shadowing with a short decorrelation distance resembles multipath, and vice versa.
     """
     shadow, nugget, beta = best.covariance
     total = shadow + nugget
@@ -245,7 +245,7 @@ def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> V
         else (0.5 * total, 0.5 * total, 2.0 * beta)
     )
     logs = np.clip(np.log(there), *box.T)
-    # The slope over log omega^2 along the ridge that passes near this point.
+    # Slope of log L by log omega^2 along the ridge near this point.
     at, values = likelihood.at(variances(logs)), np.exp(logs)
     gradient = at.gradient * values
     information = values[:, None] * at.information * values + FLAT * np.eye(3)
@@ -255,11 +255,11 @@ def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> V
 
 
 def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Vector) -> CovarianceFit:
-    """Return the covariance at the optimum with standard errors and warnings."""
+    """Return the covariance parameters at the optimum with standard errors and warnings."""
     shadow, nugget, beta = mode.covariance
     free = (mode.logs - box[:, 0] >= BOUND_TOLERANCE) & (box[:, 1] - mode.logs >= BOUND_TOLERANCE)
     errors = np.full(3, math.inf)
-    # In logarithms, so that the condition of the information does not depend on units.
+    # In logarithms, so that the condition number does not depend on units.
     scale = np.array(mode.covariance)[free]
     information = likelihood.information(mode.covariance, mode.at)[np.ix_(free, free)]
     information = information * np.outer(scale, scale)
@@ -287,13 +287,13 @@ def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Vector) -
 MAX_EVALUATIONS = 60
 
 MAX_STEP = 1.5
-"""Maximum move of a variable in one step: the curvature says nothing beyond."""
+"""Maximum change of a variable in one step, a trust region for the quadratic model."""
 
 CURVATURE_FLOOR = 1e-3
-"""Added to the damping's diagonal, for directions in which the objective is flat."""
+"""Addition to the damping's diagonal, for directions in which the objective is flat."""
 
 LEAST_SHARE = 1e-8
-"""A move along which the curvature is less than this does not update it."""
+"""Minimum curvature along a step for a BFGS update."""
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-8, 1e8
 
@@ -301,9 +301,9 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-8, 1e8
 def minimise_damped(
     objective: Objective, start: Vector, lower: Vector, upper: Vector, tolerance: float
 ) -> tuple[float, Vector]:
-    """Return the least value found within a box, and where, by damped Newton steps.
+    """Return the minimum within a box and its location, by damped Newton steps.
 
-    The curvature of the objective is corrected by the latest moves (BFGS updates).
+    BFGS updates from the latest steps correct the objective's curvature.
     """
     point = np.clip(start, lower, upper)
     value, gradient, curvature = objective(point)
@@ -319,7 +319,7 @@ def minimise_damped(
         step = _step(gradient, model + damping * np.diag(floored), free, low, high)
         promised = -float(gradient @ step) - 0.5 * float(step @ model @ step)
         if promised <= 0.0:
-            # Clipping several variables at once can turn a step uphill; a shorter one is not.
+            # Clipping several variables at once can make a step ascend; more damping prevents it.
             damping *= 10.0
             continue
         trial = objective(point + step)
@@ -336,7 +336,7 @@ def minimise_damped(
 
 
 def _updated(curvature: Vector, moves: Iterable[tuple[Vector, Vector]]) -> Vector:
-    """Return `curvature` after BFGS updates by (step, change of the gradient) that are positive."""
+    """Return `curvature` after BFGS updates by pairs (step, gradient change), if positive."""
     for step, change in moves:
         along = curvature @ step
         observed, expected = float(step @ change), float(step @ along)
@@ -348,7 +348,7 @@ def _updated(curvature: Vector, moves: Iterable[tuple[Vector, Vector]]) -> Vecto
 
 
 def _gain(gradient: Vector, curvature: Vector, free: NDArray[np.bool_]) -> float:
-    """Return the gain that a Newton step on the free variables promises."""
+    """Return the predicted gain of a Newton step on the free variables."""
     if not free.any():
         return 0.0
     part = curvature[np.ix_(free, free)] + CURVATURE_FLOOR * np.eye(int(free.sum()))
@@ -358,9 +358,9 @@ def _gain(gradient: Vector, curvature: Vector, free: NDArray[np.bool_]) -> float
 def _step(
     gradient: Vector, damped: Vector, free: NDArray[np.bool_], low: Vector, high: Vector
 ) -> Vector:
-    """Return the damped Newton step; variables that it would move out of the box stop at its side.
+    """Return the damped Newton step, with variables fixed at the bounds that it would cross.
 
-    Each round fixes at least one variable, so there are at most k.
+    Each iteration fixes at least one variable, so there are at most k.
     """
     step = np.zeros_like(gradient)
     free = free.copy()

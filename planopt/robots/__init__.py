@@ -1,1 +1,1 @@
-"""The dynamics of robots."""
+"""Robot dynamics: models, interface and CasADi maps."""

@@ -1,9 +1,9 @@
 # pyright: basic
-"""Dynamics given by a CasADi function: a discrete map, or a derivative, by Runge-Kutta.
+"""Dynamics defined by a CasADi function: a discrete map, or a derivative for Runge-Kutta.
 
-Within a step only samples and the largest speed are known: between two samples that are d metres
-and t seconds apart the robot is within sqrt((v t)^2 - d^2) / 2 of the straight line, in the ellipse
-of all paths that are not too long; at equal times it is no farther from even motion on that line
+Within a step only samples and the largest speed v are known. Between two samples d metres and t
+seconds apart, all admissible paths lie in an ellipse within sqrt((v t)^2 - d^2) / 2 of the straight
+line. At equal times, the robot is within the same distance of uniform motion on that line
 (Stewart's theorem). A plan must end in a state in which the robot can rest.
 """
 
@@ -28,7 +28,7 @@ from planopt.world.motion import PointCurve, StepCurve
 
 
 class ComponentFunction:
-    """A CasADi function of (state, input), called with the components of both."""
+    """Wrapper that calls a CasADi function of (state, input) with components."""
 
     def __init__(self, function: Any) -> None:
         self._function = function
@@ -36,25 +36,25 @@ class ComponentFunction:
         self._results = function.size1_out(0)
 
     def __call__(self, state: Components, control: Components) -> Components:
-        """Return the components of the result, of the kind and shape of the arguments."""
+        """Return the components of the result, with the type and shape of the arguments."""
         if any(isinstance(value, ca.SX | ca.MX) for value in (*state, *control)):
             return tuple(ca.vertsplit(self._function(ca.vertcat(*state), ca.vertcat(*control))))
         both = np.broadcast_arrays(*(np.asarray(value) for value in (*state, *control)))
         shape, table = both[0].shape, np.array([value.ravel() for value in both])
-        if table.size == 0:  # CasADi takes no columns for one column
+        if table.size == 0:  # CasADi treats an empty table as one column
             return tuple(np.zeros(shape, dtype=table.dtype) for _ in range(self._results))
         value = np.array(self._function(table[: self._states], table[self._states :]))
         return tuple(row.reshape(shape) for row in value)
 
 
 Derivative = Callable[[Components, Components], Components]
-"""Function of state and input that returns the derivative of the state by time, in seconds."""
+"""Function from state and input to the time derivative of the state, per second."""
 
 
 def runge_kutta(
     derivative: Derivative, state: Components, control: Components, step_s: float, substeps: int
 ) -> list[Components]:
-    """Return the states after each of `substeps` equal parts of a step of constant input."""
+    """Integrate a step of constant input; return the states after `substeps` equal parts."""
     part = step_s / substeps
     states: list[Components] = []
     for _ in range(substeps):
@@ -76,36 +76,36 @@ def _moved(state: Components, slope: Components, duration_s: float) -> Component
 
 
 DENSER = 8
-"""Ratio of the samples that the verifier uses to those of the planner."""
+"""Ratio of the verifier's samples per step to the planner's."""
 
 INPUT_VALUES = 5
-"""Values of each input that following a path compares."""
+"""Number of values per input compared by :meth:`CasadiMap.following`."""
 
 HELD_STEPS = 2
-"""Steps for which it holds each."""
+"""Number of steps for which path following holds each compared input."""
 
 REST_SEARCH = 1e-15
-"""Tolerance of the search for a state at rest: near round-off, for maps that are steep there."""
+"""Tolerance of the search for a rest state, near rounding error, for steep maps."""
 
 
 @dataclass(frozen=True, eq=False)
 class CasadiMap(BaseDynamics):
-    """Dynamics given by a CasADi function.
+    """Dynamics defined by a CasADi function.
 
     Attributes
     ----------
     function
-        A ``casadi.Function`` of (state, input), both column vectors, to the next state, or to the
-        derivative of the state where `continuous`.
+        ``casadi.Function`` from (state, input), both column vectors, to the next state, or to the
+        derivative of the state if `continuous`.
     state_names, input_names
         Names with units. The first two states are the position and must be called ``x_m`` and
         ``y_m``.
     speed_max_m_s
-        Largest speed. The verifier relies on it.
+        Largest speed, on which the verifier relies.
     state_bounds, input_bounds
-        Least and largest value of each component, infinite where there is no bound.
+        Smallest and largest value of each component; infinite if unbounded.
     rest_input
-        Input with which the robot can stay where it is.
+        Input that keeps the robot at rest.
     continuous
         Whether `function` is a derivative.
     substeps
@@ -135,7 +135,7 @@ class CasadiMap(BaseDynamics):
         return self._samples(state, control, step_s, self.substeps)[-1]
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return the components over their finite bounds, scaled."""
+        """Return the scaled excesses of the components over their finite bounds."""
         rows = []
         for values, bounds in ((control, self.input_bounds), (after, self.state_bounds)):
             for value, (low, high) in zip(values, bounds, strict=True):
@@ -147,24 +147,24 @@ class CasadiMap(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return the positions between the parts of a step."""
+        """Return the positions at the ends of the substeps, except the last."""
         samples = self._samples(state, control, step_s, self.substeps)
         return tuple((sample[0], sample[1]) for sample in samples[:-1])
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return half the longest path of a part of a step."""
+        """Return half the longest path of a substep."""
         return 0.5 * self.speed_max_m_s * step_s / self.substeps
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """Return the change of the state by the rest input."""
+        """Return the change of the state under the rest input."""
         after = self.step(state, self.rest_input, step_s)
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
-        """Return the least change ``(s,)`` of a state at this position by the rest input.
+        """Return the smallest change ``(s,)`` under the rest input at this position.
 
-        The local search begins at the other components of `state`, and at zeros. Where the map is
-        not finite during a search, the change at its beginning counts.
+        Local searches start from the other components of `state` and from zeros. If the map is not
+        finite during a search, the change at its initial guess is used.
         """
         low, high = np.array(self.state_bounds)[2:].T
         free = low < high
@@ -180,7 +180,7 @@ class CasadiMap(BaseDynamics):
                 return change(moved)
 
             bounds, close = (low[free], high[free]), REST_SEARCH
-            # The map need not be finite everywhere within the bounds: SciPy refuses such slopes.
+            # SciPy rejects non-finite derivatives, which the map may have within the bounds.
             with np.errstate(all="ignore"), contextlib.suppress(ValueError):
                 return of_free(
                     least_squares(
@@ -204,7 +204,7 @@ class CasadiMap(BaseDynamics):
     def following(
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Return the inputs, each held for two steps, that lead nearest to the path ahead."""
+        """Return inputs chosen so that holding each for two steps gets closest to the path."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         ranges = [
             np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), INPUT_VALUES)
@@ -222,7 +222,7 @@ class CasadiMap(BaseDynamics):
             for _ in range(HELD_STEPS):
                 after = self.step(after, tuple(controls.T), step_s)
             away = np.hypot(after[0] - target[0], after[1] - target[1])
-            # Beyond the bounds of the state the map need not be defined.
+            # The map may be undefined outside the state bounds.
             away = np.where(np.isnan(away), np.inf, away)
             inputs[k] = controls[int(np.argmin(away))]
             here = self.step(here, tuple(inputs[k]), step_s)
@@ -231,12 +231,12 @@ class CasadiMap(BaseDynamics):
     def straight(
         self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
     ) -> None:
-        """Return None: how to drive straight is not known."""
+        """Return None: a straight drive is unknown for a general map."""
 
     def curves(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> list[StepCurve]:
-        """Return samples of each step, with a bound on the distance from the lines between them."""
+        """Return samples of each step with a bound on the distance from their polyline."""
         count = self.substeps * DENSER if self.continuous else 1
         before, control = tuple(states.T), tuple(inputs.T)
         samples = [before, *self._samples(before, control, step_s, count)]
@@ -247,7 +247,7 @@ class CasadiMap(BaseDynamics):
         for points, planned in zip(places, end, strict=True):
             apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
             within = 0.5 * math.sqrt(max(0.0, longest**2 - float(apart.min()) ** 2))
-            # The error of the plan's coarser integration adds to the uncertainty.
+            # The plan integrates more coarsely; its error is added.
             error = float(np.linalg.norm(planned - points[-1]))
             found.append(PointCurve(points, within + error))
         return found
@@ -255,7 +255,7 @@ class CasadiMap(BaseDynamics):
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """Return the excess of components over bounds, and of steps over the speed's."""
+        """Return the largest excess of components over bounds or of step lengths, in metres."""
         unit = self.speed_max_m_s * step_s
         lengths = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1)
         over = [float(np.max(lengths, initial=0.0)) - unit]
@@ -266,7 +266,7 @@ class CasadiMap(BaseDynamics):
         return max(over)
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the longest step for each component but the position."""
+        """Return 1 m per unit of position and the longest step per unit of other components."""
         other = self.speed_max_m_s * step_s
         return (1.0, 1.0, *(other for _ in self.state_names[2:]))
 
@@ -279,7 +279,7 @@ class CasadiMap(BaseDynamics):
 
 
 def check_casadi_map(dynamics: CasadiMap) -> None:
-    """Raise the first fault of the function, names, bounds and substeps."""
+    """Raise an error for the first invalid entry: function, names, bounds or substeps."""
     function: object = dynamics.function
     if not isinstance(function, ca.Function):
         raise InputError(
@@ -336,7 +336,7 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
 
 
 def _are_numbers(given: Any, shape: tuple[int, ...]) -> bool:
-    """Return whether values are numbers of a shape: bounds lower first, others finite."""
+    """Return whether values are numbers of `shape`: bounds in order, others finite."""
     try:
         found = np.array(given)
     except ValueError:

@@ -1,7 +1,7 @@
-"""Dynamics of robots: the interface that planners and the verifier use, and drives.
+"""Interface of robot dynamics for planners and verifier, and simulated drives.
 
-States and inputs are tuples of components, so that NumPy numbers, NumPy arrays (of any shape) and
-CasADi expressions pass through the same formula. Inputs are constant over a step.
+States and inputs are tuples of components. NumPy scalars, NumPy arrays of any shape and CasADi
+expressions therefore share one formula. Inputs are constant over a step.
 """
 
 from __future__ import annotations
@@ -17,44 +17,44 @@ from planopt.parts import calling, class_name
 from planopt.world.motion import Curve, StepCurve, TimedMotion
 
 Components = tuple[Any, ...]
-"""A number, array or expression for each component of a state or an input."""
+"""Components of a state or an input: numbers, arrays or expressions."""
 
 
 @dataclass(frozen=True)
 class Disc:
-    """A limit of a pair of components to a disc: its square over that of the radius, less 1."""
+    """Disc constraint on a pair of components, as squared length over squared radius minus 1."""
 
-    limit: int  # Its number among the limits
-    names: tuple[str, str]  # Of the pair: components of the state after a step, or of the input
+    limit: int  # Index of the constraint among the limits
+    names: tuple[str, str]  # Names of the two components, of the next state or the input
     radius: float  # Largest length of the pair
 
 
 class Dynamics(Protocol):
-    """The dynamics of a robot: how it moves, brakes and turns."""
+    """Dynamics of a robot: motion, braking and turning."""
 
     @property
     def kind(self) -> str:
-        """Return the name in problem files."""
+        """Name of the dynamics in problem files."""
         ...
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Return the components of the state, with units; the first two are ``x_m`` and ``y_m``."""
+        """Names of the state components with units; the first two are ``x_m`` and ``y_m``."""
         ...
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Return the components of the input, with units."""
+        """Names of the input components with units."""
         ...
 
     @property
     def speed_max_m_s(self) -> float:
-        """Return the largest speed."""
+        """Largest speed in m/s."""
         ...
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Return the limits that are discs."""
+        """Limits that are disc constraints."""
         ...
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
@@ -62,52 +62,52 @@ class Dynamics(Protocol):
         ...
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return constraints, at most 0, on the input of a step and the state after it, scaled."""
+        """Return scaled constraints g <= 0 on the input of a step and the state after it."""
         ...
 
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return points whose convex hull, with both ends, contains the path of a step."""
+        """Return points whose convex hull with both ends contains the path of a step."""
         ...
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return the largest distance of the path of a step from that hull, in metres."""
+        """Return the largest distance between the path of a step and that hull, in metres."""
         ...
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return how much farther the path may be from the hull's points at equal times.
+        """Return the additional distance of the path from the hull's curve at equal times.
 
-        The points are evenly spaced in time, as those of Bezier curves.
+        The points are Bezier control points, evenly spaced in time.
         """
         ...
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return points whose hull, with the position, contains the braking path from a state."""
+        """Return points whose hull with the position contains the braking path from a state."""
         ...
 
     def stop_curve(self, state: NDArray[np.float64], step_s: float) -> Curve | None:
-        """Return the braking path from a state; None where it stops at once."""
+        """Return the braking path from a state; None if the robot stops at once."""
         ...
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """Return differences of the state that must be 0 so that the robot can stop; () if none."""
+        """Return expressions that must be 0 for the robot to be able to stop; () if none."""
         ...
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """Return the number of steps of :meth:`braking` until it stands."""
+        """Return the number of steps of :meth:`braking` until standstill."""
         ...
 
     def longest_stop_steps(self, step_s: float) -> int:
-        """Return the largest such number from any state within the limits."""
+        """Return the maximum of :meth:`stop_steps` over all states within the limits."""
         ...
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return about where braking from a state ends; smooth in the state."""
+        """Return an approximate rest position after braking, smooth in the state."""
         ...
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return about how long it turns before driving to a position; smooth, 0 there."""
+        """Return an approximate turning time before driving to a position; smooth, 0 there."""
         ...
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
@@ -136,9 +136,9 @@ class Dynamics(Protocol):
         duration_s: float,
         slack_m: float,
     ) -> NDArray[np.bool_]:
-        """Return whether it may be within `slack_m` of places (n, 2) after a duration.
+        """Return which positions (n, 2) may be within `slack_m` of the robot after a duration.
 
-        Obstacles and the largest speed are left out; never False where the robot can be.
+        Obstacles and the largest speed are ignored. A reachable position is never False.
         """
         ...
 
@@ -151,60 +151,60 @@ class Dynamics(Protocol):
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """Return the excess of inputs or speeds over their limits, in metres a step."""
+        """Return the largest excess of inputs or speeds over their limits, in metres per step."""
         ...
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the metres that a unit of each component of the state makes in about a step."""
+        """Return the displacement in metres per unit of each state component over about a step."""
         ...
 
 
 class BaseDynamics:
-    """Defaults of dynamics: limits are intervals, hulls are exact, and the robot stops at once."""
+    """Default dynamics: interval limits, exact hulls, and a robot that stops at once."""
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Return no disc."""
+        """Return no disc constraints."""
         return ()
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return 0."""
+        """Return 0: the hull contains the path."""
         return 0.0
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return 0."""
+        """Return 0: the path equals the hull's curve at all times."""
         return 0.0
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return no points."""
+        """Return no points: the robot stops at once."""
         return ()
 
     def stop_curve(self, state: NDArray[np.float64], step_s: float) -> Curve | None:
-        """Return None."""
+        """Return None: the robot stops at once."""
         return None
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """Return no rows: it can stop from any state."""
+        """Return no expressions: the robot can stop from any state."""
         return ()
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """Return 0."""
+        """Return 0: the robot stops at once."""
         return 0
 
     def longest_stop_steps(self, step_s: float) -> int:
-        """Return 0."""
+        """Return 0: the robot stops at once."""
         return 0
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return its place."""
+        """Return the current position."""
         return state[0], state[1]
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return 0: it drives to any side, or nothing is known of how it turns."""
+        """Return 0: the robot is holonomic, or its turning is unknown."""
         return 0.0
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
-        """Return two inputs of 0 for each step."""
+        """Return zero inputs (steps, 2)."""
         return np.zeros((steps, 2))
 
     def may_reach(
@@ -214,24 +214,24 @@ class BaseDynamics:
         duration_s: float,
         slack_m: float,
     ) -> NDArray[np.bool_]:
-        """Return True for every place: only the largest speed bounds where it may be."""
+        """Return True for every position: only the largest speed limits the reachable set."""
         return np.ones(len(places_m), dtype=np.bool_)
 
 
 @runtime_checkable
 class RestsByInput(Protocol):
-    """Dynamics with bounds of the input, and the input with which the robot rests."""
+    """Dynamics with input bounds and an input that keeps the robot at rest."""
 
     rest_input: tuple[float, ...]
     input_bounds: tuple[tuple[float, float], ...]
 
     def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
-        """Return the least change ``(s,)`` of a state at this position by the rest input."""
+        """Return the smallest change ``(s,)`` under the rest input at this position."""
         ...
 
 
 class PurePursuit:
-    """The point ahead on a path that a robot heads for, without turning back."""
+    """Pure-pursuit look-ahead along a path, with monotone progress."""
 
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         lengths = np.linalg.norm(np.diff(path_m, axis=0), axis=1)
@@ -240,14 +240,14 @@ class PurePursuit:
         self._at_m = 0.0
         legs = np.diff(path_m, axis=0)[lengths > 0.0]
         along = legs / np.linalg.norm(legs, axis=1)[:, None]
-        # Twice the sine of half of each turn: how much the direction changes.
+        # Norm of the change of direction, 2 sin(turn / 2).
         self._turn = np.linalg.norm(np.diff(along, axis=0), axis=1)
         self._corner_m = np.cumsum(lengths[lengths > 0.0])
 
     def ahead_m(
         self, place_m: NDArray[np.float64], lookahead_m: float
     ) -> tuple[NDArray[np.float64], float]:
-        """Return the point (2,) to head for from `place_m` (2,), and the rest of the path."""
+        """Return the look-ahead point (2,) from `place_m` (2,), and the remaining path length."""
         along = np.linspace(self._at_m, self._at_m + 1.5 * lookahead_m, 33)
         away = np.linalg.norm(self._points(along) - place_m, axis=1)
         self._at_m = float(min(along[int(away.argmin())], self._along_m[-1]))
@@ -255,9 +255,9 @@ class PurePursuit:
         return target, float(self._along_m[-1] - self._at_m)
 
     def speed_m_s(self, acceleration_m_s2: float, swing_m: float) -> float:
-        """Return the speed that lets a robot take the turns and stop at the end."""
+        """Return the largest speed that allows the turns ahead and a stop at the end."""
         turn = np.append(self._turn, np.inf)[-len(self._corner_m) :]
-        # To change its direction it takes turn v / a seconds, in which it drives twice the swing.
+        # A turn takes turn v / a seconds, in which the robot drives twice the swing.
         square = 2.0 * acceleration_m_s2 * swing_m / np.maximum(turn, 1e-9)
         left = self._corner_m - self._at_m
         square = square + 2.0 * acceleration_m_s2 * np.maximum(left, 0.0)
@@ -272,7 +272,7 @@ class PurePursuit:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """States and inputs over N steps.
+    """State and input trajectory over N steps.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class Drive:
         ``(N + 1, s)`` states now and after each step, in the units of ``state_names``; the first
         two components are x and y in metres.
     inputs
-        ``(N, m)`` inputs of each step, in the units of ``input_names``.
+        ``(N, m)`` input of each step, in the units of ``input_names``.
     """
 
     dynamics: Dynamics
@@ -301,7 +301,7 @@ def rolled_out(
     inputs: NDArray[np.float64],
     step_s: float,
 ) -> Drive:
-    """Return the drive that `inputs` (N, m) cause from `state` (s,)."""
+    """Simulate the drive from `state` (s,) under `inputs` (N, m)."""
     states = [np.asarray(state, dtype=np.float64)]
     for control in inputs:
         states.append(state_after(dynamics, states[-1], control, step_s))
@@ -311,7 +311,7 @@ def rolled_out(
 def state_after(
     dynamics: Dynamics, state: NDArray[np.float64], control: NDArray[np.float64], step_s: float
 ) -> NDArray[np.float64]:
-    """Return the state (s,) after a step from a state (s,) with an input (m,)."""
+    """Return the state (s,) after one step from `state` (s,) under input `control` (m,)."""
     with calling(dynamics, "step"):
         after = np.array(dynamics.step(tuple(state), tuple(control), step_s), dtype=np.float64)
     given = np.concatenate([state, control])
@@ -331,18 +331,18 @@ def dynamics_defect_m(
 ) -> float:
     """Return the largest violation of the single integrator over a path (n + 1, 2), in metres.
 
-    The path must begin where the robot is, and no step may be longer than the speed allows.
+    The path must begin at the robot, and the speed limits the length of each step.
     """
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     jump = float(np.linalg.norm(positions_m[0] - start_m))
-    # NumPy's maximum: Python's would lose a NaN.
+    # NumPy's maximum propagates NaN; Python's does not.
     return float(np.max(lengths - step_length_m, initial=jump))
 
 
 def braked_motion(path_m: NDArray[np.float64], drive: Drive | None, step_s: float) -> TimedMotion:
-    """Return the motion of a plan (N + 1, 2) and of braking after it.
+    """Return the motion of a plan (N + 1, 2) followed by braking.
 
-    Without `drive` it is straight and even during each step, and ends with the plan.
+    Without `drive`, each step is straight at constant speed, and the motion ends with the plan.
     """
     if drive is None:
         return TimedMotion(path_m)
@@ -358,6 +358,6 @@ def braked_motion(path_m: NDArray[np.float64], drive: Drive | None, step_s: floa
 
 
 def stopping_motion(dynamics: Dynamics, state: NDArray[np.float64], step_s: float) -> TimedMotion:
-    """Return the motion of a robot that stops from `state` (s,) as soon as it can."""
+    """Return the motion of a robot that brakes from `state` (s,) as soon as possible."""
     resting = Drive(dynamics, state[None], np.zeros((0, len(dynamics.input_names))))
     return braked_motion(state[None, :2], resting, step_s)

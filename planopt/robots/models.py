@@ -1,7 +1,7 @@
-"""The dynamics that problem files name: single integrator, double integrator and unicycle.
+"""Built-in dynamics of problem files: single integrator, double integrator and unicycle.
 
-Each step is integrated exactly. Formulas have no branches, so that they have derivatives
-everywhere, also at zero, and hold for NumPy arrays and CasADi expressions alike.
+Each step is integrated exactly. The formulas are free of branches. They are therefore
+differentiable everywhere, including zero, and accept NumPy arrays and CasADi expressions.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from planopt.robots.dynamics import BaseDynamics, Components, Disc, PurePursuit
 from planopt.world.motion import Arc, Parabola, PointCurve, StepCurve
 
 STOPPED_M_S = 1e-9
-"""A robot up to this speed stands still."""
+"""Speed in m/s up to which a robot counts as stationary."""
 
 BRAKING_SHARE = 0.8
-"""Share of the acceleration that a robot uses to slow down for turns of a path and its end."""
+"""Share of the maximum acceleration used to slow down for turns and for the end of a path."""
 
 ROUNDED_SHARE = 1e-3
-"""Rounding of a speed at rest, and of a distance at its goal, as a share of the largest speed and
-of the turning circle."""
+"""Smoothing width of the speed near rest, as a share of the largest speed, and of the distance near
+the goal, as a share of the turning radius."""
 
 SWING_SHARE = 0.25
-"""Largest deviation from a followed path at its turns, as a share of the longest step."""
+"""Maximum tracking error at the turns of a path, as a share of the longest step."""
 
 PIECE_TURN_RAD = math.pi / 4.0
-"""A step is cut into arcs that turn no more than this, so that their hulls are narrow."""
+"""Maximum turn of an arc; steps are cut into such arcs to keep their convex hulls narrow."""
 
 HALVINGS = 3
-"""sin(z)/z is a product of cosines down to z / 8, and a series from there."""
+"""Number of halvings of z in sin(z)/z, down to z / 8, before the series is used."""
 
 
 @dataclass(frozen=True)
 class SingleIntegrator(BaseDynamics):
     """A holonomic robot: its velocity is the input.
 
-    q+ = q + h v with |v| <= v_max. Positions alone describe how it moves.
+    q+ = q + h v with |v| <= v_max. The state is the position.
 
     Attributes
     ----------
     speed_max_m_s
-        Largest speed; of a :class:`planopt.Robot`, that of the robot.
+        Largest speed; a :class:`planopt.Robot` sets its own.
     """
 
     speed_max_m_s: float = math.inf
@@ -56,33 +56,33 @@ class SingleIntegrator(BaseDynamics):
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Return the disc of velocities."""
+        """Return the disc constraint on the velocity."""
         return (Disc(0, self.input_names, self.speed_max_m_s),)
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
-        """Return the state after a step, exact."""
+        """Return the exact state after a step."""
         return tuple(x + step_s * v for x, v in zip(state, control, strict=True))
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return the square of the speed over the largest, less 1."""
+        """Return the squared ratio of speed to largest speed, minus 1."""
         return ((control[0] ** 2 + control[1] ** 2) / self.speed_max_m_s**2 - 1.0,)
 
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return no points: the hull of both ends has the straight step."""
+        """Return no points: the two ends already span the straight step."""
         return ()
 
     def following(
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Return the velocities of the path's own steps."""
+        """Return the velocities that drive the path exactly."""
         return np.diff(np.vstack([state, path_m]), axis=0) / step_s
 
     def straight(
         self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Return even steps."""
+        """Return constant velocities to `end_m`."""
         offset = end_m - state
         steps = max(1, math.ceil(math.hypot(*offset) / (self.speed_max_m_s * step_s) - 1e-9))
         return np.tile(offset / (steps * step_s), (steps, 1))
@@ -90,28 +90,28 @@ class SingleIntegrator(BaseDynamics):
     def curves(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> list[StepCurve]:
-        """Return the straight line of each step."""
+        """Return the line segment of each step."""
         ends = states + step_s * inputs
         return [PointCurve(np.array(pair), 0.0) for pair in zip(states, ends, strict=True)]
 
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """Return the excess of speed, in metres a step; NaN where one is NaN."""
+        """Return the largest excess of speed, in metres per step; NaN if any is NaN."""
         return float(np.max(step_s * (np.hypot(*inputs.T) - self.speed_max_m_s), initial=-np.inf))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return ones: its state is its position."""
+        """Return ones, because the state is the position."""
         return (1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class DoubleIntegrator(BaseDynamics):
-    """A robot with inertia.
+    """A robot with inertia: its acceleration is the input.
 
-    p+ = p + h v + h^2/2 a and v+ = v + h a with |a| <= a_max and |v| <= v_max. Speed is convex
-    along a step, so that both ends keep the limit for all of it. A step follows a parabola, which
-    is a Bezier curve with the middle point p + h/2 v.
+    p+ = p + h v + h^2/2 a and v+ = v + h a with |a| <= a_max and |v| <= v_max. Speed is convex over
+    a step, so the limit holds throughout if it holds at both ends. A step is a parabola, i.e. a
+    Bezier curve with the middle control point p + h/2 v.
 
     Attributes
     ----------
@@ -128,14 +128,14 @@ class DoubleIntegrator(BaseDynamics):
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Return the discs of accelerations and velocities."""
+        """Return the disc constraints on acceleration and velocity."""
         return (
             Disc(0, self.input_names, self.acceleration_max_m_s2),
             Disc(1, self.state_names[2:], self.speed_max_m_s),
         )
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
-        """Return the state after a step of constant acceleration, exact."""
+        """Return the exact state after a step of constant acceleration."""
         (x, y, vx, vy), (ax, ay) = state, control
         half = 0.5 * step_s * step_s
         return (
@@ -146,7 +146,7 @@ class DoubleIntegrator(BaseDynamics):
         )
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return the squares of acceleration and speed over the largest, less 1."""
+        """Return the squared ratios of acceleration and speed to their limits, minus 1."""
         (ax, ay), (_, _, vx, vy) = control, after
         return (
             (ax * ax + ay * ay) / self.acceleration_max_m_s2**2 - 1.0,
@@ -156,50 +156,51 @@ class DoubleIntegrator(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return the middle Bezier point."""
+        """Return the middle Bezier control point."""
         x, y, vx, vy = state
         return ((x + 0.5 * step_s * vx, y + 0.5 * step_s * vy),)
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return a point straight ahead, at or beyond where braking by whole steps ends.
+        """Return a point straight ahead, at or beyond the rest position of braking.
 
-        n steps of deceleration v / (n h) <= a_max take v n h / 2 <= v (v / a_max + h) / 2 metres.
+        Braking takes n steps of deceleration v / (n h) <= a_max, and n h v / 2 metres, which is at
+        most v (v / a_max + h) / 2.
         """
         x, y, vx, vy = state
-        # The square root of v^2 has no derivative at rest: v <= (v^2 / v_max + v_max) / 2 is above.
+        # |v| is not differentiable at rest; (v^2 / v_max + v_max) / 2 is an upper bound.
         square = (vx * vx + vy * vy) / self.speed_max_m_s**2
         speed = 0.5 * self.speed_max_m_s * (1.0 + square)
         ahead_s = 0.5 * (speed / self.acceleration_max_m_s2 + step_s)
         return ((x + ahead_s * vx, y + ahead_s * vy),)
 
     def stop_curve(self, state: NDArray[np.float64], step_s: float) -> PointCurve:
-        """Return the straight braking path by whole steps."""
+        """Return the straight path of braking over a whole number of steps."""
         stop_s = 0.5 * step_s * self.stop_steps(state, step_s)
         return PointCurve(np.array([state[:2], state[:2] + stop_s * state[2:]]), 0.0)
 
     def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
-        """Return the least number of steps to stop in."""
+        """Return the minimum number of braking steps."""
         return self._braking_steps(float(np.hypot(state[2], state[3])), step_s)
 
     def longest_stop_steps(self, step_s: float) -> int:
-        """Return the steps of braking from full speed."""
+        """Return the number of braking steps from full speed."""
         return self._braking_steps(self.speed_max_m_s, step_s)
 
     def _braking_steps(self, speed_m_s: float, step_s: float) -> int:
         if speed_m_s <= STOPPED_M_S:
             return 0
-        # Round-off must not make it a step more than the last plan had left.
+        # The tolerance keeps rounding errors from adding a step to the last plan.
         return max(1, math.ceil(speed_m_s / (self.acceleration_max_m_s2 * step_s) - 1e-6))
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return v^2 / (2 a_max) ahead; v is rounded, so that its derivative exists at rest."""
+        """Return the point v^2 / (2 a_max) ahead, smoothed to be differentiable at rest."""
         x, y, vx, vy = state
         least = ROUNDED_SHARE * self.speed_max_m_s
         ahead_s = 0.5 * (vx * vx + vy * vy + least**2) ** 0.5 / self.acceleration_max_m_s2
         return x + ahead_s * vx, y + ahead_s * vy
 
     def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
-        """Return an even deceleration straight ahead, over as few steps as possible."""
+        """Return a constant deceleration straight ahead, over the fewest possible steps."""
         inputs = np.zeros((steps, 2))
         needed = self.stop_steps(state, step_s)
         if needed:
@@ -209,7 +210,7 @@ class DoubleIntegrator(BaseDynamics):
     def following(
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Head for a point a little ahead on the path; slow down for turns and for its end."""
+        """Follow the path by pure pursuit, slowing down for turns and the end."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         lookahead_m = self.speed_max_m_s * step_s
         deceleration = BRAKING_SHARE * self.acceleration_max_m_s2
@@ -235,7 +236,7 @@ class DoubleIntegrator(BaseDynamics):
     def straight(
         self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Accelerate evenly for n steps and decelerate for as many: a (n h)^2 metres."""
+        """Accelerate at a for n steps, then decelerate for n steps, over a (n h)^2 metres."""
         offset = end_m - state[:2]
         length = float(np.hypot(*offset))
         by_speed = length / (self.speed_max_m_s * step_s)
@@ -251,7 +252,7 @@ class DoubleIntegrator(BaseDynamics):
         duration_s: float,
         slack_m: float,
     ) -> NDArray[np.bool_]:
-        """Return which places lie in the disc of radius a t^2 / 2 about where it would coast."""
+        """Return which positions lie within a_max t^2 / 2 of the position after coasting."""
         offset = places_m - (state[:2] + duration_s * state[2:])
         radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
         return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m
@@ -269,32 +270,31 @@ class DoubleIntegrator(BaseDynamics):
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """Return the excess of acceleration and speed, in metres a step; NaN where one is NaN."""
+        """Return the largest excess of acceleration or speed, in metres per step, or NaN."""
         acceleration = np.hypot(inputs[:, 0], inputs[:, 1]) - self.acceleration_max_m_s2
         speed = np.hypot(states[:, 2], states[:, 3]) - self.speed_max_m_s
         return float(np.max(np.concatenate([0.5 * step_s * step_s * acceleration, step_s * speed])))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the distance that each unit of a velocity makes in a step."""
+        """Return 1 m per unit of position and `step_s` metres per unit of velocity."""
         return (1.0, 1.0, step_s, step_s)
 
 
 @dataclass(frozen=True)
 class Unicycle(BaseDynamics):
-    """A robot that drives in the direction of its heading, such as one with two driven wheels.
+    """A robot that drives along its heading, such as a differential drive.
 
-    x' = v cos(heading), y' = v sin(heading), heading' = w. A step follows a circular arc: with the
-    half turn z = w h / 2 its chord is v h sin(z)/z long, in the direction heading + z. The arc lies
-    in the triangle of its ends and the point where the tangents at them meet, v h tan(z) / (2 z)
-    ahead.
+    x' = v cos(heading), y' = v sin(heading), heading' = w. A step is a circular arc. With half the
+    turn z = w h / 2, its chord has length v h sin(z)/z and direction heading + z. The arc lies in
+    the triangle of its ends and the intersection of its end tangents, v h tan(z) / (2 z) ahead.
 
     Attributes
     ----------
     speed_max_m_s, speed_min_m_s
-        Largest and least forward speed; a negative one is backward. The least is at most 0, so that
-        the robot can stop.
+        Largest and smallest forward speed; negative values mean reversing. The smallest is at most
+        0, so that the robot can stop.
     turn_rate_max_rad_s
-        Largest turn rate, to either side.
+        Largest turn rate in either direction.
     """
 
     speed_max_m_s: float
@@ -306,7 +306,7 @@ class Unicycle(BaseDynamics):
     input_names = ("speed_m_s", "turn_rate_rad_s")
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
-        """Return the state after a step, exact."""
+        """Return the exact state after a step."""
         (x, y, heading), (speed, rate) = state, control
         half = 0.5 * step_s * rate
         chord = step_s * speed * sinc(half)
@@ -317,7 +317,7 @@ class Unicycle(BaseDynamics):
         )
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return both inputs over their intervals, scaled."""
+        """Return the scaled excesses of both inputs over their limits."""
         speed, rate = control
         return (
             (speed - self.speed_max_m_s) / self.speed_max_m_s,
@@ -329,7 +329,7 @@ class Unicycle(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return where the tangents of each piece of the arc meet, and where pieces meet."""
+        """Return the tangent intersection of each piece of the arc, and the joints of pieces."""
         pieces = self._pieces(step_s)
         piece_s = step_s / pieces
         speed, rate = control
@@ -348,12 +348,12 @@ class Unicycle(BaseDynamics):
         return max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the distance of a piece from its hull's Bezier curve at the same time.
+        """Return the largest distance between a piece and its Bezier curve at equal times.
 
-        With r the radius, z half the turn and time u from -1 to 1, the arc is at ``r sin(u z)``
-        along the chord and ``r (cos(u z) - cos z)`` across, the curve at ``r u sin(z)`` and
-        ``r (1 - u^2) sin^2(z) / (2 cos z)``. Along, they are farthest apart where
-        ``cos(u z) = sin(z) / z``; across, at u = 0; both the more the faster it drives and turns.
+        Let r be the radius, z half the turn and u in [-1, 1] time. The arc is at ``r sin(u z)``
+        along the chord and ``r (cos(u z) - cos z)`` across it; the curve is at ``r u sin(z)`` and
+        ``r (1 - u^2) sin^2(z) / (2 cos z)``. The difference along the chord is largest if
+        ``cos(u z) = sin(z) / z``, across at u = 0. Both increase with speed and turn rate.
         """
         half = 0.5 * self.turn_rate_max_rad_s * step_s / self._pieces(step_s)
         speed = max(self.speed_max_m_s, -self.speed_min_m_s)
@@ -363,9 +363,9 @@ class Unicycle(BaseDynamics):
         return speed / self.turn_rate_max_rad_s * math.hypot(along, across)
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return pi / (2 w_max) (1 - cos b) d / (d + r), of bearing b and distance d.
+        """Return pi / (2 w_max) (1 - cos b) d / (d + r) for bearing b and distance d.
 
-        That is the time of a half turn, and less within the turning circle, r = v_max / w_max.
+        This approximates the turning time; it is less within the turning radius r = v_max / w_max.
         """
         x, y = place[0] - state[0], place[1] - state[1]
         circle_m = self.speed_max_m_s / self.turn_rate_max_rad_s
@@ -377,7 +377,7 @@ class Unicycle(BaseDynamics):
     def following(
         self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Drive on the arc to a point a little ahead on the path; turn first if it is behind."""
+        """Follow the path by pure pursuit; turn on the spot if the target is not ahead."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         here = tuple(state)
         inputs = np.zeros((len(path_m), 2))
@@ -391,7 +391,7 @@ class Unicycle(BaseDynamics):
     def _inputs_towards(
         self, offset_m: NDArray[np.float64], heading: float, left_m: float, step_s: float
     ) -> tuple[float, float]:
-        """Return the inputs of the arc through a point that is tangent to the heading."""
+        """Return the inputs of the arc through a point, tangent to the heading."""
         distance = float(np.hypot(*offset_m))
         if distance <= 1e-9 or left_m <= 0.0:
             return 0.0, 0.0
@@ -408,7 +408,7 @@ class Unicycle(BaseDynamics):
     def straight(
         self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Turn on the spot, then drive ahead."""
+        """Turn on the spot, then drive straight ahead."""
         offset = end_m - state[:2]
         bearing = math.atan2(offset[1], offset[0]) - float(state[2])
         angle = math.remainder(bearing, 2.0 * math.pi)
@@ -427,10 +427,10 @@ class Unicycle(BaseDynamics):
         duration_s: float,
         slack_m: float,
     ) -> NDArray[np.bool_]:
-        """Return which places are no farther to the side than turning allows.
+        """Return which positions are within the lateral range of the turn rate.
 
-        That is v (1 - cos w t) / w up to a quarter turn; until then a robot that cannot drive
-        backward reaches nothing behind it.
+        The lateral range is v (1 - cos w t) / w up to a quarter turn. Until then, a robot that
+        cannot reverse reaches nothing behind it.
         """
         rate = self.turn_rate_max_rad_s
         turning_s = min(duration_s, 0.5 * math.pi / rate)
@@ -456,14 +456,14 @@ class Unicycle(BaseDynamics):
     def excess_m(
         self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
     ) -> float:
-        """Return the excess of speed and of turn rate, in metres a step; NaN where one is NaN."""
+        """Return the largest excess of speed or turn rate, in metres per step, or NaN."""
         speed = np.maximum(inputs[:, 0] - self.speed_max_m_s, self.speed_min_m_s - inputs[:, 0])
         rate = np.abs(inputs[:, 1]) - self.turn_rate_max_rad_s
         sideways = 0.5 * step_s * step_s * self.speed_max_m_s * rate
         return float(np.max(np.concatenate([step_s * speed, sideways])))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the error at full speed after a step, for each radian of heading."""
+        """Return 1 m per unit of position and the longest step per radian of heading."""
         return (1.0, 1.0, self.speed_max_m_s * step_s)
 
 
@@ -478,9 +478,9 @@ def cosine(angle: Any) -> Any:
 
 
 def sinc(angle: Any) -> Any:
-    """Return sin(z) / z, 1 at zero, to round-off for angles of up to about 3 rad.
+    """Return sin(z) / z, 1 at zero, exact to rounding for angles up to about 3 rad.
 
-    From sin(z) = 2 sin(z/2) cos(z/2), applied three times, and the series of the rest.
+    The identity sin(z) = 2 sin(z/2) cos(z/2) is applied three times; a series gives the rest.
     """
     rest = angle / 2.0**HALVINGS
     square = rest * rest

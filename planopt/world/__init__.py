@@ -1,1 +1,1 @@
-"""The workspace and its obstacles."""
+"""Workspace, obstacles, lattice and distance computations."""

@@ -1,11 +1,11 @@
-"""Discs that move straight during each step: moving obstacles as predicted, and other robots.
+"""Discs that move straight during each step: predicted moving obstacles and other robots.
 
-A disc grows with the uncertainty of its prediction. The error of the predicted centre, t seconds
-after the prediction was made, is ``e_0 + a t^2 / 2`` with e_0 and a Gaussian, independent, and of
-equal deviation along both axes. During a step it moves straight from its value at the begin to that
-at the end, so it stays within a disc if both do. An error of deviation sigma exceeds
-``sigma sqrt(-2 log q)`` with probability q (Rayleigh's distribution); with q = (1 - P) / 2 at both
-ends the centre stays within the larger radius during the whole step with probability P at least.
+A disc grows with the uncertainty of its prediction. The error of the predicted centre after t
+seconds is ``e_0 + a t^2 / 2``, with e_0 and a independent, Gaussian and isotropic. During a step
+the error is interpolated linearly between its values at both ends, so it stays within a disc if
+both values do. An error of standard deviation sigma per axis exceeds ``sigma sqrt(-2 log q)`` with
+probability q (Rayleigh distribution). With q = (1 - P) / 2 at both ends, the centre stays within
+the larger radius during the whole step with probability at least P.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from planopt.world.workspace import MovingObstacle
 
 @dataclass(frozen=True, eq=False)
 class MovingDiscs:
-    """The predicted places of m discs over the next T steps: planned ones, and of braking."""
+    """Predicted positions of m discs over the next T steps, planned and braking."""
 
-    names: tuple[str, ...]  # What messages call them
-    centres_m: NDArray[np.float64]  # (m, T + 1, 2) now and at each step's end
+    names: tuple[str, ...]  # Names in messages
+    centres_m: NDArray[np.float64]  # (m, T + 1, 2) centres now and after each step
     radius_m: NDArray[np.float64]  # (m, T) during each step
-    least_m: NDArray[np.float64]  # (m,) how far a robot must stay from the disc
-    is_robot: NDArray[np.bool_]  # (m,) whether it is another robot; robots are points
-    # (m,) of each disc the curves of its T steps; none where it moves straight and evenly
+    least_m: NDArray[np.float64]  # (m,) required distance of a robot from the disc
+    is_robot: NDArray[np.bool_]  # (m,) True for other robots, which are points
+    # (m,) curves of the T steps of each disc; empty if straight at constant speed
     curves: tuple[tuple[TimedCurve, ...], ...] = ()
-    bulges_m: NDArray[np.float64] = field(init=False)  # (m, T) how far each may be from that
+    bulges_m: NDArray[np.float64] = field(init=False)  # (m, T) bound on the deviation from that
 
     def __post_init__(self) -> None:
         bulges = [self.motion(number).bulges_m for number in range(len(self))]
@@ -43,34 +43,34 @@ class MovingDiscs:
 
     @property
     def apart_m(self) -> NDArray[np.float64]:
-        """Return the least distance ``(m, T)`` of a robot from each centre on a straight line."""
+        """Required distance ``(m, T)`` of a robot from each centre, for straight motion."""
         return self.radius_m + self.least_m[:, None] + self.bulges_m
 
     @property
     def steps(self) -> int:
-        """Return the number of steps, T."""
+        """Number of steps T."""
         return int(self.radius_m.shape[1])
 
     def counted_steps(self, number: int, motion: TimedMotion) -> int:
-        """Return for how many steps a motion must keep from disc number `number`.
+        """Return the number of steps during which a motion must avoid disc `number`.
 
-        From other robots until all stand, from moving obstacles until it stands itself.
+        Other robots count until all are at rest, moving obstacles until this robot is at rest.
         """
         return self.steps if self.is_robot[number] else min(motion.steps, self.steps)
 
     def motion(self, number: int) -> TimedMotion:
-        """Return the motion of disc number `number`."""
+        """Return the motion of disc `number`."""
         return TimedMotion(self.centres_m[number], self.curves[number] if self.curves else ())
 
 
 NOTHING_MOVES = MovingDiscs(
     (), np.zeros((0, 1, 2)), np.zeros((0, 0)), np.zeros(0), np.zeros(0, dtype=np.bool_)
 )
-"""No disc at all."""
+"""Empty set of discs."""
 
 
 def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
-    """Return the discs of both, over as many steps."""
+    """Concatenate two sets of discs over the same number of steps."""
     if not len(first) or not len(second):
         return first if len(first) else second
     curves = [discs.curves or ((),) * len(discs) for discs in (first, second)]
@@ -90,7 +90,7 @@ def passing_gaps_m(
     starts_m: NDArray[np.float64],
     ends_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the spare distance of segments, driven in one step, from every disc; (m, ...)."""
+    """Return the separation margin of segments, driven in one step, to each disc; (m, ...)."""
     # Shapes: starts_m, ends_m (..., 2).
     shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
     before = discs.centres_m[:, step].reshape(shape)
@@ -100,16 +100,16 @@ def passing_gaps_m(
 
 
 def path_distances_m(discs: MovingDiscs, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of a path (N + 1, 2) from each centre during each step; ``(m, N)``.
+    """Return the distance of a path (N + 1, 2) to each centre during each step; ``(m, N)``.
 
-    Both count as moving straight and evenly.
+    Both are assumed to move straight at constant speed within a step.
     """
     centres = discs.centres_m[:, : len(path_m)]
     return closest_approach_m(path_m[:-1], path_m[1:], centres[:, :-1], centres[:, 1:])
 
 
 def paths_gap_m(discs: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the least gap along each of many paths; infinite without discs."""
+    """Return the smallest margin along each of c paths; infinite without discs."""
     # Shapes: paths_m (c, N + 1, 2).
     if not len(discs):
         return np.full(len(paths_m), np.inf)
@@ -122,7 +122,7 @@ def paths_gap_m(discs: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.
 
 
 def centres_at(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the predicted centres at times (n,); ``(n, 2)``."""
+    """Return the predicted centres ``(n, 2)`` at times (n,)."""
     known = np.asarray(obstacle.times_s)
     places = np.asarray(obstacle.positions_m)
     after = np.maximum(times_s - known[-1], 0.0)
@@ -136,7 +136,7 @@ def centres_at(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArra
 
 
 def growth_m(obstacle: MovingObstacle, ahead_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the growth of the disc for a step that ends `ahead_s` (n,) from now; (n,)."""
+    """Return the growth of the radius for steps that end `ahead_s` (n,) from now; (n,)."""
     deviation = np.hypot(obstacle.position_std_m, 0.5 * obstacle.acceleration_std_m_s2 * ahead_s**2)
     return deviation * math.sqrt(-2.0 * math.log((1.0 - obstacle.probability) / 2.0))
 
@@ -148,10 +148,10 @@ def predicted_discs(
     steps: int,
     clearance_m: float,
 ) -> MovingDiscs:
-    """Return the discs that move over the next steps.
+    """Return the predicted discs of moving obstacles over the next steps.
 
-    A disc moves straight during a step. Where its path turns within one, the disc of that step is
-    larger by the distance of the turn from the straight line, so that it covers the true one.
+    A disc moves straight during a step. If its path turns within a step, its radius grows by the
+    distance of the turn from the straight line, so that it covers the actual disc.
     """
     times = now_s + step_s * np.arange(steps + 1, dtype=np.float64)
     centres = np.array([centres_at(obstacle, times) for obstacle in obstacles])
@@ -171,9 +171,9 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the centre's largest distance from the straight line of each step; (n - 1,).
+    """Return the largest distance of the centre from the straight line of each step; (n - 1,).
 
-    Both are straight between turns, so that they are farthest apart at one.
+    Both are linear between turns, so the distance is largest at a turn.
     """
     known = np.asarray(obstacle.times_s)
     turns = known[(known > times_s[0]) & (known < times_s[-1])]
@@ -183,6 +183,6 @@ def _turn_m(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[n
     chord = (1.0 - share) * ends[step] + share * ends[step + 1]
     farthest = np.zeros(len(times_s) - 1)
     away = np.linalg.norm(centres_at(obstacle, turns) - chord, axis=1)
-    # A turn at a step's own end is none but for rounding.
+    # A turn at the end of a step differs from the chord only by rounding.
     np.maximum.at(farthest, step, np.where(away > 1e-12, away, 0.0))
     return farthest

@@ -1,20 +1,19 @@
-"""Occupancy grids: their files, and the polygons of closed cells with their exact edges.
+"""Occupancy grids: file readers, and exact obstacle polygons of closed cells.
 
-ROS: ``image``, ``resolution`` (metres a pixel), ``origin`` ([x, y, yaw] of the lower left corner),
-``occupied_thresh``, ``free_thresh``, ``negate`` (0) and ``mode`` (trinary) are those of
-``map_server`` and Nav2. The occupancy of a pixel is its darkness from 0 to 1, with ``negate`` its
-brightness. Above ``occupied_thresh`` its cell is occupied, below ``free_thresh`` free, between them
-unknown, also in mode ``scale``. In ``raw`` the pixel is its occupancy in per cent, and unknown
-above 100. A pixel that is not opaque is unknown.
+ROS: ``image``, ``resolution`` (metres per pixel), ``origin`` ([x, y, yaw] of the lower left
+corner), ``occupied_thresh``, ``free_thresh``, ``negate`` (default 0) and ``mode`` (default trinary)
+have the meaning of ``map_server`` and Nav2. The occupancy of a pixel is its darkness from 0 to 1,
+or its brightness with ``negate``. A cell is occupied above ``occupied_thresh``, free below
+``free_thresh`` and unknown in between, also in mode ``scale``. In mode ``raw`` the pixel value is
+the occupancy in per cent; values above 100 are unknown. Pixels that are not opaque are unknown.
 
-CSV: a row of names ``resolution_m,origin_x_m,origin_y_m,occupied_from``, a row of their values, and
-then the rows of the map, that of the largest y first. Cells of at least ``occupied_from`` are
-occupied; negative and empty ones are unknown; the others are free.
+CSV: a row of names ``resolution_m,origin_x_m,origin_y_m,occupied_from``, a row of their values,
+then the rows of the map from the largest y down. Cells of at least ``occupied_from`` are occupied,
+negative and empty cells are unknown, and all others are free.
 
-Cells that share an edge are one obstacle, within squares of `TILE_CELLS` cells a side: with walls
-that run through a whole building each distance would be one to thousands of corners. Obstacles meet
-along the sides of these squares, and single cells at their corners; no robot passes there, since it
-would touch both.
+Cells that share an edge form one obstacle within a tile of `TILE_CELLS` x `TILE_CELLS` cells.
+Otherwise the walls of a whole building would be one polygon with thousands of corners, which slows
+every distance query. Obstacles touch along tile sides, and cells at corners; no robot fits between.
 """
 
 from __future__ import annotations
@@ -39,34 +38,34 @@ from planopt.short_repr import short_repr
 from planopt.world.workspace import Obstacle
 
 UnknownCells = Literal["occupied", "free"]
-"""What cells of which the grid knows nothing are taken for."""
+"""Treatment of unknown cells."""
 
 MOST_CELLS = 16_000_000
-"""Cells of a grid: 200 x 200 m at 5 cm."""
+"""Maximum number of cells in a grid: 200 x 200 m at 5 cm."""
 
 MOST_EDGES = 2_000_000
-"""Sides of cells on the outlines of obstacles. A map of a building has some tens of thousands."""
+"""Maximum number of outline edges. The map of a building has some tens of thousands."""
 
 
 TILE_CELLS = 32
-"""Side of the squares that obstacles are cut along."""
+"""Number of cells per side of the tiles into which obstacles are cut."""
 
 
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid:
-    """An occupancy grid: a map of square cells.
+    """Occupancy grid: a map of square cells.
 
     Attributes
     ----------
     occupied, unknown
-        ``(ny, nx)`` which cells are known to be occupied, and of which nothing is known; row 0 at
-        the smallest y. All others are free.
+        ``(ny, nx)`` masks of occupied and of unknown cells; row 0 has the smallest y. All other
+        cells are free.
     resolution_m
         Side of a cell.
     origin_m
         ``(x, y)`` of the corner of cell [0, 0] with the smallest coordinates.
     grey_free_cells
-        Number of free cells whose pixel has the grey 205 of unknown cells.
+        Number of free cells whose pixels have grey 205, the value ROS uses for unknown cells.
     """
 
     occupied: NDArray[np.bool_]
@@ -108,7 +107,7 @@ class OccupancyGrid:
 def grid_obstacles(
     grid: OccupancyGrid, name: str, unknown: UnknownCells = "occupied"
 ) -> tuple[Obstacle, ...]:
-    """Return the obstacles of a grid: exactly the cells that are closed to robots."""
+    """Return the obstacles of a grid, which cover exactly the cells closed to robots."""
     closed = grid.occupied | grid.unknown if unknown == "occupied" else grid.occupied
     if not closed.any():
         return ()
@@ -121,25 +120,25 @@ def grid_obstacles(
 
 @dataclass(frozen=True)
 class _Edges:
-    """Edges of the outlines of components, each with its closed cell on its left."""
+    """Outline edges of components, each with its closed cell on the left."""
 
-    end: NDArray[np.intp]  # (e, 2) column and row of the corner that each ends at
-    label: NDArray[np.intp]  # (e,) which component its closed cell belongs to, from 1 on
-    following: NDArray[np.intp]  # (e,) the next edge along the outline
-    turns: NDArray[np.bool_]  # (e,) whether that has another direction
+    end: NDArray[np.intp]  # (e, 2) column and row of the end corner
+    label: NDArray[np.intp]  # (e,) component of the closed cell, from 1
+    following: NDArray[np.intp]  # (e,) index of the next edge along the outline
+    turns: NDArray[np.bool_]  # (e,) whether the next edge has another direction
 
 
 def _edges(closed: NDArray[np.bool_]) -> _Edges:
     """Return all edges of the outlines.
 
-    At a corner where two closed cells touch, the outline stays with its cell if the other is of
-    another component; else it goes on along the other, so that no outline meets itself.
+    If two closed cells touch at a corner only, the outline continues along the other cell if both
+    belong to one component, else along its own cell. No outline therefore touches itself.
     """
     labels = _components(closed)
     around = np.pad(labels, 1)
     columns = closed.shape[1] + 1
     sides: list[tuple[NDArray[np.intp], ...]] = []
-    # Directions 0 to 3 are right, up, left and down: below, right of, above and left of the cell.
+    # Directions 0 to 3 (right, up, left, down) run below, right of, above and left of the cell.
     for direction, (neighbour, start, end) in enumerate(
         (
             (around[:-2, 1:-1], (0, 0), (0, 1)),
@@ -180,15 +179,15 @@ def _edges(closed: NDArray[np.bool_]) -> _Edges:
 def _found(
     key: NDArray[np.intp], by_key: NDArray[np.intp], wanted: NDArray[np.intp]
 ) -> NDArray[np.intp]:
-    """Return where each wanted key stands among the keys, -1 for those that do not."""
+    """Return the index of each wanted key in `key`; -1 if it is absent."""
     at = by_key[np.minimum(np.searchsorted(key, wanted, sorter=by_key), key.size - 1)]
     return np.where(key[at] == wanted, at, -1)
 
 
 def _components(closed: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return which component each cell belongs to, from 1 on; 0 for open cells."""
+    """Return the component label of each cell, from 1; 0 for open cells."""
     ny, nx = closed.shape
-    # An open line between all squares, for the time of labelling.
+    # Open rows and columns between tiles separate components during labelling.
     row, column = _spread(ny), _spread(nx)
     apart = np.zeros((row[-1] + 1, column[-1] + 1), dtype=np.bool_)
     apart[np.ix_(row, column)] = closed
@@ -198,7 +197,7 @@ def _components(closed: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def _spread(size: int) -> NDArray[np.intp]:
-    """Return where each of so many lines comes to lie, with an empty one between squares."""
+    """Return the new indices of `size` lines with an empty line between tiles."""
     line = np.arange(size, dtype=np.intp)
     return line + line // TILE_CELLS
 
@@ -206,7 +205,7 @@ def _spread(size: int) -> NDArray[np.intp]:
 def _polygons(
     closed: NDArray[np.bool_], resolution_m: float, origin_m: NDArray[np.float64]
 ) -> NDArray[np.object_]:
-    """Return a polygon for each component, corners where its outline turns, holes included."""
+    """Return one polygon per component, with a corner at each turn of its outline."""
     edges = _edges(closed)
     order, first = _outlines(edges)
     corners = edges.end[order]
@@ -214,7 +213,7 @@ def _polygons(
     following = np.arange(1, order.size + 1)
     following[np.append(first[1:], order.size) - 1] = first
     across = corners[:, 0] * corners[following, 1] - corners[following, 0] * corners[:, 1]
-    # Whole numbers, so that signs are exact: outlines turn left, holes right.
+    # Integer areas have exact signs: positive for outlines, negative for holes.
     outer = np.bincount(ring, across) > 0.0
     component = edges.label[order[first]]
     rings = cast(
@@ -233,10 +232,10 @@ def _polygons(
 
 
 def _outlines(edges: _Edges) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the edges before turns, outline after outline, and where each outline begins."""
+    """Return the edges before turns, outline by outline, and the index of each first edge."""
     turning = edges.following.copy()
     while (straight := ~edges.turns[turning]).any():
-        # Each round doubles how far straight edges see ahead.
+        # Pointer jumping: each round doubles the length of skipped straight runs.
         turning[straight] = turning[turning[straight]]
     after: list[int] = turning.tolist()
     done = bytearray(turning.size)
@@ -259,25 +258,25 @@ FEWER_CELLS = "cut the map to what is needed, or use larger cells"
 CSV_HEADER = ("resolution_m", "origin_x_m", "origin_y_m", "occupied_from")
 
 IMAGES = {".pgm": "PPM", ".png": "PNG"}
-"""Formats of images by ending, as Pillow calls them."""
+"""Pillow names of image formats by file extension."""
 
 BYTE_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
 DEEP_MODES = ("I", "I;16", "I;16B", "I;16L")
-"""Pixels of 8 and of 16 bits, as Pillow calls them."""
+"""Pillow modes of 8-bit (above) and 16-bit pixels."""
 
 NO_TURN_RAD = 1e-9
 
 UNKNOWN_GREY = 205
-"""Grey that ROS mapping packages write for unknown cells."""
+"""Grey value that ROS mapping packages write for unknown cells."""
 
 
 def is_grid(path: Path | str | None) -> bool:
-    """Return whether a file is an occupancy grid, by the ending of its name."""
+    """Return whether a path has the extension of an occupancy grid."""
     return path is not None and Path(path).suffix.lower() in GRID_READERS
 
 
 def read_grid(path: Path) -> OccupancyGrid:
-    """Read an occupancy grid, by the ending of its file."""
+    """Read an occupancy grid with the reader for its file extension."""
     try:
         return GRID_READERS[path.suffix.lower()](path)
     except InputError as error:
@@ -285,7 +284,7 @@ def read_grid(path: Path) -> OccupancyGrid:
 
 
 def _read_ros_map(path: Path) -> OccupancyGrid:
-    """Read a map of ROS."""
+    """Read a ROS map."""
     table = _yaml_table(path)
     resolution, (x, y) = _placed(_number(table, "resolution"), *_origin(table))
     negate = _one_of(table, "negate", ("0", "1")) == "1"
@@ -316,12 +315,12 @@ def _read_ros_map(path: Path) -> OccupancyGrid:
     occupied = known & (occupancy > occupied_from)
     free = known & (occupancy < free_to)
     grey = int((free & (np.round(255.0 * shade) == UNKNOWN_GREY)).sum()) if mode != "raw" else 0
-    # The first row of an image is its top.
+    # The first image row has the largest y.
     return OccupancyGrid(occupied[::-1], ~(occupied | free)[::-1], resolution, (x, y), grey)
 
 
 def _read_csv_grid(path: Path) -> OccupancyGrid:
-    """Read a grid as CSV."""
+    """Read a CSV grid."""
     rows = csv_rows(path)
     nothing: tuple[int, list[str]] = (1, [])
     header, values = ([cell.strip() for cell in next(rows, nothing)[1]] for _ in range(2))
@@ -357,11 +356,11 @@ GRID_READERS: dict[str, Callable[[Path], OccupancyGrid]] = {
     ".yml": _read_ros_map,
     ".csv": _read_csv_grid,
 }
-"""Readers of occupancy grids, by the ending of the file."""
+"""Readers of occupancy grids by file extension."""
 
 
 def _yaml_table(path: Path) -> dict[str, object]:
-    """Return the keys of a YAML file; all scalars are text, and aliases are refused."""
+    """Return the top-level table of a YAML file; scalars stay text, aliases are rejected."""
     import yaml
 
     text = read_text(path, LARGEST_YAML_BYTES)
@@ -385,7 +384,7 @@ def _yaml_table(path: Path) -> dict[str, object]:
 
 
 def _number(table: dict[str, object], key: str) -> float:
-    """Return the number at `key`."""
+    """Return the finite number at `key`."""
     value = table.get(key)
     try:
         number = float(value) if isinstance(value, str) else math.nan
@@ -399,13 +398,13 @@ def _number(table: dict[str, object], key: str) -> float:
 
 
 def _shown(value: object) -> str:
-    """Return a value as a message shows it."""
+    """Return a value formatted for a message."""
     text = "missing" if value is None else repr(value)
     return text if len(text) <= 60 else f"{text[:60]}..."
 
 
 def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:
-    """Return one of the allowed words at `key`, the first if it is missing."""
+    """Return the allowed word at `key`; the first one if the key is missing."""
     value = table.get(key, allowed[0])
     word = {"true": "1", "false": "0"}.get(str(value).lower(), value)
     if not isinstance(word, str) or word not in allowed:
@@ -418,7 +417,7 @@ def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str
 
 
 def _origin(table: dict[str, object]) -> tuple[float, float]:
-    """Return x and y of the origin, whose yaw must be 0."""
+    """Return x and y of the origin; its yaw must be 0."""
     origin = table.get("origin")
     values = cast("list[object]", origin if isinstance(origin, list) else [])
     if len(values) not in (2, 3):
@@ -438,7 +437,7 @@ def _origin(table: dict[str, object]) -> tuple[float, float]:
 
 
 def _placed(resolution_m: float, x_m: float, y_m: float) -> tuple[float, tuple[float, float]]:
-    """Return side and origin, which must be metres."""
+    """Return the validated resolution and origin, in metres."""
     if not 0.0 < resolution_m <= LARGEST_COORDINATE_M:
         raise InputError(f"cells of {resolution_m:g} m", key="resolution", remedy="metres above 0")
     if not max(abs(x_m), abs(y_m)) <= LARGEST_COORDINATE_M:
@@ -451,7 +450,7 @@ def _placed(resolution_m: float, x_m: float, y_m: float) -> tuple[float, tuple[f
 
 
 def _shades(path: Path, raw: bool) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the brightness of the pixels of an image, from 0 to 1, and which are opaque."""
+    """Return the brightness of image pixels, from 0 to 1, and the mask of opaque pixels."""
     from PIL import Image
 
     kind = IMAGES.get(path.suffix.lower())
@@ -481,7 +480,7 @@ def _shades(path: Path, raw: bool) -> tuple[NDArray[np.float64], NDArray[np.bool
 
 
 def _require_cells(count: int) -> None:
-    """Refuse a grid of too many cells, or of none."""
+    """Reject a grid with too many cells or none."""
     if not 0 < count <= MOST_CELLS:
         raise InputError(
             f"has {count:,} cells, should have 1 to {MOST_CELLS:,}",
@@ -490,7 +489,7 @@ def _require_cells(count: int) -> None:
 
 
 def _cell(text: str, row: int, key: str) -> float:
-    """Return a number of a CSV file."""
+    """Parse a cell of a CSV file; empty cells are NaN."""
     try:
         value = float(text) if text.strip() else math.nan
     except ValueError:

@@ -1,4 +1,4 @@
-"""Maps on a regular grid, looked up at the nearest cell."""
+"""Maps on a regular grid with nearest-cell lookup."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from planopt.keys import LARGEST_COORDINATE_M
 from planopt.short_repr import short_repr
 
 UNEVEN_CELLS = 1e-3
-"""Largest deviation from an even grid, in cells: files have coordinates in float32."""
+"""Tolerance of the grid spacing, in cells: files may store coordinates as float32."""
 
 
 @dataclass(frozen=True)
 class Raster:
-    """Values on a regular grid."""
+    """Map of values on a regular grid."""
 
     # (nx,) and (ny,) coordinates of the cell centres, ascending and evenly spaced
     x_m: NDArray[np.float64]
     y_m: NDArray[np.float64]
-    values: NDArray[np.float64]  # (ny, nx), row 0 at the smallest y. NaN where there is no value.
-    quantity: str = field(default="", repr=False)  # Such as "received power"; empty if not known
+    values: NDArray[np.float64]  # (ny, nx), row 0 at the smallest y; NaN if missing
+    quantity: str = field(default="", repr=False)  # Such as "received power"; empty if unknown
     unit: str = field(default="", repr=False)
 
     __repr__ = short_repr
@@ -38,9 +38,9 @@ class Raster:
 def checked_raster(
     x: NDArray[np.float64], y: NDArray[np.float64], values: NDArray[np.float64], variable: str
 ) -> Raster:
-    """Return the raster of axes and values, which are checked.
+    """Validate axes and values and return their raster.
 
-    Minus infinity, the decibels of nothing, becomes NaN.
+    Minus infinity, the decibel value of zero, becomes NaN.
     """
     for name, axis in (("x", x), ("y", y)):
         if axis.ndim != 1 or axis.size < 2:
@@ -78,7 +78,7 @@ def checked_raster(
 
 
 def cell_centres_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
-    """Return the centres of the cells that cover an interval, at least two."""
+    """Return the centres of the cells that cover an interval; at least two."""
     count = max(2, math.ceil((high_m - low_m) / cell_m))
     return low_m + cell_m * (np.arange(count, dtype=np.float64) + 0.5)
 
@@ -86,7 +86,7 @@ def cell_centres_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.flo
 def nearest_cells(
     raster: Raster, positions_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return row and column (n,) of the cell nearest to every position (n, 2)."""
+    """Return row and column (n,) of the cell nearest to each position (n, 2)."""
     first = np.array([raster.x_m[0], raster.y_m[0]])
     last_cell = np.array([raster.x_m.size, raster.y_m.size]) - 1
     cells = np.floor((positions_m - first) / np.array(raster.cell_m) + 0.5)
@@ -103,7 +103,7 @@ def nearest_cells(
 
 
 def _spacing(axis_m: NDArray[np.float64]) -> float:
-    """Return the mean distance of neighbours."""
+    """Return the mean spacing of an axis."""
     return float(axis_m[-1] - axis_m[0]) / (axis_m.size - 1)
 
 

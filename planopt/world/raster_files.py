@@ -1,11 +1,11 @@
 # pyright: basic
-"""Raster files: CSV, npz, radio maps of Sionna RT, NetCDF and GeoTIFF, chosen by the ending.
+"""Raster files by extension: CSV, npz, Sionna RT radio maps, NetCDF and GeoTIFF.
 
-CSV has a row for each cell with its centre ``x_m, y_m`` and a column for each variable. NetCDF has
-variables on ``y, x``; files are written as NetCDF-3, which every reader takes and SciPy reads, and
-h5netcdf, an extra, reads NetCDF-4. GeoTIFF, by rasterio, which is an extra, has a band for each
-variable and its first row in the north; coordinates are metres of a local plane, and a reference
-system in degrees is refused. Sionna RT saves
+CSV has a row per cell with its centre ``x_m, y_m`` and a column per variable. NetCDF has variables
+on ``y, x``. Files are written as NetCDF-3, which SciPy and all other readers support; reading
+NetCDF-4 needs the extra h5netcdf. GeoTIFF needs the extra rasterio and has a band per variable with
+the northernmost row first. Its coordinates are metres in a local plane; reference systems in
+degrees are rejected. Sionna RT radio maps are saved by
 ``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``: gains are
 linear, and zero means that no path was found.
 """
@@ -35,11 +35,11 @@ HDF5_SIGNATURE = b"\x89HDF"
 NETCDF_AXES = ("y", "x")
 
 BYTES_PER_READ = 1000
-"""Memory that SciPy's reader uses at most for each part of a header."""
+"""Upper bound of the memory that SciPy's reader uses per read of a header."""
 
 
 def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
-    """Write rasters of the same axes with coordinates and units."""
+    """Write rasters that share axes as NetCDF-3 with coordinates and units."""
     from scipy.io import netcdf_file
 
     first = next(iter(rasters.values()))
@@ -57,7 +57,7 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def read_netcdf(path: Path, variable: str) -> Raster:
-    """Read one variable on the dimensions ``y, x`` with their coordinates; y may descend."""
+    """Read one variable on dimensions ``y, x`` with coordinates; y may be descending."""
     content = read_bytes(path)
     read = _read_hdf5 if content.startswith(HDF5_SIGNATURE) else _read_classic
     with foreign_reader(path, "a NetCDF file"):
@@ -69,7 +69,7 @@ def read_netcdf(path: Path, variable: str) -> Raster:
 
 
 def _text(value: object) -> str:
-    """Return the text of an attribute; nothing of any other kind."""
+    """Return an attribute as text; an empty string if it is not text."""
     text = value.decode(errors="replace") if isinstance(value, bytes) else value
     return text.strip("\0 ") if isinstance(text, str) else ""
 
@@ -78,9 +78,9 @@ _Read = tuple[list[NDArray[np.float64]], Mapping[str, Any]]
 
 
 class _BoundedBytes(io.BytesIO):
-    """The bytes of a file, with a limit on what is read in all.
+    """In-memory file with a limit on the total number of bytes read.
 
-    Variables of a damaged header may overlap, each as large as the file.
+    In a damaged header, variables may overlap, each as large as the file.
     """
 
     def __init__(self, content: bytes) -> None:
@@ -96,11 +96,11 @@ class _BoundedBytes(io.BytesIO):
 
 
 def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
-    """Return y, x and the variable of a NetCDF-3 file, and the variable's attributes."""
+    """Return y, x and the variable of a NetCDF-3 file, with the variable's attributes."""
     from scipy.io import netcdf_file
 
     class Reader(netcdf_file):
-        """A file that is never closed: attributes from its content may replace its methods."""
+        """Reader without a destructor: attributes of a file may overwrite its methods."""
 
         def __del__(self) -> None: ...
 
@@ -113,7 +113,7 @@ def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
 
 
 def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
-    """Return y, x and the variable of a NetCDF-4 file, and the variable's attributes."""
+    """Return y, x and the variable of a NetCDF-4 file, with the variable's attributes."""
     try:
         import h5netcdf
         import h5py
@@ -133,7 +133,7 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
             if item.external or item.is_virtual:
                 raise InputError("takes its values from another file", key=name)
             require_array_size(path, name, *(item.shape or ()))
-            # Chunks are unpacked whole.
+            # HDF5 decompresses whole chunks.
             require_array_size(path, name, *(item.chunks or ()))
         with h5netcdf.File(opened, "r") as file:
             held = file.variables
@@ -146,7 +146,7 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
 
 
 def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
-    """Refuse a file without the variable on y, x, by the dimensions of its variables."""
+    """Reject a file without the variable on dimensions y, x."""
     for name in (*NETCDF_AXES, variable):
         if name not in held:
             raise InputError(
@@ -163,7 +163,7 @@ def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
 def _floats(
     values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str
 ) -> NDArray[np.float64]:
-    """Return values as floats, scaled by their attributes, NaN where they are missing."""
+    """Return values as floats, scaled by their attributes; missing values are NaN."""
     if values.dtype.kind not in "iuf":
         raise InputError(f"{values.dtype} is not numeric", key=name)
     require_array_size(path, name, *values.shape)
@@ -182,7 +182,7 @@ SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def import_rasterio(path: Path) -> ModuleType:
-    """Return rasterio; an error that names the extra where it is not installed."""
+    """Import rasterio; raise an error that names the extra if it is not installed."""
     try:
         import rasterio
     except ImportError as error:
@@ -195,7 +195,7 @@ def import_rasterio(path: Path) -> ModuleType:
 
 
 def write_geotiff(path: Path, rasters: Mapping[str, Raster]) -> None:
-    """Write rasters of the same axes as the bands of one file, compressed."""
+    """Write rasters that share axes as the bands of one compressed GeoTIFF."""
     rasterio = import_rasterio(path)
     first = next(iter(rasters.values()))
     wide, high = first.cell_m
@@ -222,8 +222,8 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster]) -> None:
 def read_geotiff(path: Path, variable: str) -> Raster:
     """Read the band described as `variable`, or the only band if it has no description.
 
-    The file alone is read, from memory: no sidecar files, and no other format whatever the
-    content says (GDAL's virtual formats read files that nobody named).
+    The file is read from memory, without sidecar files and only as GeoTIFF. GDAL's virtual formats
+    could otherwise open further files.
     """
     rasterio = import_rasterio(path)
     content = read_bytes(path)
@@ -253,7 +253,7 @@ def read_geotiff(path: Path, variable: str) -> Raster:
     if in_degrees:
         raise InputError("the coordinates are degrees", remedy="project the map to metres")
     rows, columns = values.shape
-    with np.errstate(all="ignore"):  # coordinates that are not finite
+    with np.errstate(all="ignore"):  # non-finite coordinates
         x = transform.c + transform.a * (np.arange(columns) + 0.5)
         y = transform.f + transform.e * (np.arange(rows) + 0.5)
     if transform.e < 0:
@@ -262,7 +262,7 @@ def read_geotiff(path: Path, variable: str) -> Raster:
 
 
 def _band(descriptions: tuple[str | None, ...], variable: str) -> int:
-    """Return the number of the band, from 1."""
+    """Return the index of the band, from 1."""
     if descriptions.count(variable) == 1:
         return descriptions.index(variable) + 1
     if descriptions == (None,):
@@ -276,11 +276,11 @@ def _band(descriptions: tuple[str | None, ...], variable: str) -> int:
 AXES = ("x_m", "y_m")
 
 DIGITS = "%.12g"
-"""Twelve digits keep a millimetre in any coordinate, and more than any power has."""
+"""Number format: 12 digits resolve a millimetre in any coordinate."""
 
 
 def write_csv(path: Path, rasters: Mapping[str, Raster]) -> None:
-    """Write rasters of the same axes, row by row from the smallest y; no value is ``nan``."""
+    """Write rasters that share axes as CSV, from the smallest y; missing values are ``nan``."""
     first = next(iter(rasters.values()))
     x, y = np.meshgrid(first.x_m, first.y_m)
     columns = [x, y, *(raster.values for raster in rasters.values())]
@@ -290,12 +290,12 @@ def write_csv(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def read_csv(path: Path, variable: str) -> Raster:
-    """Read one variable; rows may come in any order, an empty cell or ``nan`` is no value."""
+    """Read one variable from CSV rows in any order; empty cells and ``nan`` are missing."""
     rows = csv_rows(path)
     nothing: tuple[int, list[str]] = (1, [])
     header = [name.strip() for name in next(rows, nothing)[1]]
     where = [_column(header, name) for name in (*AXES, variable)]
-    # An array takes a third of the memory of lists of floats.
+    # An array needs a third of the memory of lists of floats.
     numbers = array("d")
     for line, cells in rows:
         numbers.extend(_number(cells, at, line, header[at]) for at in where)
@@ -303,7 +303,7 @@ def read_csv(path: Path, variable: str) -> Raster:
 
 
 def _on_grid(table: NDArray[np.float64], variable: str) -> Raster:
-    """Return the raster whose cells are the rows x, y, value."""
+    """Return the raster with one cell per row (x, y, value)."""
     if not np.isfinite(table[:, :2]).all():
         raise InputError("a cell centre is not finite", remedy="leave rows without a place out")
     x, ix = np.unique(table[:, 0], return_inverse=True)
@@ -349,21 +349,21 @@ def _number(cells: list[str], at: int, row: int, name: str) -> float:
 
 
 QUANTITIES = "quantities"
-"""Entry of an npz file with the name, quantity and unit of each variable, as text (k, 3)."""
+"""Npz entry with name, quantity and unit of each variable, as text (k, 3)."""
 
 
 def write_npz(path: Path, rasters: Mapping[str, Raster]) -> None:
-    """Write rasters of the same axes as an ``npz`` file with the axes ``x`` and ``y``."""
+    """Write rasters that share axes as an ``npz`` file with entries ``x`` and ``y``."""
     first = next(iter(rasters.values()))
     arrays: dict[str, Any] = {name: raster.values for name, raster in rasters.items()}
     arrays[QUANTITIES] = [(name, each.quantity, each.unit) for name, each in rasters.items()]
-    # NumPy would append its own ending to a name in capitals.
+    # Given a path, NumPy would append .npz to an uppercase extension.
     with path.open("wb") as file:
         np.savez_compressed(file, x=first.x_m, y=first.y_m, **arrays)
 
 
 def read_npz_raster(path: Path, variable: str) -> Raster:
-    """Read one variable of an ``npz`` file: a map of Sionna RT if it has cell centres."""
+    """Read one variable of an ``npz`` file, or of a Sionna RT map with cell centres."""
     if CENTRES in npz_names(path):
         return read_sionna_map(path, variable)
     x, y, values = npz_arrays(path, ("x", "y", variable))
@@ -375,7 +375,7 @@ def read_npz_raster(path: Path, variable: str) -> Raster:
 
 
 def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
-    """Return arrays of an npz file as floats."""
+    """Return the named arrays of an npz file as floats."""
     arrays = read_npz(path, names)
     found: list[NDArray[np.float64]] = []
     for name in names:
@@ -388,7 +388,7 @@ def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
             raise InputError(
                 f"{arrays[name].dtype} is not numeric", key=name, remedy="give numbers"
             )
-        with np.errstate(all="ignore"):  # from longer floats
+        with np.errstate(all="ignore"):  # overflow from longer floats
             found.append(arrays[name].astype(np.float64))
     return found
 
@@ -396,11 +396,11 @@ def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
 CENTRES = "cell_centers"
 
 TURNED_M = 1e-2
-"""Largest deviation of a centre from its row or column: Sionna RT computes in float32."""
+"""Tolerance in metres for centres off their row or column: Sionna RT uses float32."""
 
 
 def read_sionna_map(path: Path, variable: str) -> Raster:
-    """Read a linear quantity of a planar radio map in dB."""
+    """Read a linear quantity of a planar Sionna RT radio map, converted to dB."""
     name, index = _name_and_index(variable)
     gain, centres = npz_arrays(path, (name, CENTRES))
     if gain.ndim == 3:
@@ -422,9 +422,9 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
     if not gain.size:
         raise InputError("the map has no cells", key=name)
     x, y = centres[0, :, 0], centres[:, 0, 1]
-    with np.errstate(all="ignore"):  # centres that are not finite
+    with np.errstate(all="ignore"):  # non-finite centres
         off = np.maximum(np.abs(centres[..., 0] - x), np.abs(centres[..., 1] - y[:, None]))
-    # Written so that a centre that is NaN counts as off.
+    # Negated comparison, so that NaN centres fail.
     if not (off <= TURNED_M).all():
         raise InputError(
             "the map's plane is turned: rows do not run along x",
@@ -443,7 +443,7 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
 
 
 def _name_and_index(variable: str) -> tuple[str, int | None]:
-    """Return the parts of ``path_gain[2]``."""
+    """Split ``path_gain[2]`` into name and index; the index is None if absent."""
     match = re.fullmatch(r"(.+)\[(\d{1,6})\]", variable)
     return (variable, None) if match is None else (match[1], int(match[2]))
 
@@ -455,7 +455,7 @@ READERS: dict[str, Callable[[Path, str], Raster]] = {
     ".tif": read_geotiff,
     ".tiff": read_geotiff,
 }
-"""Readers by the ending of the file."""
+"""Readers by file extension."""
 
 WRITERS: dict[str, Callable[[Path, Mapping[str, Raster]], None]] = {
     ".csv": write_csv,
@@ -464,7 +464,7 @@ WRITERS: dict[str, Callable[[Path, Mapping[str, Raster]], None]] = {
     ".tif": write_geotiff,
     ".tiff": write_geotiff,
 }
-"""Writers by the ending of the file."""
+"""Writers by file extension."""
 
 
 def read_raster(path: Path, variable: str) -> Raster:
@@ -477,20 +477,20 @@ def read_raster(path: Path, variable: str) -> Raster:
 
 
 def write_rasters(path: Path, rasters: Mapping[str, Raster]) -> None:
-    """Write rasters of the same axes into one file, whole or not at all."""
+    """Write rasters that share axes to one file atomically."""
     check_raster_output(path)
     write = WRITERS[raster_ending(path)]
     write_whole(path, lambda temporary: write(temporary, rasters))
 
 
 def check_raster_output(path: Path) -> None:
-    """Raise what :func:`write_rasters` would raise for the name, before any work is done."""
+    """Raise the error of :func:`write_rasters` for this path before any computation."""
     if WRITERS[raster_ending(path)] is write_geotiff:
         import_rasterio(path)
 
 
 def raster_ending(path: Path) -> str:
-    """Return the ending of a raster file, in small letters."""
+    """Return the lower-case extension of a raster file."""
     ending = path.suffix.lower()
     if ending not in READERS:
         raise InputError(

@@ -1,19 +1,19 @@
-"""Separating lines: linear constraints that keep path segments from obstacles, for the solver.
+"""Separating lines: linear collision constraints on path segments, for the solver.
 
-A line fixed from the start path and applied to both ends of a segment keeps the whole segment on
-its side of a convex piece of an obstacle. The verifier uses the footprints themselves.
+A line is computed from the initial guess and imposed on both ends of a segment. It keeps the whole
+segment on one side of a convex piece of an obstacle. The verifier uses the exact footprints.
 
-Seen from the centre of a moving disc, the robot moves straight during a step. A line through the
-point nearest to the centre, with its normal n fixed from the start path, gives two linear rows::
+Relative to the centre of a moving disc, the robot moves straight during a step. The normal n points
+from the centre to the nearest point of the initial guess. It gives two linear constraints::
 
     n . (q_{k-1} - c_{k-1}) >= R,    n . (q_k - c_k) >= R
 
-If both hold, the whole step keeps the distance R.
+If both hold, the distance is at least R during the whole step.
 
-Braking after the last step follows from its end. From the start path it keeps
-``g = min_t n . (p(t) - c(t)) - R`` more than required from a disc, with the normal n where they are
-nearest. If neither the last position nor the place of standstill moves by more than g towards the
-disc, no position between does.
+Braking after the last step depends on its end state. On the initial guess, the braking path has a
+margin ``g = min_t n . (p(t) - c(t)) - R`` to a disc, with n the normal at the closest approach. If
+neither the last position nor the rest position moves by more than g towards the disc, no position
+in between does.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ Vertex = tuple[float, float]
 Edge = tuple[Vertex, Vertex]
 
 FLAT_M = 1e-9
-"""A vertex this little inside the chord of its neighbours still counts as convex."""
+"""Tolerance in metres for convexity: depth of a vertex inside its neighbours' chord."""
 
 
 def convex_pieces(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], ...]:
-    """Return convex polygons that together are exactly `polygon`.
+    """Decompose `polygon` exactly into convex polygons.
 
-    The constrained Delaunay triangles are merged over their common edges, longest first, as long
-    as the result stays convex (Hertel and Mehlhorn 1983: at most four times the least number of
-    pieces). No vertex is added, so pieces meet in whole edges.
+    Constrained Delaunay triangles are merged across common edges, longest first, while the result
+    stays convex (Hertel and Mehlhorn 1983: at most four times the minimum number of pieces). No
+    vertices are added, so pieces share whole edges.
     """
     outline = _ring(polygon)
     if not polygon.interiors and _is_convex(outline):
@@ -57,7 +57,7 @@ def convex_pieces(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], ...]:
 
 
 def _ring(polygon: shapely.Polygon) -> list[Vertex]:
-    """Return the exterior vertices, counter-clockwise, not closed, without repetitions."""
+    """Return the exterior vertices counter-clockwise, not closed, without repetitions."""
     ring = polygon.exterior
     closed = [(float(x), float(y)) for x, y in shapely.get_coordinates(ring)]
     open_ring = [b for a, b in itertools.pairwise(closed) if a != b]
@@ -65,7 +65,7 @@ def _ring(polygon: shapely.Polygon) -> list[Vertex]:
 
 
 def _is_convex_turn(before: Vertex, at: Vertex, after: Vertex) -> bool:
-    """Return whether `at` turns left, or right by no more than `FLAT_M` from the chord."""
+    """Return whether `at` is a left turn, or at most `FLAT_M` inside the chord."""
     chord_x, chord_y = after[0] - before[0], after[1] - before[1]
     cross = chord_x * (before[1] - at[1]) - chord_y * (before[0] - at[0])
     return before != after and cross >= -FLAT_M * math.hypot(chord_x, chord_y)
@@ -85,7 +85,7 @@ def _corners(ring: list[Vertex]) -> NDArray[np.float64]:
 
 
 def _merged(triangles: list[list[Vertex]]) -> list[list[Vertex]]:
-    """Merge a conforming triangulation into convex rings, greedily over the longest edges."""
+    """Merge a conforming triangulation greedily into convex rings, longest edges first."""
     pieces = dict(enumerate(triangles))
     owner: dict[Edge, int] = {
         edge: number for number, ring in pieces.items() for edge in _edges(ring)
@@ -103,7 +103,7 @@ def _merged(triangles: list[list[Vertex]]) -> list[list[Vertex]]:
 
 
 def _edges(ring: list[Vertex]) -> list[Edge]:
-    """Return the directed edges of `ring`, the closing one included."""
+    """Return the directed edges of `ring`, including the closing edge."""
     return list(zip(ring, ring[1:] + ring[:1], strict=True))
 
 
@@ -114,51 +114,50 @@ def _starting_at(ring: list[Vertex], vertex: Vertex) -> list[Vertex]:
 
 
 EMPTY_OFFSET_M = -1.0
-"""With a zero normal, ``0 . q - (-1) >= 0`` holds at any place: the slot constrains nothing."""
+"""Offset of empty slots: with a zero normal, ``0 . q - (-1) >= 0`` always holds."""
 
 
 @dataclass(frozen=True)
 class PackedPieces:
-    """The convex pieces of all obstacles as padded arrays."""
+    """Convex pieces of all obstacles as padded arrays."""
 
     # (k, v, 2) corners, counter-clockwise, padded by repeating the last one
     vertices_m: NDArray[np.float64]
-    # (k, v, 2) outward unit normals of the edges that start at those corners, padded by repeating
-    # the last one
+    # (k, v, 2) outward unit normals of the edges from those corners, padded by the last one
     normals: NDArray[np.float64]
-    corners: NDArray[np.int64]  # (k,) number of true corners
-    # (k, 2) corners of the bounding boxes, for the search of candidates
+    corners: NDArray[np.int64]  # (k,) number of corners without padding
+    # (k, 2) corners of the bounding boxes, for the candidate search
     lower_m: NDArray[np.float64]
     upper_m: NDArray[np.float64]
-    obstacle: NDArray[np.int64]  # (k,) number of each piece's obstacle in the workspace
+    obstacle: NDArray[np.int64]  # (k,) index of each piece's obstacle in the workspace
 
 
 @dataclass(frozen=True)
 class SeparatingLines:
     """Up to c separating lines for each of s segments, nearest piece first.
 
-    For both ends q of the segment ``normal . q - offset >= gap``, and for every corner v of the
-    piece ``normal . v <= offset``.
+    Both ends q of the segment satisfy ``normal . q - offset >= gap``; every corner v of the piece
+    satisfies ``normal . v <= offset``.
     """
 
     # (s, c, 2) unit normals, pointing from the piece to the segment; 0 in empty slots
     normals: NDArray[np.float64]
     offsets: NDArray[np.float64]  # (s, c) in metres; `EMPTY_OFFSET_M` in empty slots
-    # (s, c) distance in metres, or minus the depth of the overlap; infinite in empty slots
+    # (s, c) distance in metres, negative for overlaps; infinite in empty slots
     gaps: NDArray[np.float64]
-    piece: NDArray[np.int64]  # (s, c) number of the piece; -1 in empty slots
-    # (s, c) offsets at the segment's start, where a line moves during a step
+    piece: NDArray[np.int64]  # (s, c) index of the piece; -1 in empty slots
+    # (s, c) offsets at the segment's start, for lines that move during a step
     start_offsets: NDArray[np.float64]
 
     def rows(self, kept_m: float) -> NDArray[np.float64]:
-        """Return normals and the offsets at end and start (s, c, 4), `kept_m` from the lines."""
+        """Return normals with end and start offsets (s, c, 4), shifted outward by `kept_m`."""
         kept = np.where(np.isfinite(self.gaps), kept_m, 0.0)
         offsets = np.stack([self.offsets + kept, self.start_offsets + kept], axis=2)
         return np.concatenate([self.normals, offsets], axis=2)
 
 
 def empty_lines(segments: int, count: int) -> SeparatingLines:
-    """Return a table of lines of which every slot is empty."""
+    """Return a table of lines with empty slots only."""
     shape = (segments, count)
     return SeparatingLines(
         normals=np.zeros((*shape, 2)),
@@ -174,13 +173,13 @@ def _columns(lines: SeparatingLines) -> list[NDArray[Any]]:
 
 
 def joined_lines(first: SeparatingLines, second: SeparatingLines) -> SeparatingLines:
-    """Return the lines of both for the same segments."""
+    """Concatenate two tables of lines of the same segments."""
     columns = zip(_columns(first), _columns(second), strict=True)
     return SeparatingLines(*(np.concatenate(pair, axis=1) for pair in columns))
 
 
 def split_lines(lines: SeparatingLines, count: int) -> tuple[SeparatingLines, SeparatingLines]:
-    """Return the first `count` lines of every segment, and the others."""
+    """Return the first `count` lines of each segment, and the remaining lines."""
     first, others = (
         SeparatingLines(*(column[:, some] for column in _columns(lines)))
         for some in (slice(count), slice(count, None))
@@ -189,7 +188,7 @@ def split_lines(lines: SeparatingLines, count: int) -> tuple[SeparatingLines, Se
 
 
 def pack_pieces(workspace: Workspace) -> PackedPieces:
-    """Cut every obstacle of a workspace into convex pieces, and pack them."""
+    """Decompose all obstacles into convex pieces and pack them into arrays."""
     cut = [convex_pieces(obstacle.polygon) for obstacle in workspace.obstacles]
     rings = [ring for pieces in cut for ring in pieces]
     corners = np.array([len(ring) for ring in rings], dtype=np.int64)
@@ -219,7 +218,7 @@ def separating_lines(
     count: int,
     reach_m: float,
 ) -> SeparatingLines:
-    """Return the best separating line of every segment from each of the pieces nearest to it."""
+    """Return the separating lines of each segment from its nearest pieces."""
     # Shapes: starts_m, ends_m (s, 2).
     segment, piece = _candidates(pieces, starts_m, ends_m, reach_m)
     normals, offsets, gaps = _best_lines(pieces, starts_m[segment], ends_m[segment], piece)
@@ -240,7 +239,7 @@ def lines_for(
     ends_m: NDArray[np.float64],
     piece_ids: NDArray[np.int64],  # (s, c)
 ) -> SeparatingLines:
-    """Return the best separating lines of every segment from some pieces."""
+    """Return the separating lines of each segment from the pieces `piece_ids`."""
     # Shapes: starts_m, ends_m (s, 2).
     slots = np.nonzero(piece_ids >= 0)
     piece = piece_ids[slots]
@@ -258,7 +257,7 @@ def _fill(
     gaps: NDArray[np.float64] | float,
     piece: NDArray[np.int64] | int,
 ) -> None:
-    """Put lines that stand still into the `slots` of a table."""
+    """Write static lines into the `slots` of a table."""
     lines.normals[slots] = normals
     lines.offsets[slots] = lines.start_offsets[slots] = offsets
     lines.gaps[slots] = gaps
@@ -273,7 +272,7 @@ def _candidates(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return pairs (segment, piece) whose bounding boxes are within `reach_m` of each other."""
     lower, upper = np.minimum(starts_m, ends_m), np.maximum(starts_m, ends_m)
-    # All segments of a plan lie close together: one box around them drops most pieces.
+    # The segments of a plan are close together, so one common box excludes most pieces.
     around_lower = lower.min(axis=0, initial=np.inf) - reach_m
     around_upper = upper.max(axis=0, initial=-np.inf) + reach_m
     near = np.flatnonzero(
@@ -294,13 +293,13 @@ def _best_lines(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return normals (p, 2), offsets (p,) and gaps (p,) of the best line of each pair.
 
-    The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``; its maximum over n is the
-    distance of two disjoint convex sets, or minus the least depth of an overlap. It is attained
-    at the normal of an edge of the piece, at a normal of the segment, or, when two corners are
-    nearest to each other, at the direction between an end and the corner nearest to that end.
+    The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``. Its maximum over n is the
+    distance of the convex sets, or minus their penetration depth. The maximiser is a normal of an
+    edge of the piece, a normal of the segment, or, if two vertices are nearest, the direction from
+    a corner to the segment end nearest to it.
     """
     width = int(pieces.corners[piece].max(initial=1))
-    # Everything relative to the segment's start, so that coordinates near 3e6 keep their digits.
+    # Coordinates relative to the segment's start keep their digits even near 3e6.
     corner = pieces.vertices_m[piece, :width] - starts_m[:, None]
     edge_normal = pieces.normals[piece, :width]
     along = ends_m - starts_m
@@ -328,32 +327,32 @@ def _best_lines(
 
 
 def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return scalar products over the last axis of length 2."""
+    """Return dot products over the last axis of length 2."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
 def _row_of(table: NDArray[np.float64], column: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return entry `column` (p,) of every row of `table` (p, w, ...)."""
+    """Return entry `column` (p,) of each row of `table` (p, w, ...)."""
     return table[np.arange(len(table)), column]
 
 
 TOUCHING_M = 1e-9
-"""A segment that passes a centre this near has a line parallel to it."""
+"""Distance in metres below which the line of a disc is parallel to the segment."""
 
 
 def moving_lines(
     discs: MovingDiscs,
-    path_m: NDArray[np.float64],  # (N + 1, 2) the start path, the robot's own place first
+    path_m: NDArray[np.float64],  # (N + 1, 2) initial guess, from the robot's position
     clearance_m: float,
     count: int,
     reach_m: float,
     needed: NDArray[np.bool_] | None = None,  # (m, N)
     pad_m: float = 0.0,
 ) -> SeparatingLines:
-    """Return the lines of every segment from the discs nearest to it.
+    """Return the separating lines of each segment from its nearest discs.
 
-    As lines of obstacles they touch the disc, and the clearance is to be kept from them: a disc
-    with another required distance counts as larger or smaller by the difference.
+    Like obstacle lines, they are tangent to the disc, and the clearance is added later. A disc with
+    a different required distance is enlarged or shrunk by the difference.
     """
     steps = len(path_m) - 1
     lines = empty_lines(steps, count)
@@ -383,7 +382,7 @@ def moving_lines(
 
 
 FAR_M = 1e4
-"""Distance, in metres, at which a line that holds at the end of a step alone begins."""
+"""Start offset in metres that deactivates a line at the start of a step."""
 
 
 def tail_lines(
@@ -395,7 +394,7 @@ def tail_lines(
     count: int,
     reach_m: float,
 ) -> tuple[SeparatingLines, SeparatingLines]:
-    """Return the lines of the last position, as of N segments, and of the robot at standstill."""
+    """Return the lines of the last planned position (N segments) and of the rest position."""
     last, still = empty_lines(planned, count), empty_lines(1, count)
     whole = motion.lasting(discs.steps)
     own, bulges = whole.places_m[planned:], whole.bulges_m[planned:]

@@ -1,1 +1,1 @@
-"""The task coverage: a network of agents that covers a region and answers events."""
+"""Task coverage: a network of agents covers a region and responds to events."""

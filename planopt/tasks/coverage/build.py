@@ -1,4 +1,4 @@
-"""Problems of the task coverage, checked, and the scenes that they describe."""
+"""Validated problems of the task coverage, and the scenes built from them."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ from planopt.world.raster import Raster
 from planopt.world.workspace import Obstacle
 
 NODES = 1600
-"""Geodesic cells have about so many nodes where no spacing is given."""
+"""Approximate number of nodes of a geodesic ground without an explicit spacing."""
 
 SETTLED_SHARE = 0.01
-"""Share of the mean distance between agents that counts as settled where no distance is given."""
+"""Default settling distance as a share of the mean distance between agents."""
 
 MEMORY_STEPS = 10
-"""Memory of readings in steps where events move and none is given."""
+"""Default memory of readings, in steps, if events move."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CoverageProblem(TaskProblem):
-    """A network to simulate."""
+    """Problem of the task coverage."""
 
     given: CoverageFile
     ground: Ground
@@ -60,26 +60,26 @@ class CoverageProblem(TaskProblem):
     events: tuple[Event, ...]
     demands: tuple[Demand, ...]  # Number of agents that each event requires
     sensing: Sensing | None
-    joins_s: NDArray[np.float64]  # (n,) times when agents join and leave
+    joins_s: NDArray[np.float64]  # (n,) times at which agents join, and leave
     leaves_s: NDArray[np.float64]
-    station_map: StationMap | None = None  # Learnt links to stations; None if they follow the law
+    station_map: StationMap | None = None  # Estimated links to stations; None for the path loss law
 
     @property
     def settled_m(self) -> float:
-        """Return the distance to its target at which an agent has settled."""
+        """Return the distance to the target up to which an agent counts as settled."""
         given = self.given.control.settled_m
         spacing_m = math.sqrt(self.ground.area_m2 / len(self.joins_s))
         return SETTLED_SHARE * spacing_m if given is None else given
 
     @property
     def stand_off_m(self) -> float | None:
-        """Return the radius of the ring that responding agents stand on; None for the event."""
+        """Return the radius of the ring of responding agents; None if they stop at the event."""
         if self.sensing is None or not self.given.assignment.stand_off:
             return None
         return self.sensing.sensor.best_distance_m
 
     def scene(self, generator: np.random.Generator) -> Scene:
-        """Return the scene of one run: starts may be drawn."""
+        """Return the scene of one run, with random starting positions drawn."""
         given, control, limits = self.given, self.given.control, self.limits
         body_m, rules = limits.body_radius_m, given.assignment
         return Scene(
@@ -107,13 +107,13 @@ class CoverageProblem(TaskProblem):
         )
 
     def _starts(self, generator: np.random.Generator) -> NDArray[np.float64]:
-        """Return where agents start, (n, 2): free, apart, and linked to a station."""
+        """Return validated starting positions (n, 2): free, separated and linked to a station."""
         table, body_m = self.given.agents, self.given.agents.body_radius_m
         starts = starts_of(table, self.ground, generator)
         listed = isinstance(table.start, PlacesTable)
 
         def key(agent: int) -> str:
-            """Return the key that determines where an agent starts."""
+            """Return the key that sets an agent's starting position."""
             return f"agents.start.places_m[{agent}]" if listed else "agents.start"
 
         outside = np.flatnonzero(~has_room(self.ground, starts, body_m))
@@ -148,7 +148,7 @@ class CoverageProblem(TaskProblem):
 
     @property
     def limits(self) -> MoveLimits:
-        """Return the limits of agents' motion, and the distances that they keep."""
+        """Return the motion limits and clearances of the agents."""
         agents, given = self.given.agents, self.given
         speed = math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s
         return MoveLimits(
@@ -162,13 +162,13 @@ class CoverageProblem(TaskProblem):
 
     @property
     def radio(self) -> RadioLimits | None:
-        """Return the links that agents keep; None for none."""
+        """Return the radio requirement; None if there is none."""
         table = self.given.radio
         return None if table is None else radio_of(table, self.station_map)
 
     @property
     def mover(self) -> Mover:
-        """Return the law by which agents move."""
+        """Return the control law or planner that moves the agents."""
         planner = self.given.planner
         control, limits = self.given.control, self.limits
         if planner.name == "receding":
@@ -187,7 +187,7 @@ class CoverageProblem(TaskProblem):
         return LawMover(control.gains, control.time_step_s, self.given.agents.speed_max_m_s)
 
     def tables(self) -> dict[str, Any]:
-        """Return the tables with every default, obstacles as polygons, rasters in place."""
+        """Return the complete tables, with defaults, obstacles as polygons and rasters inline."""
         found = super().tables()
         found["world"]["obstacles"] = [obstacle_table(each) for each in self.obstacles]
         if isinstance(self.density, RasterDensity):
@@ -208,7 +208,7 @@ class CoverageProblem(TaskProblem):
         return found
 
     def words(self) -> Sequence[str]:
-        """Return the problem in lines of text."""
+        """Return a text summary of the problem, line by line."""
         given = self.given
         limit = given.agents.speed_max_m_s
         speed = "without a speed limit" if limit is None else f"at most {limit:g} m/s"
@@ -232,7 +232,7 @@ class CoverageProblem(TaskProblem):
 
 
 def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProblem:
-    """Return the problem in validated tables."""
+    """Build the problem from validated tables."""
     obstacles = tuple(
         obstacle
         for index, table in enumerate(given.world.obstacles)
@@ -270,12 +270,12 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
         leaves, mapped,
     )  # fmt: skip
     problem.scene(np.random.default_rng(0))
-    assert problem.mover  # Refuses limits that the planner does not keep
+    assert problem.mover  # Raises for limits that the planner does not support
     return problem
 
 
 def overlapping(places_m: NDArray[np.float64], body_radius_m: float) -> tuple[int, int] | None:
-    """Return the first two agents of ``(n, 2)`` whose bodies touch; None for points or if none."""
+    """Return the first pair of agents ``(n, 2)`` whose bodies touch; None without contact."""
     if body_radius_m == 0.0:
         return None
     touching = cast(
@@ -288,7 +288,7 @@ def overlapping(places_m: NDArray[np.float64], body_radius_m: float) -> tuple[in
 def _ground(
     world: WorldTable, obstacles: tuple[Obstacle, ...], density: Density, body_radius_m: float
 ) -> Ground:
-    """Return the ground of a world: exact cells if it is convex and free, else geodesic ones."""
+    """Return a convex ground if the world is convex without obstacles, else a geodesic one."""
     if world.bounds_m is not None:
         x0, y0, x1, y1 = world.bounds_m
         if not (x0 < x1 and y0 < y1):
@@ -316,7 +316,7 @@ def _ground(
 
 
 def _times(given: CoverageFile, agents: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the times when agents join and leave, (n,) each."""
+    """Return the times at which agents join and leave, (n,) each."""
     joins, leaves = np.zeros(agents), np.full(agents, np.inf)
     for number, table in enumerate(given.changes):
         for agent in table.agents:
@@ -337,7 +337,7 @@ def _times(given: CoverageFile, agents: int) -> tuple[NDArray[np.float64], NDArr
 
 
 def _sensing(given: CoverageFile) -> Sensing | None:
-    """Return the sensor of events; None without."""
+    """Return the event sensor with its detection rules; None without a sensor."""
     table = given.sensor
     if table is None:
         return None
@@ -356,7 +356,7 @@ def _sensing(given: CoverageFile) -> Sensing | None:
 
 
 def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
-    """Return an event, which stays where agents may be."""
+    """Return an event; raise `InputError` if its path leaves the allowed area."""
     table, key = given.events[number], f"events[{number}]"
     ends_s = math.inf if table.ends_s is None else table.ends_s
     if ends_s <= table.appears_s:
@@ -379,7 +379,7 @@ def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
 def _require_agents(
     events: Sequence[Event], joins: NDArray[np.float64], leaves: NDArray[np.float64]
 ) -> None:
-    """Refuse fewer agents than events at the time when one appears."""
+    """Raise `InputError` if an event appears when there are fewer agents than events."""
     for number, event in enumerate(events):
         there = sum(each.is_there(event.appears_s) for each in events)
         agents = int(((joins <= event.appears_s) & (event.appears_s < leaves)).sum())

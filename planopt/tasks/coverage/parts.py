@@ -1,4 +1,4 @@
-"""Densities, starting positions, demands and radio links that tables of a problem file describe."""
+"""Densities, starting positions, demands and radio links built from problem-file tables."""
 
 from __future__ import annotations
 
@@ -50,22 +50,22 @@ from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
 
 CELLS = 8
-"""Cells of a drawn channel within the decorrelation distance of its shadowing."""
+"""Number of cells of a simulated channel per decorrelation distance."""
 
 MOST_CELLS = 1_000_000
-"""A drawn channel has at most so many cells."""
+"""Maximum number of cells of a simulated channel."""
 
 DRAWN = 400
-"""Positions that are drawn for agents that start at random, and four more for each agent."""
+"""Number of positions drawn for random starts, in addition to four per agent."""
 
 START_SPARE = 0.1
-"""Bodies that start at random positions are apart by this share of their radius at least."""
+"""Least gap between bodies at random starts, as a share of their radius."""
 
 Floats = NDArray[np.float64]
 
 
 def density_of(table: DensityTable, folder: Path) -> Density:
-    """Return the density of a table, whose file is relative to a folder."""
+    """Return the density that a table describes; its file is relative to `folder`."""
     if isinstance(table, UniformTable):
         return UniformDensity(table.weight_per_m2)
     if isinstance(table, GaussiansTable):
@@ -84,7 +84,7 @@ def density_of(table: DensityTable, folder: Path) -> Density:
 def demand_of(
     table: DemandTable, key: str, sensor: EventSensor, area_m2: float, agents: int
 ) -> Demand:
-    """Return the demand of the table at a key; refuse one that the agents cannot meet."""
+    """Return the demand that a table describes; raise if the agents cannot meet it."""
     if isinstance(table, NumberTable):
         if table.agents > agents:
             raise InputError(
@@ -125,7 +125,7 @@ def demand_of(
 
 
 def starts_of(table: AgentsTable, ground: Ground, generator: np.random.Generator) -> Floats:
-    """Return the positions ``(n, 2)`` where agents start."""
+    """Return the starting positions ``(n, 2)`` of the agents."""
     start, body_m = table.start, table.body_radius_m
     if isinstance(start, PlacesTable):
         return np.array(start.places_m)
@@ -151,9 +151,9 @@ def starts_of(table: AgentsTable, ground: Ground, generator: np.random.Generator
 
 
 def has_room(ground: Ground, places_m: Floats, body_radius_m: float) -> NDArray[np.bool_]:
-    """Return whether bodies at positions ``(k, 2)`` are within the ground; (k,).
+    """Return whether bodies at positions ``(k, 2)`` are inside the ground; (k,).
 
-    A geodesic ground keeps the clearance of bodies itself, a convex one has its border alone.
+    The clearance is already part of a geodesic ground, but not of a convex one.
     """
     inside = ground.allows(places_m)
     if body_radius_m == 0.0:
@@ -162,7 +162,7 @@ def has_room(ground: Ground, places_m: Floats, body_radius_m: float) -> NDArray[
 
 
 def _spread(places_m: Floats, apart_m: float, most: int) -> list[int]:
-    """Return the first positions, at most so many, of which no two are nearer than `apart_m`."""
+    """Select at most `most` positions greedily such that all are at least `apart_m` apart."""
     chosen: list[int] = []
     for number, place in enumerate(places_m):
         if len(chosen) == most:
@@ -173,7 +173,7 @@ def _spread(places_m: Floats, apart_m: float, most: int) -> list[int]:
 
 
 def radio_of(table: RadioTable, mapped: StationMap | None) -> RadioLimits:
-    """Return the links that agents keep; those to stations by a map if there is one."""
+    """Return the radio requirement; links to stations follow the map if it is not None."""
     spread = np.diag([table.k_pl_std_db**2, table.n_pl_std**2])
     law = LinkLaw(np.array([table.k_pl_db, table.n_pl]), table.deviation_db, spread)
     stations = np.array(table.stations_m)
@@ -181,7 +181,7 @@ def radio_of(table: RadioTable, mapped: StationMap | None) -> RadioLimits:
 
 
 def station_map_of(table: RadioTable, ground: Ground, folder: Path) -> StationMap | None:
-    """Return the map that is learnt from the surveys of a table; None without any."""
+    """Return the map estimated from the surveys of a table; None without surveys."""
     if not table.survey:
         return None
     if len(table.survey) != len(table.stations_m):
@@ -215,7 +215,7 @@ def _measured(
     bounds: tuple[float, float, float, float],
     folder: Path,
 ) -> Measurements:
-    """Return the measurements of a survey; simulated ones are drawn from its seed."""
+    """Return the measurements of a survey; simulated ones depend on its seed."""
     if survey.file is not None:
         return read_log(folder / survey.file, LogFormat(floor_dbm=survey.floor_dbm))
     if survey.places_m is not None and survey.power_dbm is not None:

@@ -1,4 +1,4 @@
-"""Tables of problem files of the task coverage."""
+"""Problem-file tables of the task coverage."""
 
 from __future__ import annotations
 
@@ -19,48 +19,48 @@ PlannerName = Literal["law", "receding"]
 
 
 class UniformTable(Table):
-    """The same weight everywhere."""
+    """Uniform density."""
 
     kind: Literal["uniform"]
     weight_per_m2: float = Field(default=1.0, ge=SMALLEST, le=1e9)
-    """The weight."""
+    """Weight per square metre."""
 
 
 class BumpTable(Table):
-    """A Gaussian bump."""
+    """Gaussian bump."""
 
     weight: float = Field(ge=0, le=1e12)
-    """Its mass."""
+    """Mass of the bump over the whole plane."""
     mean_m: Pair
-    """Its middle [x, y] in metres."""
+    """Centre [x, y] in metres."""
     std_m: Length
-    """Its standard deviation in metres."""
+    """Standard deviation in metres."""
 
 
 class GaussiansTable(Table):
-    """A sum of Gaussian bumps and a floor."""
+    """Sum of Gaussian bumps and a uniform density."""
 
     kind: Literal["gaussians"]
     bumps: list[BumpTable] = Field(min_length=1, max_length=100)
-    """The bumps."""
+    """Gaussian bumps."""
     floor_per_m2: float = Field(default=0.0, ge=0, le=1e9)
-    """Added everywhere."""
+    """Uniform density added to the bumps."""
 
 
 class RasterDensityTable(Table):
-    """Values on a grid, from a file or in place."""
+    """Density on a grid, from a file or inline."""
 
     kind: Literal["raster"]
     file: FileName | None = None
     """CSV, npz, NetCDF or GeoTIFF, relative to the problem file."""
     variable: str = "density"
-    """Its name in the file."""
+    """Name of the density variable in the file."""
     x_m: list[Metres] | None = None
-    """In place: x of cell centres."""
+    """Inline grid: x of the cell centres in metres."""
     y_m: list[Metres] | None = None
-    """In place: y of cell centres."""
+    """Inline grid: y of the cell centres in metres."""
     values: list[list[float]] | None = None
-    """In place: a row for each y, from the smallest."""
+    """Inline grid: one row of values for each y, from the smallest y."""
 
 
 DensityTable = Annotated[
@@ -69,20 +69,20 @@ DensityTable = Annotated[
 
 
 class WorldTable(Table):
-    """``[world]``: the covered region."""
+    """Table ``[world]``: the covered region."""
 
     bounds_m: Quad | None = None
-    """[x_min, y_min, x_max, y_max] in metres, or outline_m."""
+    """Rectangle [x_min, y_min, x_max, y_max] in metres; alternative to outline_m."""
     outline_m: list[Pair] | None = Field(default=None, min_length=3)
-    """Corners [x, y] in order, convex or not."""
+    """Corners [x, y] of a polygon in order, convex or not."""
     obstacles: list[ObstacleTable] = Field(default=[])
-    """The forbidden areas."""
+    """Forbidden areas."""
     clearance_m: Distance = 0.0
-    """Distance that agents keep from obstacles and the border."""
+    """Distance in metres that agents keep from obstacles and the outer boundary."""
     spacing_m: Length | None = None
-    """Grid of the cells; for regions with obstacles."""
+    """Grid spacing of geodesic cells in metres; for non-convex regions or obstacles."""
     sensing_range_m: Length | None = None
-    """Sensing range of agents; for convex regions only."""
+    """Sensing range of agents in metres; only for convex regions without obstacles."""
 
     @model_validator(mode="after")
     def _one_outline(self) -> WorldTable:
@@ -92,11 +92,11 @@ class WorldTable(Table):
 
 
 class PlacesTable(Table):
-    """Agents start at listed positions."""
+    """Listed starting positions."""
 
     kind: Literal["list"]
     places_m: list[Pair] = Field(min_length=1, max_length=20_000)
-    """Their [x, y]."""
+    """Starting positions [x, y] in metres."""
 
     @property
     def number(self) -> int:
@@ -105,15 +105,15 @@ class PlacesTable(Table):
 
 
 class GridTable(Table):
-    """Agents start on an even grid."""
+    """Starting positions on a regular grid."""
 
     kind: Literal["grid"]
     columns: int = Field(ge=1, le=200)
-    """Agents along x."""
+    """Number of agents along x."""
     rows: int = Field(ge=1, le=200)
-    """Agents along y."""
+    """Number of agents along y."""
     within_m: Quad
-    """[x_min, y_min, x_max, y_max]; agents stand inside."""
+    """Rectangle [x_min, y_min, x_max, y_max] in metres that the grid fills."""
 
     @property
     def number(self) -> int:
@@ -122,13 +122,13 @@ class GridTable(Table):
 
 
 class RandomTable(Table):
-    """Agents start at positions drawn from the random seed."""
+    """Starting positions drawn with the random seed."""
 
     kind: Literal["random"]
     count: int = Field(ge=1, le=20_000)
-    """How many agents."""
+    """Number of agents."""
     within_m: Quad | None = None
-    """[x_min, y_min, x_max, y_max]; left out: the whole region."""
+    """Rectangle [x_min, y_min, x_max, y_max] in metres; default: the whole region."""
 
     @property
     def number(self) -> int:
@@ -137,24 +137,24 @@ class RandomTable(Table):
 
 
 class NumberTable(Table):
-    """A fixed number of agents."""
+    """Demand of a fixed number of agents."""
 
     kind: Literal["number"]
     agents: int = Field(ge=0, le=20_000)
-    """How many."""
+    """Number of agents that respond."""
 
 
 class StepTable(Table):
-    """A step of a demand."""
+    """Entry of a tabulated demand."""
 
     at_least: int = Field(ge=0, le=20_000)
-    """Least number of agents."""
+    """Least number of agents in the network for which the entry applies."""
     respond: int = Field(ge=0, le=20_000)
-    """Number that responds."""
+    """Number of agents that respond."""
 
 
 class TableDemandTable(Table):
-    """The demand by the number of agents, from a table."""
+    """Demand tabulated by the number of agents in the network."""
 
     kind: Literal["table"]
     steps: list[StepTable] = Field(min_length=1)
@@ -162,37 +162,37 @@ class TableDemandTable(Table):
 
 
 class CapTable(Table):
-    """A share of the agents, at most a number, so that enough remain."""
+    """Demand of a share of the agents with an upper limit and a reserve."""
 
     kind: Literal["cap"]
     share: float = Field(ge=0, le=1)
     """Share of all agents, rounded up."""
     most: int = Field(ge=0, le=20_000)
-    """At most so many."""
+    """Maximum number of agents that respond."""
     remaining: int = Field(default=1, ge=0, le=20_000)
-    """Number that goes on covering."""
+    """Least number of agents that continue to cover."""
 
 
 class AccuracyTable(Table):
-    """The fewest agents that locate the event well enough."""
+    """Demand of the fewest agents that locate the event with the required accuracy."""
 
     kind: Literal["accuracy"]
     accuracy_m: Length
-    """Root mean squared error in metres."""
+    """Required root mean squared position error in metres."""
     measurements: int = Field(default=1, ge=1, le=10**6)
-    """Of each agent."""
+    """Number of measurements by each agent."""
 
 
 class TradeOffTable(Table):
-    """The number of agents that balances coverage against localisation."""
+    """Demand that trades coverage cost against localisation error."""
 
     kind: Literal["trade_off"]
     localisation_m2: float = Field(ge=SMALLEST, le=1e12)
-    """Error with one agent."""
+    """Mean squared localisation error of one agent in m^2."""
     coverage_weight: float = Field(default=1.0, ge=SMALLEST, le=1e12)
-    """Of H."""
+    """Weight of the coverage cost H."""
     localisation_weight: float = Field(ge=SMALLEST, le=1e15)
-    """Of the error."""
+    """Weight of the localisation error."""
 
 
 DemandTable = Annotated[
@@ -202,105 +202,105 @@ DemandTable = Annotated[
 
 
 class AgentsTable(Table):
-    """``[agents]``: starting positions and limits of motion."""
+    """Table ``[agents]``: starting positions and motion limits."""
 
     start: Annotated[PlacesTable | GridTable | RandomTable, Field(discriminator="kind")]
     """Starting positions: a table with kind, list, grid or random."""
     speed_max_m_s: float | None = Field(default=None, ge=SMALLEST, le=1e4)
-    """Largest speed in m/s; left out: none."""
+    """Largest speed in m/s; default: no limit."""
     body_radius_m: Distance = 0.0
-    """Radius of the bodies, which never touch, for the planner receding; 0: points."""
+    """Radius of the bodies in metres; bodies never touch (planner receding); 0: points."""
     acceleration_max_m_s2: float | None = Field(default=None, ge=SMALLEST, le=1e6)
-    """Of double integrators, for the planner receding; left out: turns at will."""
+    """Acceleration limit in m/s^2 of double integrators (planner receding); default: no limit."""
     turn_rate_max_rad_s: float | None = Field(default=None, ge=SMALLEST, le=1e3)
-    """Of unicycles, for the planner receding; left out: turns at will."""
+    """Turn rate limit in rad/s of unicycles (planner receding); default: no limit."""
 
 
 class ChangeTable(Table):
-    """``[[changes]]``: agents that join late or leave."""
+    """Table ``[[changes]]``: agents that join late or leave."""
 
     agents: list[int] = Field(min_length=1)
-    """Their numbers, from 0."""
+    """Numbers of the agents, from 0."""
     joins_s: float = Field(default=0.0, ge=0, le=1e9)
-    """They join at this time."""
+    """Time in seconds at which the agents join."""
     leaves_s: float | None = Field(default=None, ge=0, le=1e9)
-    """They leave at it."""
+    """Time in seconds at which the agents leave; default: never."""
 
 
 class EventTable(Table):
-    """``[[events]]``: an event that appears in the region."""
+    """Table ``[[events]]``: an event that appears in the region."""
 
     name: Name = "event"
     """Name in outputs."""
     place_m: Pair
-    """Position where it appears: [x, y] in metres."""
+    """Position [x, y] in metres at the time of appearance."""
     velocity_m_s: Pair = (0.0, 0.0)
-    """Velocity [vx, vy]."""
+    """Velocity [vx, vy] in m/s."""
     appears_s: float = Field(default=0.0, ge=0, le=1e9)
-    """When it appears."""
+    """Time of appearance in seconds."""
     ends_s: float | None = Field(default=None, ge=0, le=1e9)
-    """When it ends."""
+    """Time of the end in seconds; default: never."""
     demand: DemandTable
-    """Number of agents that it requires: a table with kind."""
+    """Number of agents that the event requires: a table with kind."""
 
 
 class SensorTable(Table):
-    """``[sensor]``: signal K / ((d / scale)^2 + 1) of an event, and noise."""
+    """Table ``[sensor]``: signal K / ((d / scale)^2 + 1) of an event, and noise."""
 
     strength: float = Field(ge=SMALLEST, le=1e12)
-    """K, the signal at the event."""
+    """Signal K at the event."""
     noise_std: float = Field(ge=1e-12, le=1e12)
-    """Standard deviation of the noise."""
+    """Standard deviation of the noise, in the unit of K."""
     scale_m: Length = 1.0
-    """Distance at which half is left."""
+    """Distance in metres at which the signal has half its strength."""
     strength_known: bool = True
-    """Whether agents know K."""
+    """Whether agents know K; otherwise they estimate it."""
     detection_std: float = Field(default=Sensing.detection_std, ge=1, le=100)
-    """A reading of more is an event."""
+    """Detection threshold in standard deviations of the noise."""
     silent_steps: int = Field(default=Sensing.silent_steps, ge=1, le=1000)
-    """After so many it has ended."""
+    """Number of steps without detection after which an event has ended."""
     memory_s: float | None = Field(default=None, ge=SMALLEST)
-    """Older readings are forgotten; left out: none, or ten steps if an event moves."""
+    """Age limit of readings in seconds; default: no limit, or ten steps if an event moves."""
     event_speed_std_m_s: float = Field(default=1.0, ge=SMALLEST, le=1e4)
-    """If an event moves: standard deviation of each component of the velocities of events before
-    agents measure them."""
+    """Prior standard deviation in m/s of each velocity component of events; used if an event
+    moves."""
 
 
 class AssignmentTable(Table):
-    """``[assignment]``: rules of the assignment of agents to events."""
+    """Table ``[assignment]``: rules of the assignment of agents to events."""
 
     hysteresis_m: Distance = 1.0
-    """Gain that an exchange needs."""
+    """Advantage in distance, in metres, beyond which a new agent replaces an assigned one."""
     moved_m: Distance = 1.0
-    """Motion of an estimate that needs a new assignment."""
+    """Displacement of an event estimate in metres that triggers a new assignment."""
     stand_off: bool = False
-    """Agents stand on the ring of most information about an event."""
+    """Whether responding agents take positions on the most informative ring about an event."""
     flag_rounds: int = Field(default=30, ge=1, le=10_000)
-    """Rounds of messages in a step, over lossy links."""
+    """Rounds of flag propagation in a step if links lose messages."""
 
 
 class SurveyTable(Table):
-    """``[[radio.survey]]``: measured power from a station, from a log, in place, or simulated."""
+    """Table ``[[radio.survey]]``: power measurements of a station: a log, inline or simulated."""
 
     file: FileName | None = None
     """CSV with x_m, y_m and power_dbm, relative to the problem file."""
     places_m: list[Pair] | None = Field(default=None, min_length=1)
-    """In place: where, [x, y]."""
+    """Inline: positions [x, y] in metres."""
     power_dbm: list[float] | None = None
-    """In place: the powers in dBm."""
+    """Inline: powers in dBm."""
     floor_dbm: float | None = Field(default=None, ge=-500, le=300)
-    """Powers at or below it are upper limits."""
+    """Receiver floor in dBm; powers at or below it are censored."""
     count: int | None = Field(default=None, ge=10, le=2000)
-    """Simulated: measured at so many random places, of a channel drawn with radio.k_pl_db,
-    radio.n_pl and the shadowing below."""
+    """Simulated: number of measurements at random positions of a channel drawn with radio.k_pl_db,
+    radio.n_pl and the parameters below."""
     shadow_std_db: float = Field(default=6.0, ge=0, le=50)
-    """Simulated: shadowing."""
+    """Simulated: standard deviation of shadowing in dB."""
     decorrelation_m: float = Field(default=25.0, ge=0.1, le=1e9)
-    """Simulated: it forgets so."""
+    """Simulated: decorrelation distance of shadowing in metres."""
     multipath_std_db: float = Field(default=1.0, ge=0, le=50)
-    """Simulated: multipath."""
+    """Simulated: standard deviation of multipath in dB."""
     seed: int = Field(default=0, ge=0, le=2**63 - 1)
-    """Simulated: the random seed."""
+    """Simulated: random seed."""
 
     @model_validator(mode="after")
     def _one_source(self) -> SurveyTable:
@@ -315,75 +315,75 @@ class SurveyTable(Table):
 
 
 class RadioTable(Table):
-    """``[radio]``: links to base stations that agents keep, directly or over other agents."""
+    """Table ``[radio]``: required connection to base stations, directly or over other agents."""
 
     stations_m: list[Pair] = Field(min_length=1, max_length=100)
-    """Base stations."""
+    """Positions [x, y] of the base stations in metres."""
     p_min: float = Field(gt=0, lt=1)
-    """Probability with which each agent keeps its path to a station."""
+    """Required probability that each agent has a connected path to a station."""
     k_pl_db: float = Field(ge=-300, le=300)
     """Received power at 1 m in dBm."""
     n_pl: float = Field(ge=0.1, le=10)
     """Path loss exponent."""
     deviation_db: float = Field(ge=0, le=100)
-    """Standard deviation of shadowing and multipath together."""
+    """Standard deviation of shadowing and multipath together, in dB."""
     k_pl_std_db: float = Field(default=0.0, ge=0, le=100)
-    """How uncertain k_pl_db is."""
+    """Standard deviation of k_pl_db in dB."""
     n_pl_std: float = Field(default=0.0, ge=0, le=10)
-    """How uncertain n_pl is."""
+    """Standard deviation of n_pl."""
     threshold_dbm: float = Field(ge=-500, le=300)
-    """Power that a link needs."""
+    """Power in dBm required for a link."""
     survey: list[SurveyTable] = Field(default=[])
-    """For each station what was measured of it: links to stations are those of the channel that is
-    learnt from it, links between agents keep to the law above."""
+    """Surveys, one for each station: links to stations use the channels estimated from them; links
+    between agents use the path loss law above."""
 
 
 class ControlTable(Table):
-    """``[control]``: time steps, gains, and the end of a run."""
+    """Table ``[control]``: time step, gains, and end of a run."""
 
     time_step_s: float = Field(default=1.0, ge=SMALLEST, le=1e4)
-    """Of a step."""
+    """Duration of a step in seconds."""
     duration_s: float = Field(ge=SMALLEST, le=1e8)
-    """The run takes at most this."""
+    """Maximum duration of a run in seconds."""
     event_gain_per_s: float = Field(default=0.5, ge=SMALLEST, le=1e6)
-    """k_1."""
+    """Gain k_1 of agents that respond to an event, in 1/s."""
     coverage_gain_per_s: float = Field(default=0.5, ge=SMALLEST, le=1e6)
-    """k_2."""
+    """Gain k_2 of covering agents, in 1/s."""
     partition: Partition = "all"
-    """Cells of all agents, or coverage_only: of those that cover."""
+    """Agents whose cells divide the region: all, or coverage_only (only covering agents)."""
     settled_m: Length | None = None
-    """Distance to a target at which an agent has settled."""
+    """Distance to its target in metres up to which an agent counts as settled."""
     stop_when_settled: bool = True
-    """Whether the run ends when all have settled for good."""
+    """Whether the run ends once all agents are settled permanently."""
 
     @property
     def gains(self) -> Gains:
-        """Return the gains of the laws."""
+        """Return the gains of the control laws."""
         return Gains(self.event_gain_per_s, self.coverage_gain_per_s)
 
 
 class PlannerTable(Table):
-    """``[planner]``: the law by which agents move."""
+    """Table ``[planner]``: control law or planner of the agents."""
 
     name: PlannerName = "law"
-    """law (the control laws, speeds clipped) or receding (plans ahead)."""
+    """Planner: law (control laws with clipped speed) or receding (receding horizon)."""
     horizon: int = Field(default=1, ge=MIN_HORIZON, le=MAX_HORIZON)
-    """Steps ahead."""
+    """Horizon in steps."""
     lead_events: bool = False
-    """Whether receding follows the estimated velocity of an event over the horizon."""
+    """Whether receding predicts the motion of an event over the horizon."""
 
 
 class CoverageFile(TaskFile):
-    """A planopt problem file (TOML) of the task coverage."""
+    """Problem file (TOML) of the task coverage."""
 
     world: WorldTable
     density: DensityTable = UniformTable(kind="uniform")
-    """Weights."""
+    """Density over the region: a table with kind."""
     agents: AgentsTable
     changes: list[ChangeTable] = Field(default=[], max_length=1000)
-    """Of agents."""
+    """Agents that join late or leave."""
     events: list[EventTable] = Field(default=[], max_length=50)
-    """What appears."""
+    """Events that appear in the region."""
     sensor: SensorTable | None = None
     assignment: AssignmentTable = Field(default_factory=AssignmentTable)
     counting: Counting = Field(default_factory=Counting)

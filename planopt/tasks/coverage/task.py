@@ -1,4 +1,4 @@
-"""The task coverage: its actions, and results as JSON, tables, text and figures."""
+"""Actions of the task coverage, with results as JSON, tables, text and figures."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ COVERS, AWAY = "covers", "absent"
 """States of agents that respond to no event."""
 
 ON_TARGET_M = 1e-9
-"""Slack of the distance at which an agent has settled, for rounding."""
+"""Rounding tolerance of the settling distance."""
 
 COST_SHARE = 1e-6
-"""Share of the coverage cost by which its lower bound may exceed it through rounding."""
+"""Relative rounding tolerance by which the lower bound may exceed the coverage cost."""
 
 STARTS = 10
-"""Initial deployments of ``solve``; the first is where agents start."""
+"""Number of initial deployments of ``solve``; the first one is that of the problem."""
 
 
 def agent_name(number: int) -> str:
@@ -92,9 +92,9 @@ def simulate(
     on_step: Callable[[], None] = lambda: None,
     saved: Mapping[str, Data] | None = None,
 ) -> TaskResult:
-    """Simulate a network; starts, noise and losses come from the seed.
+    """Simulate a network; the seed determines starts, noise and losses.
 
-    A check gives the `saved` tables, whose states the steps start from.
+    For a check, the steps start from the states in the `saved` tables.
     """
     generator = np.random.default_rng(seed)
     scene = problem.scene(generator)
@@ -116,7 +116,7 @@ def simulate(
 
 
 def _paths(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> list[dict[str, Any]]:
-    """Return the paths of agents from times (T,) and positions (T, n, 2)."""
+    """Return the paths of agents as JSON from times (T,) and positions (T, n, 2)."""
     x, y = positions_m.transpose(2, 1, 0).tolist()
     rows = zip(x, y, strict=True)
     return [
@@ -126,7 +126,7 @@ def _paths(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> li
 
 
 def _motions_of(steps: Data, agents: int) -> list[Motion]:
-    """Return the saved states by step; none if the table has not as many rows for each agent."""
+    """Return the saved states by step; empty if the number of rows does not fit the agents."""
     if len(steps["step"]) % agents:
         return []
     names = ("x_m", "y_m", "vx_m_s", "vy_m_s", "heading_rad")
@@ -135,13 +135,13 @@ def _motions_of(steps: Data, agents: int) -> list[Motion]:
 
 
 def controller(problem: CoverageProblem, *, seed: int) -> NetworkController:
-    """Return the controller of a network, with the starts and randomness of a seed."""
+    """Return the controller of a network with the starts and random numbers of a seed."""
     generator = np.random.default_rng(seed)
     return NetworkController(problem.scene(generator), problem.mover, generator)
 
 
 def faults(result: TaskResult) -> list[str]:
-    """Return the faults that the verifier finds in the moves of a run."""
+    """Return the constraint violations that the verifier finds in the moves of a run."""
     run: NetworkRun = result.value
     problem = cast("CoverageProblem", result.problem)
     world, limits = problem.given.world, problem.limits
@@ -171,7 +171,7 @@ def faults(result: TaskResult) -> list[str]:
 
 
 def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
-    """Return the best of several deployments of the network, with a lower bound."""
+    """Return the best deployment found from several starts, with a lower bound of the cost."""
     generator = np.random.default_rng(seed)
     scene = problem.scene(generator)
     found = best_deployment(
@@ -199,7 +199,7 @@ def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
 def outcome_of(
     problem: CoverageProblem, run: NetworkRun, events: Sequence[Mapping[str, Any]]
 ) -> tuple[str, str]:
-    """Return ``settled``, ``served``, ``unserved`` or ``not_settled``, and the reason."""
+    """Return the outcome (settled, served, unserved or not_settled) and its reason."""
     last_s = float(run.times_s[-2])
     for entry in events:
         if entry["appears_s"] > last_s:
@@ -224,7 +224,7 @@ def outcome_of(
 
 
 def metrics(problem: CoverageProblem, run: NetworkRun) -> dict[str, Any]:
-    """Return the numbers of a run: cost, path length, energy, messages, counts."""
+    """Return the metrics of a run: cost, path length, energy, messages, counts."""
     step_s = float(run.times_s[1] - run.times_s[0])
     driven_m = np.linalg.norm(np.diff(run.positions_m, axis=0), axis=2)
     members = run.states != ABSENT
@@ -247,7 +247,7 @@ def metrics(problem: CoverageProblem, run: NetworkRun) -> dict[str, Any]:
 
 
 def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, Any]]:
-    """Return times of detection, service and end of each event, and the error of its estimate."""
+    """Return the times of detection, service and end of each event, and its estimation error."""
     results = list[dict[str, Any]]()
     times_s = run.times_s[:-1]
     near_m = problem.settled_m + ON_TARGET_M
@@ -287,9 +287,9 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
 def _in_place(
     problem: CoverageProblem, run: NetworkRun, number: int, near_m: float
 ) -> NDArray[np.bool_]:
-    """Return whether agents are at their positions for an event; (T, n).
+    """Return whether agents have reached their positions for an event; (T, n).
 
-    They are within `near_m` of their targets. Bodies may also stand still, crowded around it.
+    They are within `near_m` of their targets, or bodies at rest packed around the event.
     """
     control = problem.given.control
     here = run.positions_m[:-1]
@@ -307,7 +307,7 @@ def _in_place(
 
 
 def _settled_s(problem: CoverageProblem, run: NetworkRun) -> float | None:
-    """Return the time from which all agents were settled; None if they are not at the end."""
+    """Return the time from which all agents were settled; None if unsettled at the end."""
     if not run.settled:
         return None
     off = np.flatnonzero(run.residuals_m > problem.settled_m + ON_TARGET_M)
@@ -315,19 +315,19 @@ def _settled_s(problem: CoverageProblem, run: NetworkRun) -> float | None:
 
 
 def _first_s(times_s: NDArray[np.float64], which: NDArray[np.bool_]) -> float | None:
-    """Return the first of some times; None without any."""
+    """Return the first time at which a mask holds; None if it never does."""
     return float(times_s[which.argmax()]) if which.any() else None
 
 
 def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
-    """Return ``steps.csv``, ``network.csv`` and ``events.csv``."""
+    """Return the tables ``steps.csv``, ``network.csv`` and ``events.csv``."""
     steps, agents = run.states.shape
     times_s, events = run.times_s[:-1], len(problem.events)
     words = {NONE: COVERS, ABSENT: AWAY, **{k: e.name for k, e in enumerate(problem.events)}}
     states = np.array([words[state] for state in run.states.ravel().tolist()], dtype=np.str_)
 
     def by_agent(values: NDArray[Any], end: Any = np.nan) -> NDArray[Any]:
-        """Return (T + 1, n) or (T, n) values agent by agent; `end` after the last step."""
+        """Flatten values (T + 1, n) or (T, n) agent by agent; `end` fills the last row."""
         missing = np.full((steps + 1 - len(values), agents), end, dtype=values.dtype)
         return np.concatenate((values, missing)).T.ravel()
 
@@ -378,7 +378,7 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
 
 
 def in_words(result: TaskResult) -> Sequence[str]:
-    """Return a deployment or a run in lines of text."""
+    """Return a text summary of a deployment or run, line by line."""
     data, name = result.data, result.problem.name
     if "verdict" in data:
         bound = "none is proved" if data["bound"] is None else f"{data['bound']:.6g}"
@@ -419,7 +419,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
 
 
 def _figures(result: TaskResult) -> dict[str, Figure]:
-    """Return the figure of a run or of a deployment."""
+    """Return the figure of a run or deployment."""
     from planopt.report import draw_deployment, draw_network
 
     problem = cast("CoverageProblem", result.problem)
@@ -435,7 +435,7 @@ def _figures(result: TaskResult) -> dict[str, Figure]:
 
 
 def _animate(result: TaskResult, path: Path) -> None:
-    """Write a run as an animation."""
+    """Write an animation of a run."""
     from planopt.report import animate_network
 
     animate_network(picture(result), path)

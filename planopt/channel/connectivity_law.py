@@ -1,23 +1,23 @@
-"""The law of connectivity: one station, several, or a channel with uncertain parameters.
+"""Probability law of connectivity for one station, several stations or uncertain parameters.
 
-A :class:`ConnectivityLaw` has the probability that a robot at a position is connected, the margin
-in dB by which that exceeds a required probability, and joint samples of the power along a path.
+A :class:`ConnectivityLaw` gives the probability that a robot is connected at a position, the margin
+in dB of the chance constraint, and joint samples of the power along a path.
 
-With powers P_i and thresholds t_i, each station with fading of its own,
+With powers P_i and thresholds t_i of stations with independent fading,
 
     S = max_i (P_i - t_i) + t_1
 
-is a serving power for the first threshold: a place is connected to at least one station if and only
-if S >= t_1. S is not normal. It is represented by the normal law that has the same probability of
-S >= t_1 and the same power exceeded with probability p_min, hence the same margin: the amount by
-which all thresholds may rise until the chance constraint is active.
+is the serving power for the first threshold: a position is connected to at least one station if and
+only if S >= t_1. S is not normal. It is represented by the normal law with the same probability of
+S >= t_1 and the same margin, i.e. the same power exceeded with probability p_min. The margin is the
+amount by which all thresholds may rise until the chance constraint is active.
 
 Station i connects with probability Phi(z_i). For independent stations
 
     P(any) = 1 - prod (1 - Phi(z_i)) = Phi(z)
 
-defines the score z of them all, which is informative even where P rounds to 0 or 1. Logarithms of
-both tails are kept, so that z has twelve digits from -1e3 to 1e3.
+defines the combined score z, which remains informative where P rounds to 0 or 1. Logarithms of both
+tails are stored, so that z has twelve digits from -1e3 to 1e3.
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ from planopt.channel.prediction import (
 from planopt.errors import InputError
 
 LEAST_DEVIATION_DB = math.sqrt(MIN_NOISE_VARIANCE_DB2)
-"""Lower bound of deviations in scores, so that a known power at the threshold gives 1/2."""
+"""Minimum standard deviation in scores, so that a known power at the threshold gives 1/2."""
 
 LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the score z of m stations with scores ``(m, ...)``; ``(...)``, NaN if one is NaN.
+    """Return the combined score z of m stations with scores ``(m, ...)``; ``(...)``.
 
-    Infinite scores are valid; z is at least the largest of the scores.
+    z is at least the largest score. Infinite scores are valid; NaN scores give NaN.
     """
     return _score(_log_any(scores), _log_normal(-scores).sum(axis=0))
 
@@ -91,7 +91,7 @@ def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return log P(any) by P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
     found = _log_normal(scores[0])
     none = _log_normal(-scores[0])
-    with np.errstate(invalid="ignore"):  # unknown scores stay NaN
+    with np.errstate(invalid="ignore"):  # NaN scores remain NaN
         for score in scores[1:]:
             found = np.logaddexp(found, _log_normal(score) + none)
             none = none + _log_normal(-score)
@@ -99,16 +99,16 @@ def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the score from the smaller tail, which has all digits."""
+    """Return the score from the smaller tail, which has full precision."""
     low = np.asarray(ndtri_exp(np.minimum(log_any, log_none)), dtype=np.float64)
     return np.where(log_any < log_none, low, -low)
 
 
 SECANT_FROM_DB = 1e-4
-"""Below this margin the slope of the score replaces its secant."""
+"""Minimum margin for the secant of the score; below, its slope is used."""
 
 SETTLED_DB = 1e-10
-"""Newton's method on the margin ends below this change, typically after six steps."""
+"""Tolerance of Newton's method on the margin, which typically takes six steps."""
 MOST_STEPS = 100
 
 
@@ -135,7 +135,7 @@ def any_probability(
     thresholds_dbm: Sequence[float],
     slack_db: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Return P(at least one of m stations connects), all thresholds `slack_db` lower; ``(n,)``."""
+    """Return P(connected to at least one of m stations), thresholds `slack_db` lower; ``(n,)``."""
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
     return np.asarray(ndtr(any_score((above + slack_db) / deviation)), dtype=np.float64)
 
@@ -153,7 +153,7 @@ def serving_power_dbm(
 def above_thresholds_db(
     predictions: Sequence[Prediction], thresholds_dbm: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return each station's mean above its threshold, and its deviation; ``(m, n)`` both."""
+    """Return each station's mean minus its threshold, and standard deviation; both ``(m, n)``."""
     above = np.stack(
         [
             prediction.mean_db - threshold
@@ -167,10 +167,10 @@ def above_thresholds_db(
 def any_margin_db(
     above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
 ) -> NDArray[np.float64]:
-    """Return by how much all thresholds may rise until P(any) is `p_min`; (m, n) -> ``(n,)``.
+    """Return the margin: the rise of all thresholds at which P(any) = `p_min`; (m, n) -> ``(n,)``.
 
-    The score decreases with the rise and is convex: Newton's method converges from the best single
-    station's margin, bracketed by the margin of m stations as good as the best.
+    The score is convex and decreasing in the rise, so Newton's method converges from the best
+    single station's margin. The margin of m stations as good as the best is an upper bound.
     """
     wanted = bound_quantile(p_min)
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
@@ -196,19 +196,19 @@ def any_margin_db(
 
 
 Predictor = Callable[[ChannelPosterior, NDArray[np.float64]], Prediction]
-"""Predicts a station's power at positions (n, 2): from all measurements, or from the nearest."""
+"""Function that predicts a station's power at positions (n, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConnectivityLaw:
-    """Connection to the only station, or to any of several with independent fading."""
+    """Law of the connection to one station, or to any of several with independent fading."""
 
     posteriors: tuple[ChannelPosterior, ...]  # One per station
-    thresholds_dbm: tuple[float, ...]  # Least power of a connection, one per station
-    p_min: float  # Required probability, at which the combined law has the exact margin
+    thresholds_dbm: tuple[float, ...]  # Minimum power for a connection, one per station
+    p_min: float  # Required probability, for which the combined law has the exact margin
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the normal law of the serving power, from each station's power."""
+        """Return the normal law of the serving power from each station's predicted power."""
         return serving_prediction(powers, self.thresholds_dbm, self.p_min)
 
     def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
@@ -225,14 +225,14 @@ class ConnectivityLaw:
     def margin_db(
         self, positions_m: NDArray[np.float64], predict: Predictor = predict
     ) -> NDArray[np.float64]:
-        """Return by how much all thresholds may rise until P(connected) is p_min; ``(n,)`` dB."""
+        """Return the margin of the chance constraint P(connected) >= p_min in dB; ``(n,)``."""
         power = self.power(positions_m, predict)
         return bound_margin_db(
             power.mean_db, power.deviation_db, self.thresholds_dbm[0], self.p_min
         )
 
     def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
-        """Draw the serving power along a path (N, 2), each station from a seed; ``(count, N)``."""
+        """Draw the serving power along a path (N, 2) with seeds by station; ``(count, N)``."""
         drawn: list[NDArray[np.float64]] = []
         for number, station in enumerate(self.posteriors):
             generator = np.random.default_rng([seed, number] if number else seed)
@@ -242,9 +242,9 @@ class ConnectivityLaw:
 
 @dataclass(frozen=True, eq=False)
 class UncertainParameters(ConnectivityLaw):
-    """Connection to the only station with xi, beta and omega uncertain, not only path loss.
+    """Law of the connection to a single station with uncertain xi, beta, omega and path loss.
 
-    Power is a mixture over covariances. It is represented by the normal law with the mixture's
+    The power is a mixture over covariances. It is represented by the normal law with the mixture's
     standard deviation and its quantile at the required probability, so that margins are exact.
     """
 
@@ -261,14 +261,14 @@ class UncertainParameters(ConnectivityLaw):
     def probability(
         self, positions_m: NDArray[np.float64], slack_db: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return P(connected) of the mixture."""
+        """Return P(connected) from the mixture, all thresholds `slack_db` lower; ``(n,)``."""
         return self.marginal.connectivity(positions_m, self.thresholds_dbm[0] - slack_db)
 
 
 MOST_ROUNDS = 60
-"""Maximum number of Newton or bisection steps towards a quantile."""
+"""Maximum number of Newton or bisection steps for a quantile."""
 NEWTON_STEP_DB = 1e-8
-"""After a Newton step this short the next one would be within rounding."""
+"""Tolerance of Newton steps; the step after one this short is within rounding."""
 
 
 def mixture_quantile_dbm(
@@ -276,7 +276,7 @@ def mixture_quantile_dbm(
 ) -> NDArray[np.float64]:
     """Return the power that a mixture of normal laws exceeds with probability `p_min`; ``(n,)``.
 
-    The parts' own quantiles bracket it; Newton steps that leave the bracket become bisections.
+    The parts' quantiles bracket it; bisection replaces Newton steps that leave the bracket.
     """
     means = np.stack([part.mean_db for part in parts])
     deviations = np.stack([part.deviation_db for part in parts])
@@ -310,11 +310,11 @@ def connected_to_any(
     Parameters
     ----------
     posteriors
-        One per station, at least one.
+        Posteriors of the stations, at least one.
     positions_m
-        ``(n, 2)`` metres.
+        ``(n, 2)`` positions in metres.
     threshold_dbm
-        Least power of a connection.
+        Minimum power for a connection.
 
     Raises
     ------

@@ -1,22 +1,22 @@
-"""Approximations for long logs: Vecchia's information, receivers' offsets, and sites by windows.
+"""Approximations for long logs: Vecchia's information, receiver offsets, and sites by windows.
 
-Each measurement is conditioned on the nearest of those before it: an inverse factor with few
-entries per row (Vecchia, Journal of the Royal Statistical Society B, 1988; Datta et al., Journal of
-the American Statistical Association, 2016). Only the products of the whitened columns are stored,
-so that one more measurement costs the same whatever their number. Receivers' offsets have columns
-of their own, because the nearest measurements need not be by the same receiver. A batch is taken in
-blocks from coarse to fine (:mod:`planopt.channel.neighbours`), later measurements one by one.
+Each measurement is conditioned on the nearest earlier ones, which gives a sparse inverse factor
+(Vecchia, Journal of the Royal Statistical Society B, 1988; Datta et al., Journal of the American
+Statistical Association, 2016). Only products of the whitened columns are stored, so the cost of one
+more measurement does not depend on their number. Receiver offsets have separate columns, because
+the nearest measurements may be from other receivers. A batch is processed in blocks from coarse to
+fine (:mod:`planopt.channel.neighbours`), later measurements one by one.
 
-A measurement by receiver r reads o_r more than receiver 0 would. With Z the indicators of the
-receivers and U the covariance of the measurements, which includes s^2 Z Z', the offsets given theta
-have mean s^2 Z' U^-1 (y - Gamma theta) and covariance s^2 I - s^4 Z' U^-1 Z.
+Receiver r reads o_r more than receiver 0 would. With Z the indicators of the receivers and U the
+covariance of the measurements, which includes s^2 Z Z', the offsets given theta have mean
+s^2 Z' U^-1 (y - Gamma theta) and covariance s^2 I - s^4 Z' U^-1 Z.
 
-Sites of censored and rounded measurements are matched against cavities of their power
-(:mod:`planopt.channel.gaussian_sites`) in windows: the rest of a block and the measurements nearest
-to it. With U the covariance of the window, sites as measurements, the cavity of number i has mean
-``y_i - (U^-1 y)_i / (U^-1)_ii`` and variance ``1 / (U^-1)_ii`` less the site's: one factor serves
-the whole block. The fixed point is that of joint sites, except for measurements outside the
-window.
+Sites of censored and rounded measurements are matched to the cavities of their powers
+(:mod:`planopt.channel.gaussian_sites`) window by window. A window is a block with its nearest
+measurements. With U the covariance of the window, sites as measurements, the cavity of measurement
+i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and variance ``1 / (U^-1)_ii`` less the site's, so one
+factor serves the whole block. The fixed point is that of joint sites, except that measurements
+outside the window are neglected.
 """
 
 from __future__ import annotations
@@ -65,25 +65,25 @@ if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
 
 EARLIER_NEIGHBOURS = 64
-"""Number of earlier measurements that each later one is conditioned on."""
+"""Number of earlier measurements that each new one is conditioned on."""
 
 
 @dataclass(frozen=True, eq=False)
 class VecchiaInformation:
-    """Sums over all measurements."""
+    """Vecchia's approximation of the information on theta and the receiver offsets."""
 
-    receivers: NDArray[np.intp]  # (R,) numbers, ascending, without 0
-    # (3 + R, 3 + R) C' U0^-1 C of the columns C = [y - Gamma theta_0, Gamma, Z]: theta_0 that of
-    # the parameters, Z the receivers' indicators, U0 the covariance without offsets
+    receivers: NDArray[np.intp]  # (R,) receiver numbers, ascending, without 0
+    # (3 + R, 3 + R) C' U0^-1 C with C = [y - Gamma theta_0, Gamma, Z], theta_0 from the
+    # parameters, Z the receiver indicators and U0 the covariance without offsets
     products: NDArray[np.float64]
 
     def path_loss_products(self) -> NDArray[np.float64]:
-        """``(3, 3)`` of [y - Gamma theta_0, Gamma], the offsets integrated out (Woodbury)."""
+        """Return the products (3, 3) of [y - Gamma theta_0, Gamma] with offsets integrated out."""
         crossed = self.products[:3, 3:]
         return self.products[:3, :3] - crossed @ self.offset_covariance_db2() @ crossed.T
 
     def offset_covariance_db2(self) -> NDArray[np.float64]:
-        """``(R, R)`` covariance of the offsets given theta, (I / s^2 + Z' U0^-1 Z)^-1."""
+        """Return the covariance of the offsets given theta, (I / s^2 + Z' U0^-1 Z)^-1; (R, R)."""
         prior = np.eye(len(self.receivers)) / RECEIVER_OFFSET_STD_DB**2
         return np.asarray(np.linalg.inv(self.products[3:, 3:] + prior), dtype=np.float64)
 
@@ -91,11 +91,11 @@ class VecchiaInformation:
 def vecchia_information(
     parameters: ChannelParameters,
     measurements: Measurements,  # n
-    values_db: NDArray[np.float64],  # (n,) of their sites
-    noise_variance_db2: NDArray[np.float64],  # (n,) of their sites
-    before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first of them
+    values_db: NDArray[np.float64],  # (n,) with sites for intervals
+    noise_variance_db2: NDArray[np.float64],  # (n,) with sites for intervals
+    before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first ones
 ) -> VecchiaInformation:
-    """Sum over `measurements`, or add those beyond the index of `before`, in their order."""
+    """Return the sums over `measurements`; those in the index of `before` are already summed."""
     places = measurements.positions_m
     if before is None:
         windows = earlier_windows(places, place_blocks(places, BLOCK), BLOCK_NEIGHBOURS)
@@ -128,30 +128,30 @@ def vecchia_information(
 
 @dataclass(frozen=True)
 class ReceiverOffset:
-    """The offset of a receiver's readings from those of receiver 0."""
+    """Offset of a receiver's readings from those of receiver 0."""
 
-    receiver: int  # Its number
+    receiver: int  # Number of the receiver
     offset_db: float
-    standard_error_db: float  # With the uncertainty of theta
+    standard_error_db: float  # Includes the uncertainty of theta
 
 
 @dataclass(frozen=True, eq=False)
 class OffsetsGivenTheta:
-    """The offsets of R receivers given all measurements and theta."""
+    """Distribution of the offsets of R receivers given all measurements and theta."""
 
-    # (R,) numbers, ascending, without 0; none if every measurement is by receiver 0
+    # (R,) receiver numbers, ascending, without 0; empty if every measurement is from receiver 0
     receivers: NDArray[np.intp]
-    # (R, 3) s^2 Z' U^-1 [y, Gamma]: the mean is its first column less the others by theta
+    # (R, 3) s^2 Z' U^-1 [y, Gamma]: the mean is the first column minus the others times theta
     means_db: NDArray[np.float64]
     covariance_db2: NDArray[np.float64]  # (R, R) s^2 I - s^4 Z' U^-1 Z
 
     def indicators(self, receiver: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return Z for measurements by `receiver` (...); ``(..., R)``."""
+        """Return the indicators Z of measurements from receivers (...); ``(..., R)``."""
         return (receiver[..., None] == self.receivers).astype(np.float64)
 
 
 def offsets_given_theta(posterior: ChannelPosterior) -> OffsetsGivenTheta:
-    """Return the offsets from all measurements; O(R kappa^2) with a factor."""
+    """Return the offsets given all measurements and theta, in O(R kappa^2) with a factor."""
     if posterior.information is not None:
         # s^2 Z' U^-1 = V Z' U0^-1, with V the offsets' covariance.
         covariance = posterior.information.offset_covariance_db2()
@@ -174,9 +174,9 @@ def offsets_given_theta(posterior: ChannelPosterior) -> OffsetsGivenTheta:
 def receiver_offsets(posterior: ChannelPosterior) -> tuple[ReceiverOffset, ...]:
     """Return estimated offsets of all receivers except number 0, in ascending order.
 
-    Without measurements by receiver 0 the offsets are known up to a common constant, which the
-    prior (mean 0, standard deviation `RECEIVER_OFFSET_STD_DB`) decides; the standard errors
-    include that.
+    Without measurements from receiver 0 the offsets are known up to a common constant, which is
+    then determined by the prior (mean 0, standard deviation `RECEIVER_OFFSET_STD_DB`) and included
+    in the standard errors.
     """
     found = offsets_given_theta(posterior)
     trend = found.means_db[:, 1:]
@@ -190,29 +190,29 @@ def receiver_offsets(posterior: ChannelPosterior) -> tuple[ReceiverOffset, ...]:
 
 
 SITE_NEIGHBOURS = 64
-"""Number of measurements near a block whose sites are matched. At 1,500 measurements, 20 % to 70 %
-censored, the sites' values differ from the joint ones by at most 0.01 of their noise's standard
-deviation rms, and 0.1 at worst."""
+"""Number of neighbours of a block when sites are matched. For 1,500 measurements, 20 % to 70 % of
+them censored, site values differ from joint ones by 0.01 standard deviations of their noise (RMS)
+and by 0.1 at most."""
 
 MAX_SWEEPS = 60
 
 AT_REST = 0.25
-"""A block is skipped while nothing in its window has moved by more than this share of the
-tolerance: after three sweeps that holds for half of the blocks."""
+"""A block is skipped if the last changes in its window are below this share of the tolerance. After
+three sweeps this applies to half of the blocks."""
 
 TOLERANCE = 1e-3
-"""Tolerance in units of a site's posterior, below the effect of the neglected measurements. It
-takes about ten sweeps."""
+"""Tolerance in standard deviations of a site's posterior, below the effect of the neglected
+measurements. It takes about ten sweeps."""
 
 
 @dataclass(frozen=True, eq=False)
 class IntervalRows:
-    """Measurements known to lie in an interval, among n."""
+    """The m of n measurements that are known as intervals."""
 
-    rows: NDArray[np.intp]  # (m,) their numbers, ascending
+    rows: NDArray[np.intp]  # (m,) indices, ascending
     known: Intervals
-    displaced_db2: NDArray[np.float64]  # (m,) variance of path loss from their position errors
-    windows: tuple[Window, ...]  # Around every block that has some of them
+    displaced_db2: NDArray[np.float64]  # (m,) variance of path loss due to position errors
+    windows: tuple[Window, ...]  # One for each block with interval measurements
     # Distances within each window, position errors included; None to compute them once
     distances_m: tuple[NDArray[np.float64], ...] | None = None
 
@@ -226,14 +226,14 @@ class WindowSites:
     # precision is at least 1 / `MAX_SITE_VARIANCE_DB2`
     precision: NDArray[np.float64]
     shift: NDArray[np.float64]
-    # Log of the product of the factors that turn Gaussian measurements into the sites: with it the
-    # density of all measurements, sites included, is the probability of the intervals
+    # Log of the factor that converts the density of the measurements, with sites in place of the
+    # intervals, into the probability of the intervals
     log_factor: float
-    slope: float  # Derivative of `log_factor` by omega^2 through the likelihood alone
+    slope: float  # Direct derivative of `log_factor` by omega^2, with sites fixed
 
     @property
     def values_db(self) -> NDArray[np.float64]:
-        """``(m,)`` the sites as measurements."""
+        """Values of the sites as measurements, ``(m,)``."""
         return self.mean_db + self.shift / self.precision
 
 
@@ -246,7 +246,7 @@ def window_sites(
     start: WindowSites | None,
     tolerance: float,
 ) -> WindowSites:
-    """Sweep over the windows until the sites reproduce themselves."""
+    """Match the sites by sweeps over the windows until they converge."""
     omega2 = parameters.multipath_std_db**2
     rows, mean = intervals.rows, mean_db[intervals.rows]
     limit = intervals.known.upper_db - mean
@@ -268,7 +268,7 @@ def window_sites(
             strict=True,
         )
     ]
-    # The last move of each measurement; log factor and slope by windows.
+    # Last change of each measurement; log factor and slope of each window.
     moves, parts = np.zeros(len(mean_db)), np.zeros((len(covariances), 2))
     moves[rows] = np.inf
     step, last = 1.0, np.inf
@@ -283,13 +283,13 @@ def window_sites(
             covariance = latent.copy()
             covariance.flat[:: len(covariance) + 1] += noise[window.rows]
             cavity_mean, cavity = _cavities(covariance, centred[window.rows], len(window.own), own)
-            # The site's noise is part of the measurement that was left out.
+            # The left-out measurement includes its site's noise.
             cavity = np.maximum(cavity - 1.0 / precision[sites], 1e-12)
             spread = np.sqrt(omega2 + cavity)
             inside = truncated_normal((limit[sites] - cavity_mean) / spread, width[sites] / spread)
             found, moved = matched_sites(cavity_mean, cavity, inside, omega2)
             found = np.maximum(found, 1.0 / MAX_SITE_VARIANCE_DB2)
-            # Variance of each power given the others and its own site.
+            # Variance of each power given all sites, its own included.
             posterior = cavity / (1.0 + cavity * precision[sites])
             moves[numbers] = np.maximum(
                 np.abs((found - precision[sites]) * posterior),
@@ -300,7 +300,7 @@ def window_sites(
             part[1] = 0.5 * float(((inside.mean**2 - shrink) / (omega2 + cavity)).sum())
             precision[sites] += step * (found - precision[sites])
             shift[sites] += step * (moved - shift[sites])
-            # With the new sites: later changes of the cavities are of second order.
+            # Computed with the new sites; later changes of the cavities are of second order.
             total = cavity + 1.0 / precision[sites]
             apart = shift[sites] / precision[sites] - cavity_mean
             part[0] = float(
@@ -324,7 +324,7 @@ def _cavities(
     own: int,
     rows: NDArray[np.intp],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and variance, noise included, of `rows` of the last `own` given all others."""
+    """Return leave-one-out means and variances of `rows` of the block (the last `own` rows)."""
     lower, whitened = factor_and_whitened(covariance, centred_db)
     near = len(lower) - own
     inverse = lower_inverse(np.tril(lower[near:, near:]))
@@ -336,7 +336,7 @@ def _cavities(
 def neighbour_sites(
     parameters: ChannelParameters, measurements: Measurements, start: Sites | None = None
 ) -> Sites:
-    """Replace censored and rounded measurements like `gaussian_sites`, each from its neighbours."""
+    """Return the sites of :func:`gaussian_sites`, approximated window by window."""
     omega2 = parameters.multipath_std_db**2
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)

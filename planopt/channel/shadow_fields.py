@@ -1,13 +1,14 @@
 """Random shadowing fields with the model's covariance: on a lattice, scattered, or conditional.
 
-A lattice is embedded in a larger torus, whose covariance matrix the Fourier transform diagonalises.
-If the torus is too small some eigenvalues are negative; it grows until the share that has to be
-clipped is negligible. Realisations are never standardised: that would destroy the covariance.
+A lattice is embedded in a larger torus, whose covariance matrix is diagonalised by the Fourier
+transform (circulant embedding). If the torus is too small, some eigenvalues are negative; it grows
+until their share, which is clipped, is negligible. Realisations are not standardised, because that
+would change the covariance.
 
 A conditional field is an unconditional one plus the kriged difference from the measured values
-(conditioning by kriging): its mean and covariance are those of the posterior, without a covariance
-between all cells. Fields belong to one time and known positions, so measurements that age or have
-position errors are refused.
+(conditioning by kriging). Its mean and covariance are those of the posterior, but no covariance
+between all cells is needed. A field has one time and exact positions, so measurements that age or
+have position errors are rejected.
 """
 
 from __future__ import annotations
@@ -42,32 +43,32 @@ from planopt.world.raster import Raster, cell_centres_m
 fft: Any = scipy_fft
 
 CLIPPED_SHARE_TOLERANCE = 1e-4
-"""Largest clipped share of the eigenvalues' mass, which bounds the error of any covariance as a
-share of xi^2. It takes a torus of about eight decorrelation distances."""
+"""Maximum clipped share of the sum of eigenvalues. It bounds the relative error of any covariance
+and requires a torus of about eight decorrelation distances."""
 
 GROWTH = 1.25
 MAX_TORUS_CELLS = 2**24
 
 MAX_PLACES = 8_000
-"""A factor with more rows would not fit into the memory of a small machine."""
+"""Maximum number of distinct positions; a larger factor may not fit into memory."""
 
 NUGGET = 1e-8
 """Share of xi^2 added to variances, so that a factor exists if positions nearly coincide."""
 
 STENCIL = 4
-"""Side of the square of lattice nodes that condition a value between them."""
+"""Side of the square of lattice nodes on which a value between them is conditioned."""
 
 EARLIER = 16
-"""Number of nearest earlier positions that condition a value between lattice nodes."""
+"""Number of nearest earlier positions on which a value between nodes is conditioned."""
 
 
 @dataclass(frozen=True)
 class ShadowField:
-    """One realisation of shadowing."""
+    """Realisation of shadowing on a lattice."""
 
     values_db: NDArray[np.float64]  # (ny, nx)
-    padding: tuple[int, int]  # Cells by which each axis was lengthened, (y, x)
-    clipped_share: float  # Share of the eigenvalues' mass that was negative and set to zero
+    padding: tuple[int, int]  # Number of cells added to each axis, (y, x)
+    clipped_share: float  # Share of negative eigenvalues, which were set to zero
 
 
 def shadow_field_db(
@@ -82,13 +83,13 @@ def shadow_field_db(
     Parameters
     ----------
     shape
-        ``(ny, nx)``.
+        Numbers of nodes ``(ny, nx)``.
     cell_m
-        Distance between neighbouring nodes.
+        Distance between neighbouring nodes in metres.
     shadow_std_db, decorrelation_m
-        xi and beta.
+        Standard deviation xi and decorrelation distance beta.
     generator
-        Source of randomness.
+        Random number generator.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def shadow_field_db(
     ny, nx = shape
     (rows, columns), eigenvalues, clipped_share = _embedding(shape, cell_m / decorrelation_m)
     amplitude = np.sqrt(np.maximum(eigenvalues, 0.0) / (rows * columns))
-    # The spectrum is even: frequencies k and n - k share an eigenvalue.
+    # The spectrum is even: frequencies k and n - k have the same eigenvalue.
     fold_y, fold_x = (np.minimum(np.arange(n), n - np.arange(n)) for n in (rows, columns))
     noise = np.empty((rows, columns), dtype=np.complex128)
     noise.real = generator.standard_normal((rows, columns))
@@ -118,7 +119,7 @@ def _embedding(
     shape: tuple[int, int],
     step: float,  # Cell side in decorrelation distances
 ) -> tuple[tuple[int, int], NDArray[np.float64], float]:
-    """Return the torus, a quarter of its eigenvalues, and the share of their negative mass."""
+    """Return the torus, a quarter of its eigenvalues, and the share of negative ones."""
     ny, nx = shape
     torus = (2 * ny, 2 * nx)
     while True:
@@ -131,7 +132,7 @@ def _embedding(
         # The covariance is even: a cosine transform of a quarter gives a quarter of the eigenvalues
         dy, dx = (np.arange(n // 2 + 1) * step for n in torus)
         eigenvalues = fft.dctn(np.exp(-np.hypot(dy[:, None], dx[None, :])), type=1)
-        # Each frequency of the quarter stands for two, except the first and the last.
+        # Each frequency of the quarter counts twice, except the first and the last.
         weight_y, weight_x = (np.r_[1.0, np.full(n // 2 - 1, 2.0), 1.0] for n in torus)
         negative = weight_y @ np.maximum(-eigenvalues, 0.0) @ weight_x
         clipped_share = float(negative / (weight_y @ np.abs(eigenvalues) @ weight_x))
@@ -153,22 +154,22 @@ def scattered_field_db(
     Parameters
     ----------
     positions_m
-        ``(n, 2)``; repeated positions share their value.
+        ``(n, 2)`` positions in metres; equal positions get equal values.
     shadow_std_db, decorrelation_m
-        xi and beta.
+        Standard deviation xi and decorrelation distance beta.
     generator
-        Source of randomness.
+        Random number generator.
 
     Returns
     -------
     NDArray
-        ``(n,)`` in dB.
+        ``(n,)`` shadowing in dB.
 
     Raises
     ------
     InputError
         A standard deviation, distance or position is invalid, or there are more than `MAX_PLACES`
-        different positions.
+        distinct positions.
     """
     require_shadowing(shadow_std_db, decorrelation_m)
     places, back = _distinct(require_places(positions_m, at_least=0))
@@ -190,10 +191,10 @@ def added_to_lattice_db(
     decorrelation_m: float,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw shadowing at positions, conditional on a field on a lattice; ``(n,)``.
+    """Draw shadowing at positions, conditional on a lattice field; ``(n,)``.
 
-    Each value is conditioned on the surrounding nodes and the nearest earlier positions: almost
-    exact within the lattice, because near values screen far ones under the exponential covariance.
+    Each value is conditioned on the surrounding nodes and the nearest earlier positions. This is
+    nearly exact within the lattice: under the exponential covariance near values screen far ones.
     """
     places, back = _distinct(positions_m)
     columns, rows = _stencil(x_m, places[:, 0]), _stencil(y_m, places[:, 1])
@@ -216,7 +217,7 @@ def added_to_lattice_db(
 
 
 def _distinct(positions_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return the distinct positions, and the index of each position among them."""
+    """Return the distinct positions and the index of each position among them."""
     places, back = np.unique(positions_m.reshape(-1, 2), axis=0, return_inverse=True)
     return places, back.reshape(-1)
 
@@ -244,25 +245,24 @@ def conditional_field(
 ) -> Raster:
     """Draw path loss and shadowing on a lattice, conditional on the measurements; no multipath.
 
-    With theta drawn, s the unconditional field and n the drawn noise, the values are
+    With theta drawn from its posterior, s an unconditional field and n drawn noise, the values are
     ``gamma theta + s + phi' U^-1 (y - Gamma theta - s_measured - n)``.
 
     Parameters
     ----------
     posterior
-        The channel conditional on measurements. An estimated theta is drawn too.
+        Channel conditional on measurements.
     bounds_m
-        ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left.
+        ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left corner.
     cell_m
-        Cell side.
+        Cell side in metres.
     generator
-        Source of randomness.
+        Random number generator.
 
     Raises
     ------
     InputError
-        The lattice is too large for its decorrelation distance, measurements age, or they have
-        position errors.
+        The lattice does not fit into memory, or measurements age or have position errors.
     """
     parameters, measurements = posterior.parameters, posterior.measurements
     for part, what in (

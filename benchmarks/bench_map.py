@@ -17,7 +17,7 @@ from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import extend
 from planopt.channel.tile_map import TileMap
-from planopt.world.raster import cell_centres_m
+from planopt.world import cell_centres_m
 
 SIDE_M = 50.0
 GRID = 320

@@ -27,7 +27,7 @@ from planopt.channel.calibration import FEWEST_GROUPS
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.closed_loop import simulate
 from planopt.studies.comparison_rows import mean_interval
-from planopt.world.clearance import clearance_m, index_obstacles
+from planopt.world import clearance_m, index_obstacles
 
 CELLS = 40
 """Places of the grid along either side."""

@@ -8,9 +8,7 @@ from network_cases import step_times
 from network_control import drive
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from planopt.coverage.ground import ConvexGround
-from planopt.coverage.limits import MoveLimits
-from planopt.coverage.voronoi import convex_region
+from planopt.coverage import ConvexGround, MoveLimits, convex_region
 
 
 def test_laws(benchmark: BenchmarkFixture) -> None:

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from planopt import Problem, Robot, load, simulate
 from planopt.planning.free_space import build_roads, node_at
-from planopt.world.clearance import index_obstacles, swept_clearance_m
-from planopt.world.lattice import lattice_paths
+from planopt.world import index_obstacles, lattice_paths, swept_clearance_m
 
 PROBLEM = "munich_courier"
 SEPARATION_M = 10.0

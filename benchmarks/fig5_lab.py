@@ -34,7 +34,7 @@ from planopt.channel import Station, fit_channel
 from planopt.problems import ArrayTruth, GivenParameters, SampledMeasurements
 from planopt.problems.settings import seeds_of
 from planopt.report import comparison_text
-from planopt.world.raster import cell_centres_m
+from planopt.world import cell_centres_m
 
 CELL_M, MARGIN_M, FIRST = 0.1, 0.2, 20
 """Side of a cell, room beyond the measured places, and how many are measured before the run."""

@@ -21,29 +21,34 @@ from time import process_time
 import numpy as np
 import shapely
 
-from planopt.coverage.assignment import (
-    capped_demand,
-    deferred_acceptance,
-    optimal_assignment,
-)
-from planopt.coverage.control.movers import Gains, LawMover, coverage_aims, law_moves
-from planopt.coverage.events import Event, Sensing, ring_places
-from planopt.coverage.ground import ConvexGround, coverage
-from planopt.coverage.localisation import (
+from planopt.coverage import (
+    ConvexGround,
+    ConvexRegion,
+    Counting,
+    Event,
     EventSensor,
+    Gains,
+    LawMover,
     Readings,
+    Scene,
+    Sensing,
+    capped_demand,
+    convex_region,
+    coverage,
+    coverage_aims,
     cramer_rao_m2,
+    deferred_acceptance,
     fisher_information,
+    law_moves,
     locate_event,
     measure,
+    optimal_assignment,
     pooled,
+    ring_places,
+    simulate_network,
     single_readings,
+    voronoi_cells,
 )
-from planopt.coverage.network import (
-    Counting,
-)
-from planopt.coverage.simulation import Scene, simulate_network
-from planopt.coverage.voronoi import ConvexRegion, convex_region, voronoi_cells
 
 GAINS = Gains(0.5, 1.0)
 SETTLED_SHARE = 0.01

@@ -18,17 +18,26 @@ import shapely
 from numpy.typing import NDArray
 from scipy.stats import t
 
-from planopt.coverage.control.movers import braking_offsets_m, plan_moves
-from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.control.safe_sets import UNBOUNDED
-from planopt.coverage.density import GaussianMixture, UniformDensity
-from planopt.coverage.events import packed_places
-from planopt.coverage.geodesic import Ground, geodesic_ground
-from planopt.coverage.ground import ConvexGround
-from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits, packing_reach_m
-from planopt.coverage.optima import best_deployment
-from planopt.coverage.verify import verify_moves
-from planopt.coverage.voronoi import convex_region
+from planopt.coverage import (
+    UNBOUNDED,
+    ConvexGround,
+    GaussianMixture,
+    Ground,
+    LinkLaw,
+    Motion,
+    MoveLimits,
+    RadioLimits,
+    UniformDensity,
+    best_deployment,
+    braking_offsets_m,
+    convex_region,
+    geodesic_ground,
+    packed_places,
+    packing_reach_m,
+    plan_moves,
+    radio_tree,
+    verify_moves,
+)
 
 SIDE_M = 100.0
 GAIN = 0.5

@@ -28,7 +28,7 @@ from planopt.planning.proof.context import connectivity_law
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
-from planopt.world.lattice import lattice_paths, route_from
+from planopt.world import lattice_paths, route_from
 
 REPLANNED_STEPS = 3
 """A path is driven for so many steps before it is found again."""

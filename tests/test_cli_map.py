@@ -8,7 +8,7 @@ import pytest
 
 from planopt.channel import Station, condition, fit_channel, read_log
 from planopt.cli import main
-from planopt.world.raster_files import read_raster
+from planopt.world import read_raster
 
 CONTRACT = {"mean_db", "deviation_db", "connectivity"}
 

@@ -1,1 +1,8 @@
-"""Workspace, obstacles, lattice and distance computations."""
+"""The workspace: obstacles, clearance, lattices, shortest paths, and readers of maps.
+
+Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+"""
+
+from planopt.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

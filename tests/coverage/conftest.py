@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planopt.coverage.voronoi import ConvexRegion, convex_region
+from planopt.coverage import ConvexRegion, convex_region
 
 
 @pytest.fixture

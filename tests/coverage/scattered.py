@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.coverage.limits import Motion, MoveLimits
-from planopt.coverage.voronoi import ConvexRegion
+from planopt.coverage import ConvexRegion, Motion, MoveLimits
 
 
 def scattered(

@@ -13,11 +13,15 @@ from scattered import scattered
 from scipy.optimize import linprog
 
 from planopt import InputError
-from planopt.coverage.assignment import (
+from planopt.coverage import (
     NONE,
     Assignment,
+    ConvexRegion,
     Demand,
+    EventSensor,
+    Network,
     accuracy_demand,
+    agent_neighbours,
     capped_demand,
     deferred_acceptance,
     demanded,
@@ -26,10 +30,8 @@ from planopt.coverage.assignment import (
     propagate_flags,
     table_demand,
     trade_off_demand,
+    voronoi_cells,
 )
-from planopt.coverage.localisation import EventSensor
-from planopt.coverage.network import Network
-from planopt.coverage.voronoi import ConvexRegion, agent_neighbours, voronoi_cells
 
 
 @pytest.mark.parametrize(

@@ -11,18 +11,20 @@ from scattered import scattered
 from scipy.spatial import KDTree
 
 from planopt import InputError
-from planopt.coverage.density import (
+from planopt.coverage import (
     UNIFORM,
     CallableDensity,
+    ConvexRegion,
     Density,
     GaussianMixture,
     RasterDensity,
     UniformDensity,
     checked_mass,
+    convex_region,
+    coverage,
+    voronoi_cells,
 )
-from planopt.coverage.ground import coverage
-from planopt.coverage.voronoi import ConvexRegion, convex_region, voronoi_cells
-from planopt.world.raster import Raster
+from planopt.world import Raster
 
 
 def bumps(at_m: NDArray[np.float64]) -> GaussianMixture:

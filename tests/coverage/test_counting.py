@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import gamma, kstest
 
 from planopt import InputError
-from planopt.coverage.network import (
+from planopt.coverage import (
     Network,
     average_round,
     elect_leader,

@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from scattered import scattered
 
 from planopt import InputError, Obstacle, Workspace
-from planopt.coverage.density import CallableDensity
-from planopt.coverage.geodesic import (
+from planopt.coverage import (
+    CallableDensity,
+    ConvexRegion,
     GeodesicGround,
+    coverage,
     geodesic_cells,
     geodesic_ground,
     geodesic_targets,
+    voronoi_cells,
 )
-from planopt.coverage.ground import coverage
-from planopt.coverage.voronoi import ConvexRegion, voronoi_cells
-from planopt.world.clearance import index_obstacles
-from planopt.world.shortest_paths import path_lengths_m, shortest_paths
+from planopt.world import index_obstacles, path_lengths_m
+from planopt.world.shortest_paths import shortest_paths
 
 OUTLINE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
 OBSTACLES = (

@@ -8,10 +8,17 @@ import shapely
 from scattered import scattered
 
 from planopt import InputError
-from planopt.coverage.control.movers import Gains, coverage_aims, law_moves
-from planopt.coverage.geodesic import GeodesicGround, geodesic_ground
-from planopt.coverage.ground import ConvexGround, coverage
-from planopt.coverage.voronoi import ConvexRegion, voronoi_cells
+from planopt.coverage import (
+    ConvexGround,
+    ConvexRegion,
+    Gains,
+    GeodesicGround,
+    coverage,
+    coverage_aims,
+    geodesic_ground,
+    law_moves,
+    voronoi_cells,
+)
 
 OUTLINE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 60.0], [0.0, 60.0]])
 WALLS = (shapely.box(30, 0, 34, 45), shapely.box(60, 20, 64, 60))

@@ -10,19 +10,21 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from planopt import InputError
-from planopt.coverage.events import packed_places, ring_angles, ring_places
-from planopt.coverage.localisation import (
+from planopt.coverage import (
     Drift,
     EventSensor,
     Readings,
+    convex_region,
     cramer_rao_m2,
     fisher_information,
     locate_event,
     measure,
+    packed_places,
     pooled,
+    ring_angles,
+    ring_places,
     single_readings,
 )
-from planopt.coverage.voronoi import convex_region
 
 FIELD = convex_region(np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 16.0], [0.0, 16.0]]))
 EVENT = np.array([7.3, 9.2])

@@ -9,15 +9,25 @@ import numpy as np
 import pytest
 from scattered import scattered
 
-from planopt.coverage.assignment import Demand, optimal_assignment
-from planopt.coverage.control.movers import Gains, LawMover, RecedingMover
-from planopt.coverage.events import Event, Sensing
-from planopt.coverage.ground import ConvexGround
-from planopt.coverage.limits import MoveLimits
-from planopt.coverage.localisation import EventSensor
-from planopt.coverage.network import Counting, LinkModel
-from planopt.coverage.simulation import ABSENT, NetworkRun, Scene, simulate_network
-from planopt.coverage.voronoi import convex_region
+from planopt.coverage import (
+    ABSENT,
+    ConvexGround,
+    Counting,
+    Demand,
+    Event,
+    EventSensor,
+    Gains,
+    LawMover,
+    LinkModel,
+    MoveLimits,
+    NetworkRun,
+    RecedingMover,
+    Scene,
+    Sensing,
+    convex_region,
+    optimal_assignment,
+    simulate_network,
+)
 
 REGION = convex_region(np.array([[0, 0], [60, 0], [60, 40], [0, 40]]))
 SENSING = Sensing(EventSensor(0.2, 60.0, 3.0))

@@ -8,12 +8,21 @@ import numpy as np
 import pytest
 import shapely
 
-from planopt.coverage.density import CallableDensity, GaussianMixture, RasterDensity, UniformDensity
-from planopt.coverage.geodesic import geodesic_ground
-from planopt.coverage.ground import ConvexGround
-from planopt.coverage.optima import best_deployment, cost_bound, draw_start, settle
-from planopt.coverage.voronoi import ConvexRegion, convex_region
-from planopt.world.raster import Raster
+from planopt.coverage import (
+    CallableDensity,
+    ConvexGround,
+    ConvexRegion,
+    GaussianMixture,
+    RasterDensity,
+    UniformDensity,
+    best_deployment,
+    convex_region,
+    cost_bound,
+    draw_start,
+    geodesic_ground,
+    settle,
+)
+from planopt.world import Raster
 from tests.coverage.scattered import scattered
 
 

@@ -12,19 +12,25 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt import InputError
-from planopt.coverage.control.movers import Gains, law_moves, plan_moves
-from planopt.coverage.control.programme import (
+from planopt.coverage import (
+    UNBOUNDED,
+    ConvexGround,
+    ConvexRegion,
+    Gains,
+    GeodesicGround,
     Inertia,
+    Motion,
+    MoveLimits,
     Programmes,
+    SafeSets,
+    geodesic_ground,
+    ground_sets,
+    law_moves,
+    plan_moves,
     solve_programme,
     solve_programmes,
+    verify_moves,
 )
-from planopt.coverage.control.safe_sets import UNBOUNDED, SafeSets, ground_sets
-from planopt.coverage.geodesic import GeodesicGround, geodesic_ground
-from planopt.coverage.ground import ConvexGround
-from planopt.coverage.limits import Motion, MoveLimits
-from planopt.coverage.verify import verify_moves
-from planopt.coverage.voronoi import ConvexRegion
 from tests.coverage.scattered import scattered, swept
 
 Floats = NDArray[np.float64]

@@ -9,22 +9,24 @@ import pytest
 import shapely
 
 from planopt.channel import ChannelParameters, Station, condition, measure, model_truth
-from planopt.coverage.control.movers import braking_offsets_m, plan_moves
-from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.control.safe_sets import UNBOUNDED
-from planopt.coverage.geodesic import geodesic_ground
-from planopt.coverage.ground import ConvexGround
-from planopt.coverage.limits import (
+from planopt.coverage import (
+    UNBOUNDED,
+    ConvexGround,
+    ConvexRegion,
+    Fault,
     LinkLaw,
     Motion,
     MoveLimits,
     RadioLimits,
     StationMap,
+    braking_offsets_m,
+    geodesic_ground,
     line_distances_m,
+    plan_moves,
+    radio_tree,
     station_map,
+    verify_moves,
 )
-from planopt.coverage.verify import Fault, verify_moves
-from planopt.coverage.voronoi import ConvexRegion
 
 HALL = shapely.box(0, 0, 60, 40) - shapely.box(20, 10, 30, 25)
 KNOWN = LinkLaw(np.array([-10.0, 2.5]), 6.0, np.zeros((2, 2)))

@@ -12,7 +12,7 @@ from scattered import scattered
 from scipy.spatial import Delaunay
 
 from planopt import InputError
-from planopt.coverage.voronoi import (
+from planopt.coverage import (
     Cells,
     ConvexRegion,
     adjacent_cells,

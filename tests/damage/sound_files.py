@@ -12,8 +12,7 @@ from PIL import Image
 
 from planopt.cli import main
 from planopt.problems.library import library_folder
-from planopt.world.raster import Raster
-from planopt.world.raster_files import write_rasters
+from planopt.world import Raster, write_rasters
 
 PROBLEM = """
 [problem]

@@ -9,7 +9,7 @@ from planopt.planning.programme.path_nlp import GOAL, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask
 from planopt.planning.programme.path_rows import PathShape
 from planopt.targets.rounding import Derivatives
-from planopt.world.separation import empty_lines
+from planopt.world import empty_lines
 
 
 def no_lines(horizon, count):

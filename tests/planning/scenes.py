@@ -51,9 +51,14 @@ from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
 from planopt.problems import LoggedMeasurements
 from planopt.robots.dynamics import Drive
-from planopt.world.clearance import ObstacleIndex, index_obstacles
-from planopt.world.lattice import RoadMap, build_lattice, build_road_map
-from planopt.world.raster import Raster
+from planopt.world import (
+    ObstacleIndex,
+    Raster,
+    RoadMap,
+    build_lattice,
+    build_road_map,
+    index_obstacles,
+)
 
 PowerAt = Callable[[np.ndarray], np.ndarray]
 

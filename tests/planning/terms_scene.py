@@ -23,7 +23,7 @@ from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.steered_path import SteeringWay
 from planopt.problems.problem import problem_from_tables
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 TRACKING = {
     "kind": "tracking",

@@ -10,7 +10,7 @@ from terms_scene import CONNECT, LEARNING, TRACKING, judge_of, situation_of, ter
 
 from planopt import Verdict
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.world.clearance import inside_bounds, swept_clearance_m
+from planopt.world import inside_bounds, swept_clearance_m
 
 HEADINGS, STEPS = 8, 3
 PATH = {"kind": "mapping", "form": "path", "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}

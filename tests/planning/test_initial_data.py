@@ -24,8 +24,7 @@ from planopt.problems import (
     problem_from_dict,
     problem_to_dict,
 )
-from planopt.world.raster import Raster
-from planopt.world.raster_files import write_rasters
+from planopt.world import Raster, write_rasters
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,7 @@ from scenes import small_problem
 from planopt import InputError, Planner, Verdict, load
 from planopt.extend import Rung
 from planopt.planning.free_space import leaving_path
-from planopt.world.clearance import index_obstacles
-from planopt.world.moving_discs import NOTHING_MOVES
+from planopt.world import NOTHING_MOVES, index_obstacles
 
 HOUSE = shapely.box(18.0, 10.0, 22.0, 20.0)
 PROBLEM = small_problem(HOUSE)

@@ -18,7 +18,7 @@ from planopt.planning.programme import path_nlp
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 pytestmark = pytest.mark.usefixtures("converged")
 

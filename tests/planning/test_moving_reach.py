@@ -26,8 +26,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.problems import DoubleIntegrator, Unicycle, problem_from_dict, problem_to_dict
 from planopt.problems.problem import problem_at
-from planopt.world.clearance import index_obstacles
-from planopt.world.moving_discs import NOTHING_MOVES, centres_at
+from planopt.world import NOTHING_MOVES, centres_at, index_obstacles
 
 SHARES = np.linspace(0.0, 1.0, 201)
 CROSSING = MovingObstacle("tram", 2.0, (0.0,), ((20.0, 5.0),), (0.0, 1.0))

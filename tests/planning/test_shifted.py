@@ -13,7 +13,7 @@ from planopt import Verdict
 from planopt.planning.plan import shifted_path
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 PROBLEM = small_problem(horizon=5)
 

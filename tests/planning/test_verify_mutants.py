@@ -38,7 +38,7 @@ from unpriced import unpriced
 from planopt import Problem
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.proof.context import VerifierContext
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 CLEARANCE, BOUNDS, SPEED = "clearance_m", "bounds_m", "speed_max_m_s"
 BELOW, NOWHERE = "dB to spare is within reach", "is met at none"

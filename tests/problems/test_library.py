@@ -17,7 +17,7 @@ from planopt.problems import ModelTruth, RasterTruth, library, list_problems
 from planopt.problems.library import find_problem
 from planopt.problems.load import with_overrides
 from planopt.problems.plausibility import problem_warnings
-from planopt.world.clearance import clearance_m, index_obstacles
+from planopt.world import clearance_m, index_obstacles
 
 NAMES = [entry.name for entry in list_problems()]
 

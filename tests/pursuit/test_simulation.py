@@ -28,7 +28,7 @@ from planopt.pursuit import (
     fresher,
     simulate_pursuit,
 )
-from planopt.world.clearance import clearance_m
+from planopt.world import clearance_m
 
 
 def test_first_within():

@@ -33,7 +33,7 @@ from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.loop.results import RunSummary, summary_of
 from planopt.planning.values.context import Aim
 from planopt.studies.comparison_rows import Row
-from planopt.world.raster import Raster
+from planopt.world import Raster
 
 STATION = Station((50.0, 60.0), 5.0)
 PARAMETERS = ChannelParameters(-30.0, 2.5, 4.0, 15.0, 1.5, STATION)

@@ -17,7 +17,7 @@ from planopt.report.maps import (
     window_about,
 )
 from planopt.report.panel import new_figure
-from planopt.world.raster import Raster
+from planopt.world import Raster
 
 
 @pytest.fixture

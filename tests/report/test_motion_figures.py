@@ -19,7 +19,7 @@ from planopt.report.motion_figures import WORDS_LINES
 from planopt.report.motion_words import certificate_in_words
 from planopt.report.panel import BAND_Z
 from planopt.tasks.motion import TASK
-from planopt.world.moving_discs import centres_at
+from planopt.world import centres_at
 
 MAP, POWER, CHANCE = {"x [m]", "y [m]"}, "power [dBm]", "P [1]"
 DISC = "moving obstacle, paler later"

@@ -15,9 +15,7 @@ import shapely
 import planopt
 from planopt import InputError
 from planopt.cli import main
-from planopt.coverage.limits import Motion, packing_reach_m
-from planopt.coverage.simulation import ABSENT
-from planopt.coverage.verify import verify_moves
+from planopt.coverage import ABSENT, Motion, packing_reach_m, verify_moves
 from planopt.problems.tasks import problem_from
 from planopt.report import draw_deployment, draw_network
 from planopt.tasks.coverage.task import picture

@@ -7,7 +7,7 @@ import pytest
 from test_coverage import SMALL
 
 import planopt
-from planopt.coverage.events import signals
+from planopt.coverage import signals
 from planopt.pursuit import Track
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from planopt import Workspace
-from planopt.world.readers import read_obstacles
+from planopt.world import read_obstacles
 
 
 @pytest.fixture(scope="session")

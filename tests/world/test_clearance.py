@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from planopt import Obstacle, Workspace
-from planopt.world.clearance import (
+from planopt.world import (
     clearance_m,
     containing_obstacle,
     distances_m,

@@ -14,17 +14,18 @@ from numpy.typing import NDArray
 from scenes import small_road_map
 
 from planopt import InputError, Obstacle, Workspace
-from planopt.world.clearance import index_obstacles, swept_clearance_m
-from planopt.world.lattice import (
+from planopt.world import (
     MOVES,
     Lattice,
     build_lattice,
     build_road_map,
+    index_obstacles,
     lattice_paths,
     moves_from,
     nearest_node,
     node_positions,
     route_from,
+    swept_clearance_m,
 )
 
 ORIGIN = np.zeros(2)

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planopt import Obstacle, Workspace
-from planopt.world.clearance import index_obstacles
-from planopt.world.motion import (
+from planopt.world import (
     CLOSE_M,
     Arc,
     Parabola,
@@ -22,6 +21,7 @@ from planopt.world.motion import (
     closest_approach_m,
     curve_distance_m,
     even_motion,
+    index_obstacles,
     least_gap,
     nearest_to_origin_m,
     step_distances_m,

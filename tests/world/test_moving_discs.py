@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planopt import MovingObstacle
-from planopt.world.moving_discs import centres_at, growth_m, predicted_discs
+from planopt.world import centres_at, growth_m, predicted_discs
 
 TURNING = MovingObstacle("cart", 1.5, (2.0, 3.3, 7.0), ((0.0, 0.0), (4.0, 1.0), (4.0, -6.0)))
 

@@ -12,8 +12,7 @@ import pytest
 import shapely
 
 from planopt import InputError, Workspace
-from planopt.world.readers import obstacle_from_wkt, read_obstacles
-from planopt.world.workspace import footprint
+from planopt.world import footprint, obstacle_from_wkt, read_obstacles
 
 SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]
 

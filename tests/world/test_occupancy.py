@@ -16,9 +16,7 @@ from PIL import Image
 
 from planopt import InputError, load
 from planopt.problems import OccupancyGrid
-from planopt.world import occupancy
-from planopt.world.occupancy import TILE_CELLS, grid_obstacles, read_grid
-from planopt.world.readers import read_obstacles
+from planopt.world import TILE_CELLS, grid_obstacles, occupancy, read_grid, read_obstacles
 
 YAML = """\
 image: hall.pgm

@@ -17,9 +17,15 @@ from numpy.typing import NDArray
 from scipy.io import netcdf_file
 
 from planopt import InputError, Workspace
-from planopt.world.clearance import clearance_m, index_obstacles
-from planopt.world.raster import Raster, nearest_cells
-from planopt.world.raster_files import check_raster_output, read_raster, write_rasters
+from planopt.world import (
+    Raster,
+    check_raster_output,
+    clearance_m,
+    index_obstacles,
+    nearest_cells,
+    read_raster,
+    write_rasters,
+)
 
 GRID_X = np.array([1.0, 3.0, 5.0])
 

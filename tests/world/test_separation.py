@@ -10,21 +10,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from planopt import Obstacle, Workspace
-from planopt.world.motion import closest_approach_m
-from planopt.world.moving_discs import (
+from planopt.world import (
     MovingDiscs,
-    joined_discs,
-    passing_gaps_m,
-    path_distances_m,
-    paths_gap_m,
-)
-from planopt.world.separation import (
     PackedPieces,
     SeparatingLines,
+    closest_approach_m,
     convex_pieces,
+    joined_discs,
     lines_for,
     moving_lines,
     pack_pieces,
+    passing_gaps_m,
+    path_distances_m,
+    paths_gap_m,
     separating_lines,
 )
 

@@ -10,8 +10,14 @@ import shapely
 from scipy.sparse.csgraph import dijkstra
 
 from planopt import Obstacle, Workspace
-from planopt.world.clearance import index_obstacles, segment_clearance_m
-from planopt.world.shortest_paths import is_near_joined, path_lengths_m, shortest_paths, turns_m
+from planopt.world import (
+    index_obstacles,
+    is_near_joined,
+    path_lengths_m,
+    segment_clearance_m,
+    turns_m,
+)
+from planopt.world.shortest_paths import shortest_paths
 
 BOUNDS = (0.0, 0.0, 40.0, 30.0)
 START = np.array([5.0, 15.0])

@@ -25,7 +25,7 @@ from planopt.channel import (
 )
 from planopt.channel.ground_truth import multipath_field_db
 from planopt.channel.parameters import regressors
-from planopt.world.raster import Raster
+from planopt.world import Raster
 
 GAINS = np.array([[-80.0, -100.0, np.nan], [-129.0, -131.0, -95.0]])
 MAP = Raster(np.array([0.0, 2.0, 4.0]), np.array([10.0, 12.0]), GAINS)

@@ -15,7 +15,7 @@ from planopt.planning.proof.searches import build_goal_grid
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.values.context import Aim
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 
 def solved(problem: Problem, power_at) -> Solution:

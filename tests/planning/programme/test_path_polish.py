@@ -17,7 +17,7 @@ from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.path_rows import PathShape
 from planopt.targets.rounding import Derivatives
-from planopt.world.separation import empty_lines
+from planopt.world import empty_lines
 
 N = 4
 HILL = np.array([3.0, 1.5])

@@ -28,8 +28,7 @@ from planopt.planning.programme import path_nlp
 from planopt.planning.programme.goal_value import PIVOT_ROUNDING_M, STEP_ROUNDING_M
 from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
-from planopt.world.clearance import index_obstacles, swept_clearance_m
-from planopt.world.separation import pack_pieces, separating_lines
+from planopt.world import index_obstacles, pack_pieces, separating_lines, swept_clearance_m
 
 N, LINES = 3, 2
 ALONG = np.outer(np.arange(1, N + 1), [1.0, 0.0])

@@ -15,7 +15,7 @@ import pytest
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems import DoubleIntegrator, Unicycle
 from planopt.robots.dynamics import braked_motion, rolled_out
-from planopt.world.motion import PointCurve
+from planopt.world import PointCurve
 
 APART = "planopt.planning.proof.motion"
 DISCS = "planopt.world.moving_discs"

@@ -11,9 +11,7 @@ from terms_scene import LEARNING
 
 from planopt.planning.proof.motion import verify_apart, verify_motion
 from planopt.robots.dynamics import Drive, rolled_out
-from planopt.world.clearance import index_obstacles
-from planopt.world.motion import TimedMotion
-from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
+from planopt.world import NOTHING_MOVES, MovingDiscs, TimedMotion, index_obstacles
 
 STEPS = 4
 

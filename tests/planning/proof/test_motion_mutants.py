@@ -16,7 +16,7 @@ from terms_scene import LEARNING
 from planopt.extend import CasadiMap
 from planopt.planning.proof import motion
 from planopt.robots.dynamics import Drive, rolled_out
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 SOURCE = Path(motion.__file__).read_text()
 

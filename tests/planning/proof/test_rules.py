@@ -24,7 +24,7 @@ from planopt.planning.proof.connectivity_rules import (
     share_at_least,
 )
 from planopt.planning.proof.rule import rule_of
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 ALONG = np.array([[16.0, 15.0], [18.0, 15.0], [20.0, 15.0], [22.0, 15.0], [24.0, 15.0]])
 GAP = bad_band(19.0, 23.0, open_above_m=20.0)

@@ -18,7 +18,7 @@ from planopt.planning.proof.searches import (
     goal_costs,
     price_path,
 )
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 START, GOAL = np.array([5.0, 15.0]), np.array([35.0, 15.0])
 """A path along sixteen headings is at most this many times as long as the straight one."""

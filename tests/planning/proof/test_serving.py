@@ -13,7 +13,7 @@ from planopt import ConnectivityRule, Problem, Verdict
 from planopt.channel import Belief
 from planopt.channel.prediction import connection_probability
 from planopt.planning.certificate import Certificate
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 from tests.planning.scenes import bad_everywhere, straight_path
 from tests.planning.two_stations import (
     alone,

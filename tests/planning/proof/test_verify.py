@@ -47,7 +47,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.proof.context import uncertain_law
 from planopt.planning.proof.verify import UNCOMPARED
 from planopt.planning.solve import solve
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 
 def judged(

@@ -27,7 +27,7 @@ from planopt.planning.search.fan_guesses import (
     rough_clearance,
 )
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.world.clearance import clearance_m, inside_bounds, swept_clearance_m
+from planopt.world import clearance_m, inside_bounds, swept_clearance_m
 
 
 def fan_of(horizon, position_m=None):

@@ -19,7 +19,7 @@ from planopt.planning.candidates import Judge
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.search.place_paths import paths_to_good_place
-from planopt.world.clearance import index_obstacles, swept_clearance_m
+from planopt.world import index_obstacles, swept_clearance_m
 
 LEFT_BAD = bad_where(lambda x, _: x < 20.0)
 SHARE = 0.97

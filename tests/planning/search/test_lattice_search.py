@@ -19,7 +19,7 @@ from planopt.planning.search.lattice_search import (
     move_table,
     search_cheapest,
 )
-from planopt.world.lattice import MOVES, Lattice, build_road_map, lattice_paths
+from planopt.world import MOVES, Lattice, build_road_map, lattice_paths
 
 STEP_S, WEIGHT = 0.8, 0.3
 

@@ -19,8 +19,7 @@ from planopt.planning.search.lattice_search import (
     steps_apart,
 )
 from planopt.planning.tolerances import CLEARANCE_PAD_M
-from planopt.world.lattice import MOVES
-from planopt.world.moving_discs import path_distances_m, predicted_discs
+from planopt.world import MOVES, path_distances_m, predicted_discs
 
 CART = MovingObstacle("cart", 1.2, (0.0,), ((14.0, 13.0),), (-1.5, -1.0))
 VAN = MovingObstacle("van", 0.7, (0.0,), ((8.0, 12.0),), (1.0, 0.3))

@@ -14,7 +14,7 @@ from planopt.planning.search.pivot import (
     find_pivot,
 )
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.world.lattice import lattice_paths, route_from
+from planopt.world import lattice_paths, route_from
 
 WALL = shapely.box(19.0, -1.0, 21.0, 22.0)
 BLOCK = shapely.Polygon([(26.0, 8.0), (31.0, 12.0), (27.0, 17.0)])

@@ -6,7 +6,7 @@ import shapely
 from scenes import search_of, situation_of, small_problem
 
 from planopt.planning.scene import first_moves
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world import MovingDiscs
 
 STREET = (shapely.box(8, 0, 32, 13), shapely.box(8, 17, 32, 30))
 LEAST_M = 4.0

@@ -16,7 +16,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.planners import OneStepPlanner
 from planopt.planning.search.place_paths import path_to_unmeasured
 from planopt.planning.search.taut_path import PathsFrom
-from planopt.world.clearance import swept_clearance_m
+from planopt.world import swept_clearance_m
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 BETWEEN = np.array([15.0, 20.0])

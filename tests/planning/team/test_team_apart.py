@@ -18,7 +18,7 @@ from planopt.planning.solve import solve
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.problem import problem_from_tables
 from planopt.robots.dynamics import rolled_out
-from planopt.world.moving_discs import centres_at
+from planopt.world import centres_at
 
 SHARES = np.linspace(0.0, 1.0, 201)
 

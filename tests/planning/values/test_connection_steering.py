@@ -22,7 +22,7 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.scene import build_ground
 from planopt.planning.search.steering import ConnectionSteering
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.world.clearance import is_clear, swept_clearance_m
+from planopt.world import is_clear, swept_clearance_m
 
 THRESHOLD_DBM = -33.0
 """Far above what is received where the robot of the small problem starts."""

@@ -17,7 +17,7 @@ from planopt.planning.search.steering import GoalSteering
 from planopt.planning.values.steered_path import SteeringWay
 from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables
-from planopt.world.clearance import index_obstacles
+from planopt.world import index_obstacles
 
 GOAL = {"kind": "goal"}
 

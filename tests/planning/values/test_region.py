@@ -9,7 +9,7 @@ import pytest
 from terms_scene import TRACKING, terms_problem
 
 from planopt.planning.values.exploration import region_near, workspace_region
-from planopt.world.clearance import clearance_m, index_obstacles
+from planopt.world import clearance_m, index_obstacles
 
 
 def regions(step_m=0.5):

@@ -12,7 +12,7 @@ from terms_scene import judge_of, situation_of, terms_problem
 from planopt import Obstacle
 from planopt.planning.search.steering import Steering
 from planopt.planning.values.steered_path import SteeringWay
-from planopt.world.clearance import clearance_m, index_obstacles, swept_clearance_m
+from planopt.world import clearance_m, index_obstacles, swept_clearance_m
 
 TWO_LAYER = {
     "kind": "mapping",

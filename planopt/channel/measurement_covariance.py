@@ -1,24 +1,24 @@
-"""Covariance of shadowing, and of measurements with each other and with places.
+"""Covariance of shadowing, and of measurements with each other and with predicted positions.
 
 Apart from multipath, two measured powers have the covariance
 
-    xi^2 exp(-d / beta) exp(-|t_i - t_j| / T) + s^2 [both by the same receiver, not number 0]
+    xi^2 exp(-d / beta) exp(-|t_i - t_j| / T) + s^2 [same receiver, not number 0]
 
-with T the forgetting time, s the prior standard deviation of a receiver's offset, and d widened by
-position errors as below. The offset is a random effect, a constant of each receiver that is
-integrated out, so that the mean needs no column for it. Predictions are for receiver 0, the
-reference, and have no offset.
+with T the forgetting time, s the prior standard deviation of a receiver's offset, and d increased
+by position errors as below. The offset is a random effect, constant for each receiver and
+integrated out, so the mean needs no column for it. Predictions are for receiver 0, the reference,
+and have no offset.
 
-Power belongs to the true position, but the record has another one (GPS). With independent planar
-Gaussian errors e of standard deviation sigma per coordinate, the covariance is the kernel averaged
-over the errors (Cressie and Kornak, Spatial Statistics in the Presence of Location Error, 2003).
-xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
+The power is that at the true position, which differs from the recorded one (GPS). With independent
+planar Gaussian errors e of standard deviation sigma per coordinate, the covariance is the kernel
+averaged over the errors (Cressie and Kornak, Spatial Statistics in the Presence of Location Error,
+2003). xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
 
     xi^2 exp(-sqrt(d^2 + c_i + c_j) / beta),    c = 1.2 sigma^2.
 
-This is the kernel of points lifted out of the plane, each along an axis of its own, hence a
-covariance; on the diagonal, where the lifts cancel, it is xi^2. The error is at most 0.021 xi^2 for
-sqrt(sigma_i^2 + sigma_j^2) up to 0.3 beta, and 0.036 xi^2 up to half of beta.
+This is a valid covariance: the kernel of points that are shifted out of the plane, each along a
+separate axis. The diagonal is xi^2. The error is at most 0.021 xi^2 for sqrt(sigma_i^2 + sigma_j^2)
+up to 0.3 beta, and 0.036 xi^2 up to 0.5 beta.
 
 Path loss differs between the two positions too, independently for each measurement. Its variance
 follows from that of the squared distance to the station, to first order.
@@ -39,14 +39,14 @@ from planopt.channel.parameters import ChannelParameters, Station
 Real = TypeVar("Real", np.float32, np.float64)
 
 BLUR_SHARE = 1.2
-"""Addition to squared distances as a share of the variance of a coordinate's error."""
+"""Ratio of the addition to squared distances to the variance of a coordinate's error."""
 
 RECEIVER_OFFSET_STD_DB = 20.0
-"""s: prior standard deviation of a receiver's offset, wide enough to be uninformative."""
+"""Prior standard deviation s of a receiver's offset, large enough to be uninformative."""
 
 ROWS_AT_ONCE = 64
-"""Rows of a large symmetric matrix computed together, up to their diagonal: half of the matrix is
-never computed, and temporary arrays stay in a processor's cache."""
+"""Number of rows of a large symmetric matrix computed together, up to the diagonal. Half of the
+matrix is skipped, and temporary arrays stay in cache."""
 
 
 def pairwise_distance_m(
@@ -54,8 +54,8 @@ def pairwise_distance_m(
 ) -> NDArray[np.float64]:
     """Return distances between every row of `a` (..., n, 2) and `b` (..., m, 2); (..., n, m).
 
-    `blur_m2` (position errors) broadcasts to the result and is added to the squares. Differences
-    are squared, not expanded, so that coordinates near 3e6 keep their digits.
+    `blur_m2` (position errors) is broadcast and added to the squares. Differences are squared
+    without expanding, so that coordinates near 3e6 keep their precision.
     """
     dx = a[..., :, None, 0] - b[..., None, :, 0]
     dy = a[..., :, None, 1] - b[..., None, :, 1]
@@ -95,9 +95,9 @@ def path_loss_variance_db2(
     """Return the variance of path loss at positions with errors; (...) in dB^2.
 
     ``(10 n_PL / ln 10)^2 sigma^2 (rho^2 + sigma^2) / (rho^2 + h^2 + 2 sigma^2)^2`` with rho the
-    horizontal distance to the station and h its height: the variance of the squared distance by
-    four times the square of its mean. It is bounded near the station: 8 % low at a distance of
-    7 sigma, 43 % at sigma.
+    horizontal distance to the station and h its height. It is the variance of the squared distance
+    divided by four times its squared mean. Near the station it is bounded and too small: by 8 % at
+    a distance of 7 sigma, by 43 % at sigma.
     """
     horizontal = ((positions_m - np.asarray(station.position_m)) ** 2).sum(axis=-1)
     variance = position_std_m**2
@@ -119,7 +119,7 @@ def measured_path_loss_variance_db2(
 
 @dataclass(frozen=True, eq=False)
 class Origins:
-    """Positions, times and receivers of powers that are measured or predicted."""
+    """Positions, times and receivers of measured or predicted powers."""
 
     positions_m: NDArray[np.float64]  # (..., n, 2)
     # (..., n) addition to squared distances from position errors; None without errors
@@ -129,7 +129,7 @@ class Origins:
     receiver: NDArray[np.intp] | None = None  # (..., n); None if all are 0
 
     def at(self, rows: NDArray[np.intp] | slice) -> Origins:
-        """Return the origins of `rows` of measurements (n,); indices (k, m) make k batches of m."""
+        """Return the origins of `rows`; indices (k, m) give k batches of m."""
         return Origins(
             self.positions_m[rows],
             None if self.blur_m2 is None else self.blur_m2[rows],
@@ -138,12 +138,12 @@ class Origins:
         )
 
     def without_offsets(self) -> Origins:
-        """Return the origins as if every receiver's offset were known."""
+        """Return the origins without receivers, as if all offsets were known."""
         return self if self.receiver is None else replace(self, receiver=None)
 
 
 def measured_origins(measurements: Measurements, parameters: ChannelParameters) -> Origins:
-    """Return the origins of measurements, without columns that have no effect."""
+    """Return the origins of measurements; columns without effect are None."""
     std_m = measurements.position_std_m
     return Origins(
         measurements.positions_m,
@@ -170,7 +170,7 @@ def place_origins(
 def covariance_db2(
     first: Origins, second: Origins, parameters: ChannelParameters
 ) -> NDArray[np.float64]:
-    """Return the covariance of the powers of `first` (..., n) and of others, `second` (..., m)."""
+    """Return the covariance of powers at `first` (..., n) and `second` (..., m); (..., n, m)."""
     blur_m2 = _blur_m2(first, second)
     distance_m = pairwise_distance_m(first.positions_m, second.positions_m, blur_m2)
     return covariance_over_db2(distance_m, first, second, parameters)
@@ -199,7 +199,7 @@ def own_covariance_db2(
     parameters: ChannelParameters,
     distance_m: NDArray[np.float64] | None = None,  # (..., n, n) blurred; None to compute them
 ) -> NDArray[np.float64]:
-    """Return the covariance of the powers of `origins` among themselves; (..., n, n) in dB^2."""
+    """Return the covariance matrix of the powers at `origins`; (..., n, n) in dB^2."""
     count = origins.positions_m.shape[-2]
     if distance_m is not None:
         covariance = covariance_over_db2(distance_m.copy(), origins, origins, parameters)
@@ -214,7 +214,7 @@ def own_covariance_db2(
     else:
         covariance = covariance_db2(origins, origins, parameters)
     if origins.blur_m2 is not None:
-        # A position error cancels in the distance of a measurement from itself.
+        # The distance of a measurement from itself has no position error.
         np.einsum("...ii->...i", covariance)[...] = own_variance_db2(origins, parameters)
     return covariance
 
@@ -240,7 +240,7 @@ def ageing(
     other_s: NDArray[np.float64] | float,
     parameters: ChannelParameters,
 ) -> NDArray[np.float64]:
-    """Return the factor exp(-age / T) of two times, in the shape that they broadcast to."""
+    """Return the age factor exp(-|t_1 - t_2| / T) of two times, which are broadcast."""
     gap = np.abs(np.subtract(one_s, other_s))
     return np.exp(-gap / parameters.forgetting_s)
 

@@ -1,9 +1,9 @@
-"""Sensitivity of predictions: derivatives by position, and the error from wrong parameters.
+"""Sensitivity of predictions: derivatives by position, and errors due to wrong parameters.
 
 Derivatives are those of the exact posterior, with the uncertainty of theta. The kernel
-exp(-d / beta) has a cusp at every measured place: there is no derivative there, and an error says
-so (solvers round the cusp). Delta^2(q) is the mean squared error of the posterior if parameters
-are wrong: it shows which of them is worth estimating (section II-B and Fig. 1 of [GM11]).
+exp(-d / beta) has a cusp at every measured position, where an error is raised because there is no
+derivative (solvers smooth the cusp). Delta^2(q), the mean squared error of the posterior under
+wrong parameters, shows which parameters matter (section II-B and Fig. 1 of [GM11]).
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.errors import InputError
 
 ELEMENTS = 2**17
-"""Pairs of a place and a measurement in a block."""
+"""Target number of pairs of a position and a measurement in a block."""
 
 
 @dataclass(frozen=True)
 class PosteriorDerivatives:
-    """Predicted power at n places with derivatives by position."""
+    """Predicted power at n positions with derivatives by position."""
 
-    mean_db: NDArray[np.float64]  # (n,) those of :func:`planopt.channel.kriging.predict`
+    mean_db: NDArray[np.float64]  # (n,) as in :func:`planopt.channel.kriging.predict`
     deviation_db: NDArray[np.float64]
     mean_gradient: NDArray[np.float64]  # (n, 2) dB/m
     deviation_gradient: NDArray[np.float64]
@@ -48,7 +48,7 @@ class PosteriorDerivatives:
 def posterior_derivatives(
     posterior: ChannelPosterior, positions_m: ArrayLike
 ) -> PosteriorDerivatives:
-    """Differentiate mean and standard deviation (equation 1.8) twice.
+    """Return first and second derivatives of mean and standard deviation (equation 1.8).
 
     With r = U^-1 (y - Gamma theta), c = U^-1 phi, A = U^-1 Gamma and b = gamma - A' phi:
 
@@ -59,15 +59,15 @@ def posterior_derivatives(
     Parameters
     ----------
     posterior
-        The channel conditional on measurements; the sites of censored ones are held fixed.
+        Channel conditional on measurements; the sites of censored ones are held fixed.
     positions_m
-        ``(n, 2)``. Within `MIN_DISTANCE_M` of the station path loss is constant.
+        ``(n, 2)`` positions; path loss is constant within `MIN_DISTANCE_M` of the station.
 
     Raises
     ------
     InputError
-        A position is exactly a measured one; the standard deviation is zero (without multipath, at
-        rounding distance from a measured place); or positions are not ``(n, 2)`` and finite.
+        A position coincides with a measured one, the standard deviation is zero (without multipath,
+        within rounding of a measured position), or positions are not ``(n, 2)`` and finite.
     """
     places = require_places(positions_m)
     terms = kriging_terms(posterior, places)
@@ -84,7 +84,7 @@ def posterior_derivatives(
             key="positions_m",
             remedy="move it away from the measured place",
         )
-    # Derivatives of the mean, and of the variance.
+    # Derivatives of the mean and of the variance.
     gradients = np.empty((2, len(places), 2))
     hessians = np.empty((2, len(places), 2, 2))
     block = max(1, ELEMENTS // max(1, len(posterior.measurements)))
@@ -124,10 +124,10 @@ def posterior_derivatives(
 def _kernel_derivatives(
     posterior: ChannelPosterior, places_m: NDArray[np.float64], first_index: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the kernel phi (kappa, n), its gradient (.., 2) and Hessian (.., 2, 2) by the place.
+    """Return the kernel phi (kappa, n) with gradient (.., 2) and Hessian (.., 2, 2) by position.
 
-    With u the unit vector from the measurement: -phi u / beta, and
-    phi (u u' / beta^2 - (I - u u') / (beta r)). A position error enlarges r and rounds the cusp.
+    With u the unit vector from the measurement they are -phi u / beta and
+    phi (u u' / beta^2 - (I - u u') / (beta r)). A position error enlarges r and smooths the cusp.
     """
     beta = posterior.parameters.decorrelation_m
     origins = posterior.origins
@@ -157,7 +157,7 @@ def _kernel_derivatives(
 def _path_loss_derivatives(
     places_m: NDArray[np.float64], station: Station
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return gradient (n, 2) and Hessian (n, 2, 2) of -10 log10 d; zero at the least distance."""
+    """Return gradient (n, 2) and Hessian (n, 2, 2) of -10 log10 d; zero at the minimum distance."""
     offset = places_m - np.asarray(station.position_m)
     square = (offset**2).sum(axis=1) + station.height_m**2
     scale = np.where(
@@ -171,7 +171,7 @@ def _path_loss_derivatives(
 
 
 PERTURBED = ("k_pl_db", "n_pl", "shadow_variance_db2", "decorrelation_m", "multipath_std_db")
-"""Parameters that Fig. 1 of [GM11] perturbs: K_PL, n_PL, xi^2, beta and omega."""
+"""Names of the parameters perturbed in Fig. 1 of [GM11]: K_PL, n_PL, xi^2, beta and omega."""
 
 
 def mean_squared_error_db2(
@@ -180,21 +180,21 @@ def mean_squared_error_db2(
     measured_m: ArrayLike,
     positions_m: ArrayLike,
 ) -> NDArray[np.float64]:
-    """Return Delta^2(q), exactly, for any error in any parameter (equation 1.16).
+    """Return the exact Delta^2(q) for any errors in the parameters (equation 1.16).
 
     With w = U_est^-1 phi_est the weights of equation 1.6 and delta theta = theta - theta_est,
 
         Delta^2 = xi^2 + omega^2 - 2 w' phi + w' U w + ((gamma - Gamma' w)' delta theta)^2,
 
-    as in [GM11]. The last term is the square of the bias, formed from both path losses, so that
-    the station may be wrong too. The posterior takes theta as known.
+    as in [GM11]. The last term is the squared bias. It is computed from both path losses, so the
+    station may be wrong too. The posterior assumes that theta is known.
 
     Parameters
     ----------
     true
-        The channel's parameters.
+        True parameters of the channel.
     assumed
-        The parameters of the posterior.
+        Parameters that the posterior assumes.
     measured_m
         ``(kappa, 2)`` positions of uncensored measurements; may be empty.
     positions_m
@@ -203,7 +203,7 @@ def mean_squared_error_db2(
     Returns
     -------
     NDArray
-        ``(n,)`` in dB^2, multipath included.
+        ``(n,)`` mean squared errors in dB^2, multipath included.
 
     Raises
     ------
@@ -222,11 +222,11 @@ def mean_squared_error_db2(
     count = len(measured)
     total = shadow_covariance_db2(measured, measured, true)
     total[np.diag_indices(count)] += true.multipath_std_db**2
-    # The posterior as planopt computes it, with its least nugget.
+    # The posterior as planopt computes it, with its minimum nugget.
     believed = shadow_covariance_db2(measured, measured, assumed)
     believed[np.diag_indices(count)] += max(assumed.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
     precision = _inverse(believed)
-    # w' U w = phi_est' B phi_est: one product for each block of places.
+    # w' U w = phi_est' B phi_est needs one product per block of positions.
     spread = precision @ total @ precision
     offset = _path_loss_db(true, measured) - _path_loss_db(assumed, measured)
     error = np.empty(len(places))
@@ -247,7 +247,7 @@ def mean_squared_error_db2(
 
 
 def perturbed(parameters: ChannelParameters, name: str, relative_error: float) -> ChannelParameters:
-    """Multiply one of `PERTURBED` by 1 + `relative_error`."""
+    """Return parameters with one of `PERTURBED` multiplied by 1 + `relative_error`."""
     if not (math.isfinite(relative_error) and relative_error > -1.0):
         raise InputError(
             f"a relative error of {relative_error!r} cannot be applied",
@@ -272,18 +272,18 @@ def sensitivity_curves(
     positions_m: NDArray[np.float64],
     relative_errors: Sequence[float],
 ) -> dict[str, NDArray[np.float64]]:
-    """Average Delta^2 over places against the error in each parameter (Fig. 1 of [GM11]).
+    """Return the mean Delta^2 as a function of the error in each parameter (Fig. 1 of [GM11]).
 
     Parameters
     ----------
     true
-        The channel's parameters.
+        True parameters of the channel.
     measured_m
         ``(kappa, 2)`` positions of measurements.
     positions_m
-        ``(n, 2)`` positions that represent the workspace.
+        ``(n, 2)`` positions to average over, which represent the workspace.
     relative_errors
-        ``(k,)`` shares, 0.1 for 10 %.
+        ``(k,)`` relative errors, 0.1 for 10 %.
 
     Returns
     -------
@@ -304,7 +304,7 @@ def sensitivity_curves(
 
 
 def _inverse(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inverse of a covariance with a nugget; (kappa, kappa), kappa may be 0."""
+    """Return the inverse of a covariance (kappa, kappa); kappa may be 0."""
     if not len(covariance):
         return covariance
     half = whiten(lower_factor(covariance), np.eye(len(covariance)))

@@ -1,9 +1,9 @@
-"""A lattice of predictions that is updated with each measurement.
+"""Lattice of predictions that is updated with each measurement.
 
-Square tiles of nodes share the measurements nearest to the tile's centre. A new measurement affects
+The nodes of a square tile share the measurements nearest to its centre. A new measurement affects
 only nearby tiles, where it replaces the farthest one by two rank-one updates; a new theta is
-combined with stored terms. In a channel that forgets, and with several receivers, whose offsets
-change with every measurement, all tiles are computed again.
+combined with stored terms. All tiles are recomputed if the channel varies in time, or with several
+receivers, whose offsets change with every measurement.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, combine
 
 TILES_AT_ONCE = 64
-"""Tiles solved together: their matrices fit into a processor's cache."""
+"""Number of tiles solved together, such that their matrices fit into cache."""
 
 REPLACEMENTS_BEFORE_REBUILD = 32
-"""Maximum number of updates of a tile before it is computed again, which limits rounding errors."""
+"""Maximum number of updates before a tile is recomputed, to limit rounding errors."""
 
 
 class TileMap:
     """Predicted power and its standard deviation on a lattice, refreshed with each measurement.
 
-    Memory is about ``8 neighbours (neighbours + tile**2)`` bytes a tile.
+    Memory is about ``8 neighbours (neighbours + tile**2)`` bytes per tile.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class TileMap:
         kept, tile_of_node = np.unique(
             (rows // tile) * across + columns // tile, return_inverse=True
         )
-        # Tiles that extend beyond the lattice repeat its last row or column.
+        # Tiles that exceed the lattice repeat its last row or column.
         inside = np.arange(tile)
         tile_rows = np.minimum((kept // across)[:, None] * tile + inside, len(y_m) - 1)
         tile_columns = np.minimum((kept % across)[:, None] * tile + inside, len(x_m) - 1)
@@ -64,7 +64,7 @@ class TileMap:
         self._centres_m = self._places_m.mean(axis=1)
         self._lattice_index = rows * needed.shape[1] + columns
         self._tile_index = (tile_of_node * tile + rows % tile) * tile + columns % tile
-        # One contiguous plane per term: combining them all is most of an idle refresh.
+        # One contiguous plane per term, because combining them dominates an idle refresh.
         planes = np.full((4, len(kept), tile * tile), np.nan)
         self._terms = KrigingTerms(planes[0], np.moveaxis(planes[1:3], 0, -1), planes[3])
         self._reach_m2: NDArray[np.float64] = np.full(len(kept), np.inf)
@@ -108,7 +108,7 @@ class TileMap:
 
     @property
     def trend(self) -> NDArray[np.float64]:
-        """``(ny, nx, 2)`` varphi at every node, the derivative of the mean by theta."""
+        """Derivative varphi of the mean by theta at every node, ``(ny, nx, 2)``."""
         trend = np.full((self.mean_db.size, 2), np.nan)
         trend[self._lattice_index] = self._terms.trend.reshape(-1, 2)[self._tile_index]
         return trend.reshape(*self.mean_db.shape, 2)
@@ -116,7 +116,7 @@ class TileMap:
     def _mark(
         self, posterior: ChannelPosterior, wanted: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the tiles where one new measurement replaces one neighbour, and its number.
+        """Return the tiles where one new measurement replaces one neighbour, and its index.
 
         All other affected tiles are marked dirty.
         """
@@ -160,7 +160,7 @@ class TileMap:
         self._terms.variance_db2[tiles] = terms.variance_db2.reshape(shape)
 
     def _build(self, posterior: ChannelPosterior, stale: NDArray[np.intp]) -> None:
-        """Compute tiles from their nearest measurements."""
+        """Compute the tiles `stale` from their nearest measurements."""
         if not len(self._indices):
             count, places, size = *self._places_m.shape[:2], self._neighbours
             self._indices = np.zeros((count, size), dtype=np.intp)
@@ -188,9 +188,9 @@ class TileMap:
     ) -> None:
         """Replace the farthest neighbour of each tile by a new measurement.
 
-        Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj); adding one
-        of covariance c with the others adds v v' with v = [1; -P c] / sqrt(delta), delta its
-        variance given the others. The terms change by the same directions.
+        Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj). Adding one
+        with covariance c to the others adds v v' with v = [1; -P c] / sqrt(delta), delta its
+        variance given the others. The kriging terms change along the same directions.
         """
         parameters = posterior.parameters
         origins = posterior.origins
@@ -222,7 +222,7 @@ class TileMap:
         precision += into[:, :, None] * into[:, None, :]
         self._add_direction(tiles, across, into, _columns(posterior, indices), 1.0)
 
-        # Rounding can make the latent variance negative.
+        # Rounding errors can make the latent variance negative.
         self._terms.variance_db2[tiles] = np.maximum(
             self._terms.variance_db2[tiles], parameters.multipath_std_db**2
         )
@@ -239,7 +239,7 @@ class TileMap:
         columns: NDArray[np.float64],
         sign: float,
     ) -> None:
-        """Update the terms for `sign` times the outer square of `direction` in P."""
+        """Update the kriging terms for a rank-one change `sign` v v' of P, v = `direction`."""
         seen = (across @ direction[:, :, None])[:, :, 0]
         projected = sign * (direction[:, None, :] @ columns)
         self._terms.data_db[tiles] += seen * projected[:, :, 0]

@@ -2,20 +2,20 @@
 """Fits of xi, omega and beta to the empirical correlation of residuals (equations 2.2 to 2.5).
 
 [GM11] averages products over pairs at *equal* distance. Distances between real positions never
-repeat, so pairs are collected in bins of equal width, each at its pairs' mean distance.
+repeat, so pairs are collected in bins of equal width, each at the mean distance of its pairs.
 
 ``lemma1``: Lemma 1 of [GM11], a weighted line log r(d) = log xi^2 - d / beta through the bins with
-0 < r-hat(d) < alpha-hat. As printed, this set keeps only the positive noise at long lags, which
-makes xi too small and beta too long however many measurements there are. ``capped``: lags up to a
-cap, and weights n r^2, the inverse of the variance of log r-hat.
+0 < r-hat(d) < alpha-hat. As printed, this selection keeps only positive noise at long lags, which
+makes xi too small and beta too long for any number of measurements. ``capped``: the same with lags
+up to a cap, and weights n r^2, the inverse of the variance of log r-hat.
 
-``convex``: in a = log xi^2 and b = 1 / beta the weighted loss of log r-hat - a + b d is convex, and
+``convex``: the weighted loss of log r-hat - a + b d is convex in a = log xi^2 and b = 1 / beta, and
 so are the physical constraints that the closed form ignores: xi^2 <= alpha-hat (omega^2 cannot be
-negative) and beta within what the positions can tell.
+negative), and beta in the range that the positions can resolve.
 
-``nls``: the exponential fitted to the correlation itself. Without the logarithm, negative bins
-count too, so nothing is selected and the bias of Lemma 1 does not arise. The problem is not convex
-in beta; a scan over beta, in which xi^2 is linear, gives the initial guess.
+``nls``: nonlinear least squares of the exponential on the correlation itself. Negative bins count
+too, so there is no selection and no bias as in Lemma 1. The problem is not convex in beta; a scan
+over beta, with xi^2 linear, gives the initial guess.
 """
 
 from __future__ import annotations
@@ -39,31 +39,31 @@ from planopt.channel.estimation.channel_fit import (
 from planopt.channel.measurement_covariance import pairwise_distance_m
 
 BINS = 100
-"""Bins over the extent."""
+"""Number of bins over the extent."""
 
 ROWS = 512
-"""Rows of pairs that are held at once."""
+"""Number of rows of the pair matrix in memory at once."""
 
 LAG_CAP_SHARE = 0.25
-"""``capped`` uses lags up to this share of the extent, unless correlation vanishes earlier."""
+"""Maximum lag of ``capped`` as a share of the extent, unless the correlation vanishes earlier."""
 
 HUBER_DEVIATIONS = 1.345
-"""Huber's loss turns from squares to absolute values at so many robust deviations of the scatter:
-95 % as efficient as squares where the scatter is normal."""
+"""Transition of Huber's loss from squares to absolute values, in robust standard deviations of the
+residuals. It is 95 % as efficient as squares for normal residuals."""
 
 EFFICIENCY = {"huber": 0.95, "absolute": 2.0 / math.pi}
-"""Variance of the squares' estimate over that of the loss's, for normal scatter."""
+"""Efficiency of each loss relative to squares for normal residuals: the ratio of variances."""
 
 NORMAL_MEDIAN = 0.6745
-"""Median of the absolute value of a standard normal."""
+"""Median absolute value of a standard normal variable."""
 
 SCAN = 60
-"""Values of beta of the scan for the initial guess of ``nls``, spaced geometrically."""
+"""Number of values of beta, spaced geometrically, in the scan for the initial guess of ``nls``."""
 
 
 @dataclass(frozen=True)
 class EmpiricalCorrelation:
-    """One entry a non-empty bin, by increasing lag."""
+    """Empirical correlation of residuals in non-empty bins, by increasing lag."""
 
     lag_m: NDArray[np.float64]  # (b,) mean distance of the bin's pairs
     covariance_db2: NDArray[np.float64]  # (b,) mean product of the residuals, r-hat
@@ -75,7 +75,7 @@ def empirical_correlation(
     residual_db: NDArray[np.float64],  # (n,)
     extent_m: float,
 ) -> EmpiricalCorrelation:
-    """Average residual products of all pairs of distinct measurements, by lag."""
+    """Return the mean product of residuals over all pairs of distinct measurements, by lag."""
     width = extent_m / BINS
     count = len(residual_db)
     totals = np.zeros((3, BINS + 1))
@@ -116,7 +116,7 @@ def fit_correlation(
 
 @dataclass(frozen=True)
 class LogBins:
-    """The points that a line is fitted to."""
+    """Logarithms of binned correlations, to which a line is fitted."""
 
     lag_m: NDArray[np.float64]  # (b,)
     log_covariance: NDArray[np.float64]  # (b,) log r-hat
@@ -126,7 +126,7 @@ class LogBins:
 def log_bins(
     correlation: EmpiricalCorrelation, alpha_db2: float, extent_m: float | None = None
 ) -> LogBins:
-    """Return the bins of Lemma 1 as printed, or, with an extent, those of ``capped``."""
+    """Return the bins of Lemma 1 as printed; with an extent, the bins of ``capped``."""
     r, weight = correlation.covariance_db2, correlation.pairs
     keep = (r > 0.0) & (r < alpha_db2)
     if extent_m is not None:
@@ -156,20 +156,20 @@ def convex_fit(
     bounds: CovarianceBounds,
     loss: Loss = "squares",
 ) -> CovarianceFit:
-    """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` within constraints.
+    """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` subject to the constraints.
 
-    With squares it equals :func:`lemma1_fit` on the same bins when no constraint binds.
+    With squares it equals :func:`lemma1_fit` on the same bins if no constraint is active.
     """
     if loss == "squares":
         intercept, rate = _convex_line(bins, alpha_db2, bounds, loss)
         scatter = _scatter(bins, intercept, rate)
         squares = float(scatter @ scatter)
     else:
-        # First by numbers of pairs alone, as if the line were flat.
+        # Start with weights by numbers of pairs alone, as if the line were flat.
         flat = _weighed_by_line(bins, 0.0, 0.0)
         bins = _weighed_by_line(bins, *_convex_line(flat, alpha_db2, bounds))
         intercept, rate = _convex_line(bins, alpha_db2, bounds)
-        # The median scatter without the two least: the line passes through two bins.
+        # The median residual without the two smallest, because the line passes through two bins.
         rest = np.sort(np.abs(_scatter(bins, intercept, rate)))[2:]
         deviation = float(np.median(rest)) / NORMAL_MEDIAN if len(rest) else 0.0
         if loss == "huber" and deviation > 0.0:
@@ -221,7 +221,7 @@ def nls_fit(
     rate, slope = math.exp(-x[1]), jacobian(x)
     information, errors = slope.T @ slope, (math.inf, math.inf)
     if len(lag) >= 3 and np.linalg.cond(information) <= 1e14:
-        # The scatter is taken as independent between bins.
+        # Residuals are assumed independent between bins.
         scatter = float((misfit(x) ** 2).sum()) / (len(lag) - 2)
         spread = np.sqrt(np.maximum(np.diag(np.linalg.inv(information)) * scatter, 0.0))
         errors = float(spread[0]) * alpha_db2, float(spread[1]) * rate
@@ -229,7 +229,7 @@ def nls_fit(
 
 
 def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> NDArray[np.float64]:
-    """Return sqrt(tau) (log r - intercept + rate d) with tau of sum 1, of one variance each."""
+    """Return residuals of equal variance, sqrt(tau) (log r - intercept + rate d), sum(tau) = 1."""
     scatter = bins.log_covariance - intercept + rate_per_m * bins.lag_m
     return np.sqrt(bins.weight / bins.weight.sum()) * scatter
 
@@ -237,7 +237,7 @@ def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> NDArray[np.f
 def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float, float]:
     """Return standard errors of xi^2 = exp(intercept) and of the rate; ``inf`` for two bins.
 
-    `squares` is the sum of squares of the scatter, which is taken as independent between bins.
+    `squares` is the sum of squared residuals, which are assumed independent between bins.
     """
     count = len(bins.lag_m)
     if count < 3:
@@ -245,7 +245,7 @@ def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float
     weight = bins.weight / bins.weight.sum()
     centre = float(weight @ bins.lag_m)
     spread = float(weight @ (bins.lag_m - centre) ** 2)
-    # Bins of weight near 0 do not count as observations: Kish's effective number.
+    # Kish's effective number, as bins of negligible weight do not count as observations.
     effective = max(1.0 / float(weight @ weight), 1.0)
     variance = squares * count / (count - 2) / effective
     return (
@@ -255,9 +255,9 @@ def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float
 
 
 def _weighed_by_line(bins: LogBins, intercept: float, rate: float) -> LogBins:
-    """Return the bins with weights n r^2, r from the line instead of each bin's own."""
+    """Return the bins with weights n r^2, r taken from the line."""
     above = intercept - rate * bins.lag_m - bins.log_covariance
-    # Relative to the largest, so that nothing overflows; only ratios of weights count.
+    # Relative to the largest to avoid overflow; only ratios of weights matter.
     return replace(bins, weight=bins.weight * np.exp(2.0 * (above - above.max())))
 
 
@@ -266,7 +266,7 @@ def _convex_line(
     alpha_db2: float,
     bounds: CovarianceBounds,
     loss: Loss = "absolute",
-    turn: float = 0.0,  # Scatter at which Huber's loss turns
+    turn: float = 0.0,  # Residual at which Huber's loss becomes linear
 ) -> tuple[float, float]:
     """Return the constrained optimum (log xi^2, 1 / beta)."""
     import cvxpy as cp
@@ -289,11 +289,11 @@ def _convex_line(
     elif loss == "absolute":
         total = cp.norm1(scatter)
     else:
-        # In units of the turn, so that the solver's tolerances do not depend on it.
+        # In units of `turn`, so that the solver's tolerances do not depend on it.
         total = cp.sum(cp.huber(scatter / turn))
     problem = cp.Problem(cp.Minimize(total), constraints)
     with warnings.catch_warnings():
-        # CVXPY warns of an inaccurate optimum; here that is still good to eight digits.
+        # CVXPY may warn of an inaccurate optimum, which still has eight digits here.
         warnings.simplefilter("ignore")
         problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
     if a.value is None or b.value is None:

@@ -1,8 +1,8 @@
-"""Candidates of one step: their value, verification and time budget, and the fallback cascade.
+"""Candidates of one step: value, verification and time budget, and the fallback cascade.
 
-Planners give candidates in order of promise: refined initial guesses, then the guesses themselves.
-The best verified one is released. Without any, the remainder of the previous plan or stopping is
-tried: connectivity may be given up, clearance and speed never.
+Planners yield candidates, most promising first: refined initial guesses, then the unrefined ones.
+The best verified candidate is released. If there is none, the fallbacks are the remainder of the
+previous plan and stopping: they may violate connectivity, but never clearance or speed.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.clearance import ObstacleIndex
 
 SEARCH_SHARE, SOLVE_SHARE, PROOF_SHARE = 0.3, 0.4, 0.1
-"""Shares of a budget: end of the searches, limit of one solve, and time kept for the last proof."""
+"""Fractions of a budget: end of searches, limit of one solve, and reserve for verification."""
 
 
 @dataclass(frozen=True)
 class Budget:
     """Deadlines of a plan by :func:`time.perf_counter`; infinite without a limit."""
 
-    ends_s: float = math.inf  # No refinement begins later
-    search_ends_s: float = math.inf  # Searches return their best result so far
-    proof_ends_s: float = math.inf  # No candidate is verified later if one may be released
+    ends_s: float = math.inf  # Last start of a refinement
+    search_ends_s: float = math.inf  # Deadline of searches, which return their best result
+    proof_ends_s: float = math.inf  # Last start of a verification if a candidate exists
 
     @property
     def spent(self) -> bool:
@@ -80,11 +80,11 @@ def solve_limit_s(problem: Problem) -> float | None:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A path that may be released, with its value and the verifier's finding."""
+    """Candidate path with its objective value and the verifier's findings."""
 
     path_m: NDArray[np.float64]  # (N, 2)
     objective: float
-    lattice_objective: float  # Of the initial guess of the same step
+    lattice_objective: float  # Objective of the step's initial guess
     rung: Rung
     termination: Termination
     certificate: Certificate | None = None  # None before verification
@@ -95,41 +95,41 @@ class Candidate:
     multipliers: dict[str, NDArray[np.float64]] = field(
         default_factory=dict[str, NDArray[np.float64]]
     )
-    # Whether clearance, bounds, dynamics and distances from moving obstacles are kept
+    # Whether clearance, bounds, dynamics and distances from moving obstacles are satisfied
     sound: bool = False
-    power: Prediction | None = None  # At the N + 1 positions, by the verifier
+    power: Prediction | None = None  # Verifier's prediction at the N + 1 positions
     drive: Drive | None = None  # States and inputs; None for the single integrator
 
     @property
     def relaxes(self) -> bool:
-        """Return whether some step misses the chance constraint."""
+        """Return whether any step violates the chance constraint."""
         return self.certificate is not None and bool(self.certificate.relaxed_steps)
 
     @property
     def hopeless(self) -> bool:
-        """Return whether it is certified that no path meets the chance constraint at any step."""
+        """Return whether every violation of the chance constraint is certified as unavoidable."""
         if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
             return False
-        # With bounded slack there is no search within reach.
+        # With bounded slack the verifier computes no reachable margins.
         return max(self.certificate.best_margin_db, default=0.0) < 0.0
 
     @property
     def avoidable(self) -> tuple[int, ...]:
-        """Return the steps that miss the chance constraint although it could be met by then."""
+        """Return the steps that violate the chance constraint although it could be met by then."""
         if self.certificate is None:
             return ()
-        # Empty without a search within reach.
+        # The margins are empty without a reachability search.
         best = zip(self.certificate.relaxed_steps, self.certificate.best_margin_db, strict=False)
         return tuple(step for step, margin in best if margin >= 0.0)
 
     @property
     def missing_db(self) -> float:
-        """Return the sum of the margins that its steps lack."""
+        """Return the sum of the shortfalls of its steps in dB."""
         return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)
 
 
 class PathValue(Protocol):
-    """The objective of a path (N, 2), and of the drive along it for a robot with dynamics."""
+    """Objective of a path (N, 2), and of the drive along it for a robot with dynamics."""
 
     def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
         """Return the objective."""
@@ -138,7 +138,7 @@ class PathValue(Protocol):
 
 @dataclass(frozen=True)
 class Judge:
-    """Values and verifies the candidates of one step."""
+    """Evaluation and verification of the candidates of one step."""
 
     context: VerifierContext
     objective: PathValue
@@ -147,26 +147,26 @@ class Judge:
 
     @property
     def problem(self) -> Problem:
-        """The problem."""
+        """Problem of the step."""
         return self.context.problem
 
     @property
     def index(self) -> ObstacleIndex:
-        """The obstacles."""
+        """Index of the obstacles."""
         return self.context.index
 
     @property
     def position_m(self) -> NDArray[np.float64]:
-        """``(2,)`` the robot's position."""
+        """``(2,)`` position of the robot."""
         return self.context.position_m
 
     @property
     def state(self) -> NDArray[np.float64]:
-        """``(s,)`` the robot's state."""
+        """``(s,)`` state of the robot."""
         return self.context.state
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Return the margins of p_min at predicted places."""
+        """Return the margins of p_min for predicted powers."""
         return margins_asked_db(self.problem, power)
 
     def candidate(
@@ -176,7 +176,7 @@ class Judge:
         termination: Termination,
         drive: Drive | None = None,
     ) -> Candidate:
-        """Return a path as a candidate, valued but not verified."""
+        """Return a path as a candidate, evaluated but not verified."""
         # A failed solve may return NaN.
         found = self.objective(path_m, drive) if np.isfinite(path_m).all() else -self.sense * np.inf
         return Candidate(path_m, found, found, rung, termination, drive=drive)
@@ -187,11 +187,11 @@ class Judge:
         return 1.0 if self.problem.sense == "max" else -1.0
 
     def worth(self, candidate: Candidate) -> float:
-        """Return the objective with the sign by which more is better."""
+        """Return the objective value, with its sign changed if it is minimised."""
         return self.sense * candidate.objective
 
     def judged(self, candidate: Candidate) -> Candidate:
-        """Return the candidate with the verifier's finding."""
+        """Return the candidate with the verifier's findings."""
         path = np.vstack([self.position_m, candidate.path_m])
         found = verify(self.context, path, candidate.kkt_residual, candidate.drive)
         return replace(
@@ -203,7 +203,7 @@ class Judge:
         )
 
     def standing(self, horizon: int) -> Candidate:
-        """Stand still; if that is not sound, follow the reservation, or leave an obstacle.
+        """Return a stationary candidate; if unsound, the reservation, or a path out of an obstacle.
 
         The plans of all other robots keep clear of the reservation.
         """
@@ -251,21 +251,21 @@ class Judge:
 
 
 def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
-    """Return the plan of a path that no solver refined; standing still if it is not sound.
+    """Return the plan of an unrefined path, or a stationary plan if the path is unsound.
 
     Parameters
     ----------
     judge
-        Values and verifies the path.
+        Evaluation and verification of the path.
     path_m
         ``(N, 2)`` positions after each step.
     begun_s
-        Beginning of the planning by :func:`time.perf_counter`.
+        Start time of planning by :func:`time.perf_counter`.
 
     Raises
     ------
     InputError
-        `path_m` has another shape than (N, 2) for the horizon N.
+        If the shape of `path_m` is not (N, 2) for the horizon N.
     """
     part_of("judge", judge, Judge, "give the judge first, then the path")
     shape = (judge.problem.planner.horizon, 2)
@@ -286,21 +286,21 @@ def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
 
 
 def held(context: VerifierContext, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return a path of N steps that begins with `path` and then stands still; (N, 2)."""
+    """Return a path of N steps that begins with `path` and then waits; (N, 2)."""
     horizon = context.problem.planner.horizon
     last = path[-1] if path else context.position_m
     return np.asarray([*path, *[last] * (horizon - len(path))])[:horizon]
 
 
 def verified_of(tried: Sequence[Candidate]) -> list[Candidate]:
-    """Return the verified candidates, in their order."""
+    """Return the verified candidates in their original order."""
     return [candidate for candidate in tried if candidate.verdict is Verdict.VERIFIED]
 
 
 def best_of(
     judge: Judge, tried: Sequence[Candidate], warm: Plan | None, least: float = -math.inf
 ) -> Candidate:
-    """Return the best verified candidate, else the safest fallback.
+    """Return the best verified candidate, otherwise the safest fallback.
 
     An unverified candidate is released only if its value is at least `least`.
     """
@@ -329,7 +329,7 @@ def with_effort(chosen: Candidate, tried: Sequence[Candidate]) -> Candidate:
 
 
 def without_guess(judge: Judge, warm: Plan | None) -> Candidate:
-    """Return the remainder of the previous verified plan, verified again; else a stop."""
+    """Return the remainder of the previous verified plan, verified again; otherwise a stop."""
     problem = judge.problem
     if not problem.robots[0].moves_freely:
         return _driven_without_guess(judge, warm)
@@ -344,8 +344,8 @@ def without_guess(judge: Judge, warm: Plan | None) -> Candidate:
 def _driven_without_guess(judge: Judge, warm: Plan | None) -> Candidate:
     """Brake immediately if that is collision-free, otherwise after the previous plan.
 
-    The remainder of the previous plan is collision-free whatever is believed of the channel, and
-    the other robots keep clear of it.
+    The remainder of the previous plan is collision-free for any channel belief, and the other
+    robots keep clear of it.
     """
     problem, horizon = judge.problem, judge.problem.planner.horizon
     shifted = shifted_drive(problem, warm)

@@ -1,4 +1,4 @@
-"""Findings on a plan: the certificate, the result of its rule, coverage holes, and their words."""
+"""Findings on a plan: certificate, rule result and coverage holes, with their descriptions."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from planopt.problems.constraints import rule_kind
 from planopt.problems.problem import Problem
 
 MOST_IN_WORDS = 4
-"""Only the longest holes are listed."""
+"""Maximum number of listed holes, longest first."""
 
 SHORTEST_IN_WORDS_M = 0.5
-"""Shorter holes are not listed."""
+"""Minimum length of a listed hole."""
 
 
 @dataclass(frozen=True)
 class Hole:
-    """A stretch of a path that misses the bound on connectivity."""
+    """Coverage hole: a stretch of a path that violates the connectivity bound."""
 
-    from_m: tuple[float, float]  # (x, y) of its first and last place below the bound
+    from_m: tuple[float, float]  # (x, y) of its first and last position below the bound
     to_m: tuple[float, float]
-    length_m: float  # Driven below the bound, half of the steps in and out included
-    least_connectivity: float  # Least probability of connection in it
-    to_end: bool  # Whether the path ends in it
+    length_m: float  # Length below the bound, half of entry and exit steps included
+    least_connectivity: float  # Minimum probability of connection in it
+    to_end: bool  # Whether the path ends in the hole
 
     @property
     def words(self) -> str:
-        """Return where it is and how long."""
+        """Return the location and length of the hole."""
         x, y = self.from_m
         return (
             f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "
@@ -44,7 +44,7 @@ class Hole:
 
 @dataclass(frozen=True, eq=False)
 class BlockedWay:
-    """The cheapest path of a robot to its goal, which a hard bound on connectivity forbids.
+    """Cheapest path of a robot to its goal, which violates a hard connectivity bound.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class BlockedWay:
     way_m
         ``(n, 2)`` positions from the robot to the goal.
     holes
-        Stretches that miss the bound, in the order of the path.
+        Stretches that violate the bound, in path order.
     """
 
     robot: str
@@ -62,14 +62,14 @@ class BlockedWay:
 
 
 class BlockedError(NoPlanError):
-    """There is no path to a goal that keeps a hard bound on connectivity.
+    """Error for a goal that no path reaches within a hard connectivity bound.
 
     Parameters
     ----------
     message
-        The coverage holes of the cheapest path, in words.
+        Description of the coverage holes of the cheapest path.
     blocked
-        The cheapest paths.
+        The cheapest path of each blocked robot.
     """
 
     def __init__(self, message: str, blocked: tuple[BlockedWay, ...]) -> None:
@@ -78,9 +78,9 @@ class BlockedError(NoPlanError):
 
 
 def holes_along(
-    places_m: NDArray[np.float64],  # (n, 2) of the path
+    places_m: NDArray[np.float64],  # (n, 2) positions of the path
     connectivity: NDArray[np.float64],  # (n,) P(connected)
-    is_below: NDArray[np.bool_],  # (n,) whether that misses the bound
+    is_below: NDArray[np.bool_],  # (n,) whether P(connected) violates the bound
 ) -> tuple[Hole, ...]:
     """Return the holes of a path."""
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
@@ -112,7 +112,7 @@ def holes_on(
 
 
 def named_holes(holes: Sequence[Hole], before: str, more: str) -> list[str]:
-    """Return words for the longest holes, each after `before`, and how many `more` there are."""
+    """Return descriptions of the longest holes, each after `before`, and how many `more` exist."""
     longest = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
     named = [f"{before}{hole.words}" for hole in holes if hole in longest]
     left = len(holes) - len(longest)
@@ -120,7 +120,7 @@ def named_holes(holes: Sequence[Hole], before: str, more: str) -> list[str]:
 
 
 def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses") -> list[str]:
-    """Return lines about the holes on the path to a goal."""
+    """Return lines that describe the holes on the path to a goal."""
     holes = [hole for hole in holes if hole.length_m >= SHORTEST_IN_WORDS_M]
     if not holes:
         return []
@@ -147,21 +147,21 @@ def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
 
 @dataclass(frozen=True)
 class RuleResult:
-    """The value that a rule requires of a whole plan, and the value achieved.
+    """Value that a rule requires of a whole plan, and the achieved value.
 
     Attributes
     ----------
     connectivity
         Name of the rule.
     achieved, asked
-        The value and its bound, from below or, for ``outage``, from above.
+        Achieved value and its bound: a lower bound, or an upper bound for ``outage``.
     unit
         ``probability``, ``m``, ``s``, ``Mbit`` or ``steps``.
     method
         Method of computation.
     slack_db
-        The least lowering of the threshold with which the path keeps the rule, within the allowed
-        slack.
+        Smallest reduction of the threshold with which the path satisfies the rule, within the
+        allowed slack.
     """
 
     connectivity: str
@@ -173,18 +173,18 @@ class RuleResult:
 
     @property
     def missing(self) -> float:
-        """Return the shortfall in its unit; negative if the bound is kept."""
+        """Return the shortfall in the rule's unit; negative if the bound is satisfied."""
         short = self.asked - self.achieved
         return -short if rule_kind(self.connectivity).greatest else short
 
     @property
     def is_missed(self) -> bool:
-        """Return whether the bound is missed by more than rounding."""
+        """Return whether the bound is violated by more than rounding."""
         return self.missing > RULE_TOLERANCE * max(1.0, abs(self.asked))
 
     @property
     def words(self) -> str:
-        """Return one line."""
+        """Return a one-line description."""
         unit = "" if self.unit == "probability" else f" {self.unit}"
         return (
             f"connectivity ({self.connectivity.replace('_', ' ')}): {self.achieved:.4g}{unit}, "
@@ -194,14 +194,14 @@ class RuleResult:
 
 @dataclass(frozen=True)
 class Certificate:
-    """The values that the verifier computed, by code that shares nothing with the solver.
+    """Results of the verifier, computed by code that shares nothing with the solver.
 
     Attributes
     ----------
     min_clearance_m
-        Least distance between the swept path and any obstacle, exact; infinite without obstacles.
+        Minimum distance between the swept path and any obstacle, exact; infinite without obstacles.
     min_connectivity
-        Least probability of connection over the planned steps.
+        Minimum probability of connection over the planned steps.
     dynamics_defect
         Largest violation of the motion model and the input set, in metres.
     kkt_residual
@@ -209,26 +209,26 @@ class Certificate:
     posterior
         ``exact`` or ``neighbours:192``.
     relaxed_steps, relaxation_db
-        Steps (1 is the first) that miss the bound, and by how many dB.
+        Steps (1 is the first) that violate the bound, and the shortfall of each in dB.
     best_margin_db
-        At each of them the best margin (dB) of all places within reach by then: a negative one
-        proves that the bound could not be met.
+        For each of these steps, the best margin (dB) of all positions reachable by then: a negative
+        margin proves that the bound could not be met.
     path_cost_m, best_cost_m
-        If a plan to a goal misses the bound: its cost in metres at the outage price, cost-to-go
-        included, and that of the cheapest path that the verifier finds; else None. Infinite if the
-        verifier's grid has no path.
+        If a plan to a goal violates the bound: its cost in metres at the outage price, including
+        cost-to-go, and the cost of the cheapest path that the verifier finds; otherwise None.
+        Infinite if the verifier's grid has no path.
     step_cost_m, step_excess_m
-        Likewise the cost of the first step, and this cost plus that of the cheapest path after it
-        less that of the cheapest path before it. Sums of both over a run are bounded.
+        The same for the first step: its cost, and this cost plus the change of the optimal
+        cost-to-go over the step. The sums of both over a run are bounded.
     reasons
-        Why the verdict is not ``verified``; empty if it is.
+        Reasons why the verdict is not ``verified``; empty if it is.
     min_separation_m
-        Least distance from any other robot at equal times; None without other robots or a
-        separation. Robots that plan later count by their previous plans.
+        Minimum distance to any other robot at equal times; None without other robots or a
+        separation. Robots that plan later are represented by their previous plans.
     min_moving_clearance_m
-        Least distance from any moving obstacle at equal times, negative inside one; None without.
+        Minimum distance to any moving obstacle at equal times, negative inside one; None without.
     rule
-        Result of a rule of connectivity other than the default one.
+        Result of a non-default connectivity rule.
     """
 
     min_clearance_m: float
@@ -250,7 +250,7 @@ class Certificate:
 
     @property
     def excess_m(self) -> float | None:
-        """Return the cost beyond the cheapest path found; None if they cannot be compared."""
+        """Return the excess cost over the cheapest path found; None if they cannot be compared."""
         path_m, best_m = self.path_cost_m, self.best_cost_m
         if path_m is None or best_m is None or not math.isfinite(max(path_m, best_m)):
             return None
@@ -258,7 +258,7 @@ class Certificate:
 
 
 def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> str:
-    """Describe the faults of a path (N + 1, 2) from the robot on; empty if there are none."""
+    """Describe the faults of a path (N + 1, 2) from the robot's position; empty if none."""
     parts = list(certificate.reasons)
     rule = certificate.rule
     if rule is not None and rule.slack_db > 0.0:
@@ -288,16 +288,16 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
 
 @dataclass(frozen=True)
 class Excused:
-    """A step that misses the bound, and its excuse."""
+    """Step that violates the bound, and the reason why it is excused."""
 
-    step: int  # Its number; 1 is the first
-    relaxation_db: float  # By how many dB it misses the bound
-    # price: the plan is hardly dearer than the cheapest path found. out_of_reach: no place within
-    # reach keeps the bound by then. slack: within constraints.slack_max_db. none: no excuse.
+    step: int  # Step number; 1 is the first
+    relaxation_db: float  # Shortfall in dB
+    # price: plan at most slightly costlier than the cheapest path. out_of_reach: no position
+    # reachable by then meets the bound. slack: within constraints.slack_max_db. none: no excuse.
     excuse: str
-    path_cost_m: float | None = None  # With price: of the plan and of the cheapest path found
+    path_cost_m: float | None = None  # For price: costs of plan and cheapest path
     best_cost_m: float | None = None
-    best_margin_db: float | None = None  # With out_of_reach: best margin within reach, negative
+    best_margin_db: float | None = None  # For out_of_reach: best reachable margin, negative
 
     @property
     def words(self) -> str:
@@ -316,7 +316,7 @@ class Excused:
 
 
 def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
-    """Return the steps that miss p_min: of one plan all, of a run the first step of each plan."""
+    """Return the steps that violate p_min: all of a single plan, or the first of each plan."""
     if len(proofs) == 1:
         return [_excused(proofs[0], k, step) for k, step in enumerate(proofs[0].relaxed_steps)]
     return [
@@ -327,18 +327,18 @@ def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
 
 
 MOST_EXCUSED = 10
-"""Number of steps that are listed."""
+"""Maximum number of listed steps."""
 
 
 def excused_in_words(steps: Sequence[Excused]) -> list[str]:
-    """Return lines about the first steps that miss p_min, and the number of the others."""
+    """Return lines about the first steps that violate p_min, and the number of further steps."""
     lines = [one.words for one in steps[:MOST_EXCUSED]]
     more = len(steps) - MOST_EXCUSED
     return [*lines, f"and {more} more steps"] if more > 0 else lines
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """Return the shortfall `number` of a plan, named as step `step`."""
+    """Return shortfall `number` of a plan, labelled as step `step`."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
@@ -352,9 +352,9 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
 
 
 def worst_of(certificates: Sequence[Certificate]) -> Certificate:
-    """Return the worst of certificates in each respect, without the steps that miss the bound.
+    """Return the worst value of each certificate entry, without the violating steps.
 
-    The costs are those of the plan, and of the step, with the largest excess over the cheapest.
+    Costs are those of the plan, and of the step, with the largest excess over the cheapest path.
     """
     paths = [
         (one.excess_m, one.path_cost_m, one.best_cost_m)
@@ -392,12 +392,12 @@ def worst_of(certificates: Sequence[Certificate]) -> Certificate:
 
 
 def _known(values: Iterable[float | None]) -> list[float]:
-    """Return the numbers among values."""
+    """Return the values that are not None."""
     return [value for value in values if value is not None]
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
-    """Return the worst of robots' certificates, step by step; reasons name the robot."""
+    """Return the worst of the robots' certificates, step by step; reasons name the robot."""
     each = tuple(certificates.values())
     if len(each) == 1:
         return each[0]

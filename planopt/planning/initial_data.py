@@ -1,6 +1,6 @@
-"""Initial data of a run, drawn from problem and seed, and the beliefs fitted to measurements.
+"""Initial data of a run, drawn for a problem and a seed, and beliefs fitted to measurements.
 
-Ground truth, first measurements, starts and targets each have a random stream of their own.
+Ground truth, initial measurements, start positions and targets use separate random streams.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ from planopt.world.raster import Raster, cell_centres_m
 from planopt.world.raster_files import read_raster
 
 DRAWN_STREAM = 3
-"""Random stream of starts."""
+"""Random stream of start positions."""
 
 MOST_DRAWS = 10_000
-"""Maximum number of draws of a place or path."""
+"""Maximum number of draws of a position or path."""
 
 
 def with_drawn_starts(problem: Problem, seed: int) -> Problem:
-    """Return the problem with drawn starts of robots and target, if these are random."""
+    """Return the problem with drawn start positions of robots and target, if these are random."""
     spread = any(robot.start_spread_m > 0.0 for robot in problem.robots)
     moved = any(target.start_distance_m is not None for target in problem.targets)
     if not spread and not moved:
@@ -141,7 +141,7 @@ def _drawn_target(
 def _is_free(
     problem: Problem, index: ObstacleIndex, places_m: NDArray[np.float64], clearance: float
 ) -> bool:
-    """Return whether all places (n, 2) are in the workspace, with this clearance."""
+    """Return whether all positions (n, 2) are in the workspace with this clearance."""
     if not inside_bounds(problem.workspace, places_m).all():
         return False
     away = clearance_m(index, places_m)
@@ -151,7 +151,7 @@ def _is_free(
 def free_target_path(
     problem: Problem, draw_path: Callable[[], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Draw a target's states (n + 1, 4), until they are in free space if that is required."""
+    """Draw a target's states (n + 1, 4), repeatedly if its path must be in free space."""
     if not problem.targets[0].stays_free:
         return draw_path()
     index = index_obstacles(problem.workspace)
@@ -170,7 +170,7 @@ def free_target_path(
 def free_places(
     problem: Problem, count: int, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw places (count, 2) uniformly from the free workspace."""
+    """Draw positions (count, 2) uniformly from the free workspace."""
     index = index_obstacles(problem.workspace)
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     kept: list[NDArray[np.float64]] = []
@@ -194,8 +194,8 @@ def free_places(
 class TeamSeeds:
     """Random streams of a team."""
 
-    target: np.random.Generator  # Target path, its first estimate and the sensors' noise
-    planners: tuple[np.random.Generator, ...]  # One for each robot
+    target: np.random.Generator  # Target path, its initial estimate and sensor noise
+    planners: tuple[np.random.Generator, ...]  # One per robot
 
 
 def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
@@ -208,18 +208,18 @@ def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
 
 
 UserMeasurements = Measurements | Table | Sequence[Measurements | Table]
-"""Measurements from a user: one table, or one for each station."""
+"""User-supplied measurements: one table, or one per station."""
 
 LARGEST_GAIN_DB = 500.0
-"""Limit of the magnitude of path gains in maps and problem files."""
+"""Maximum magnitude of path gains in maps and problem files."""
 
 FURTHER_STREAMS = 2
-"""Random streams of the fading of further stations."""
+"""Random stream of the fading of further stations."""
 
 
 @dataclass(frozen=True, eq=False)
 class InitialData:
-    """Ground truth and first measurements of one seed, by station."""
+    """Ground truth and initial measurements of one seed, by station."""
 
     truths: tuple[Truth, ...]  # Empty if the problem has none
     measurements: tuple[Measurements, ...]
@@ -228,7 +228,7 @@ class InitialData:
 def draw_initial_data(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> InitialData:
-    """Draw the ground truth, and the first measurements unless these are supplied."""
+    """Draw the ground truth, and the initial measurements unless they are supplied."""
     if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
         raise InputError(
             f"is {seed!r}, should be a whole number, at least 0",
@@ -259,7 +259,7 @@ def draw_initial_data(
 def _first_measurements(
     problem: Problem, truths: Sequence[Truth], generator: np.random.Generator
 ) -> list[Measurements]:
-    """Read the logs of all stations, or measure the ground truth at drawn places."""
+    """Read the logs of all stations, or measure the ground truth at drawn positions."""
     setup, known = problem.channel.measurements, problem.channel.given
     if isinstance(setup, LoggedMeasurements):
         logs = [log_of(setup, radio) for radio in problem.stations]
@@ -293,7 +293,7 @@ def _fitted_truth(
     log: Measurements,
     generator: np.random.Generator,
 ) -> Truth:
-    """Fit a station's log and draw the truth from the posterior."""
+    """Fit the channel to a station's log and draw the ground truth from the posterior."""
     radio = problem.stations[station]
     fit = fit_channel(log, radio.site, problem.channel.fit_method)
     if len(log) > EXACT_LIMIT:
@@ -304,7 +304,7 @@ def _fitted_truth(
 
 
 def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 0) -> Truth | None:
-    """Draw the ground truth of one station; None without one, or if it is fitted to a log."""
+    """Draw one station's ground truth; None if there is none or if it is fitted to a log."""
     setup, radio = problem.channel.truth, problem.stations[station]
     if isinstance(setup, RasterTruth):
         setup = raster_truth_of(setup, radio)
@@ -312,7 +312,7 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
         _require_quantity(setup, gain)
         if setup.quantity == "power":
             gain = replace(gain, values=gain.values - radio.transmit_power_dbm)
-        # A comparison with NaN is false: no value is no fault.
+        # NaN marks missing values and is allowed; the comparison is false for it.
         if (np.abs(gain.values) > LARGEST_GAIN_DB).any():
             raise InputError(
                 f"has values from {np.nanmin(gain.values):g} to {np.nanmax(gain.values):g}, which "
@@ -348,7 +348,7 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
 
 
 def _require_quantity(setup: RasterTruth, raster: Raster) -> None:
-    """Raise an InputError for a map of another quantity."""
+    """Raise an InputError if a map contains another quantity."""
     other = {"gain": "dBm", "power": "dB"}[setup.quantity]
     spread = raster.quantity.startswith("standard deviation")
     if raster.unit not in (other, "1") and not spread:
@@ -366,7 +366,7 @@ def _require_quantity(setup: RasterTruth, raster: Raster) -> None:
 
 
 def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: int) -> Truth:
-    """Return the truth of a station from arrays or from a function of places."""
+    """Return a station's ground truth from arrays or from a function of position."""
     if isinstance(setup, ArrayTruth):
         x, y, values = (_numbers(key, getattr(setup, key)) for key in ("x_m", "y_m", "power_dbm"))
         several = values.ndim == 3
@@ -409,7 +409,7 @@ def _numbers(key: str, values: object) -> NDArray[np.float64]:
     """Return an array of real numbers, or raise an error with the key."""
     try:
         found = np.asarray(values)
-        # NumPy would read numbers from text, and leave out imaginary parts.
+        # NumPy would parse text as numbers and drop imaginary parts.
         if found.dtype.kind in "iufO":
             return found.astype(np.float64)
         kind = "text" if found.dtype.kind in "US" else f"numbers of type {found.dtype}"
@@ -425,9 +425,9 @@ def _numbers(key: str, values: object) -> NDArray[np.float64]:
 def with_measurements(
     problem: Problem, measurements: UserMeasurements | None
 ) -> tuple[Problem, tuple[Measurements, ...] | None]:
-    """Return a problem without its own first measurements, and those of the user by station.
+    """Return the problem without its own initial measurements, and the user's by station.
 
-    Without measurements of the user, return the problem and None.
+    Without user measurements, return the unchanged problem and None.
     """
     if measurements is None:
         return problem, None
@@ -443,7 +443,7 @@ def with_measurements(
 def measurements_by_station(
     problem: Problem, measurements: UserMeasurements
 ) -> tuple[Measurements, ...]:
-    """Return the measurements of a user, one table for each station."""
+    """Return the user's measurements as one table per station."""
     if isinstance(measurements, str | bytes | Path):
         raise InputError(
             f"is {measurements!r}, no table of measurements",
@@ -476,7 +476,7 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
 def _given(
     problem: Problem, known: GivenParameters, measurements: Measurements, station: int
 ) -> tuple[ChannelFit, ChannelPosterior]:
-    """Return the posterior with known parameters; unknown path loss is estimated."""
+    """Return the posterior for known parameters; unknown path loss is estimated."""
     radio = problem.stations[station]
     path_loss_known = known.k_pl_db is not None
     parameters = ChannelParameters(
@@ -512,14 +512,14 @@ def _given(
 
 
 def learn_stations(problem: Problem, measurements: Sequence[Measurements]) -> Belief:
-    """Return the belief of every station's channel, fitted to its measurements."""
+    """Return the belief of every station's channel, each fitted to its own measurements."""
     beliefs = [learn(problem, own, station) for station, own in enumerate(measurements)]
     return replace(beliefs[0], further=tuple(beliefs[1:]))
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Ground truth by station and initial belief of one seed."""
+    """Ground truth by station and initial belief for one seed."""
 
     truths: tuple[Truth, ...]  # Empty if the problem has none
     belief: Belief
@@ -529,13 +529,13 @@ class Prepared:
 def prepare(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> Prepared:
-    """Draw the initial data and fit the channel to the first measurements."""
+    """Draw the initial data and fit the channel to the initial measurements."""
     data = draw_initial_data(problem, seed, measurements)
     return Prepared(data.truths, learn_stations(problem, data.measurements))
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Return a belief with measurements by station, except those nearer than the spacing."""
+    """Return a belief updated with measurements by station, except those below the spacing."""
     if not any(len(each) for each in measured):
         return belief
     rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)

@@ -1,7 +1,7 @@
-"""A plan: trajectory, termination of the solver, objective value, verdict and certificate.
+"""Plan of one robot: trajectory, solver termination, objective value, verdict and certificate.
 
-Every plan keeps clearance, workspace and speed (:func:`is_sound`), whatever its connectivity, so
-that the rest of a verified plan can replace a new one.
+Every plan satisfies clearance, workspace and speed limits (:func:`is_sound`), whatever its
+connectivity, so that the remainder of a verified plan can replace a new one.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from planopt.short_repr import short_repr
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 
 LEAST_BASE = 0.01
-"""Least share of the refined objective that the lattice objective has as the base of a gain."""
+"""Minimum ratio of lattice to refined objective for which relative gains are defined."""
 
 
 class Termination(StrEnum):
-    """The reason why the solver stopped; it does not measure the plan's quality."""
+    """Reason why the solver stopped; it does not measure the plan's quality."""
 
     CONVERGED = "converged"
     ACCEPTABLE = "acceptable"
@@ -40,7 +40,7 @@ class Termination(StrEnum):
 
 
 class Verdict(StrEnum):
-    """The verdict of an independent check of the plan.
+    """Verdict of an independent check of the plan.
 
     ``verified``: every constraint holds, the connectivity bound at every step where it is
     possible. ``feasible_unverified``: not rejected, but a part of the proof is missing.
@@ -54,13 +54,13 @@ class Verdict(StrEnum):
 
 
 class Rung(StrEnum):
-    """The fallback that a released plan came from.
+    """Fallback that a released plan came from.
 
-    ``reserved`` is the rest of the last plan, verified or not, where standing still would block
-    moving obstacles or robots; the other robots avoid it. ``direct`` is the shortest path to a goal
-    after long wandering, whatever the connection. ``give_way`` is a robot's part of joint paths of
-    all robots. ``leave`` is a step away from a forbidden place: too near to an obstacle, or out of
-    bounds.
+    ``reserved`` is the remainder of the last plan, verified or not, used if waiting would block
+    moving obstacles or robots; the other robots avoid it. ``direct`` is the shortest path to a
+    goal after long wandering, regardless of connection. ``give_way`` is a robot's part of joint
+    paths of all robots. ``leave`` is a step away from a forbidden position: too close to an
+    obstacle, or out of bounds.
     """
 
     PLAN = "plan"
@@ -77,16 +77,16 @@ class Rung(StrEnum):
 
 @dataclass(frozen=True)
 class Pivot:
-    """A waypoint beyond the horizon, and the cost of the remaining route.
+    """Waypoint beyond the horizon, and the cost of the remaining route.
 
     Attributes
     ----------
     position_m
-        ``(2,)``.
+        ``(2,)`` position of the waypoint.
     cost_m
-        Cost from there to the goal in metres, with outage at its price.
+        Cost from the waypoint to the goal in metres, with outage at its price.
     metre_cost
-        Cost of a metre on the route to it, at least 1.
+        Cost per metre on the route to the waypoint, at least 1.
     """
 
     position_m: NDArray[np.float64]
@@ -96,42 +96,42 @@ class Pivot:
 
 @dataclass(frozen=True)
 class Plan:
-    """One robot's plan over N steps.
+    """Plan of one robot over N steps.
 
     Attributes
     ----------
     robot
-        Its name.
+        Name of the robot.
     t_s
-        ``(N + 1,)`` times from now on.
+        ``(N + 1,)`` times from now.
     positions_m
-        ``(N + 1, 2)`` now and after each step; motion is straight between them.
+        ``(N + 1, 2)`` current position and positions after each step; motion is straight between.
     mean_dbm, deviation_db, connectivity
-        ``(N + 1,)`` predicted power, its standard deviation and P(connected) at those places, from
-        the exact posterior; future measurements are not anticipated (equation 3.2).
+        ``(N + 1,)`` predicted power, its standard deviation and P(connected) at these positions,
+        from the exact posterior; future measurements are not anticipated (equation 3.2).
     objective
         With a goal a cost in seconds (sense: min): time, effort and outage at their prices,
-        cost-to-go included; it is no travel time. Else the weighted sum of terms (sense: max).
+        including cost-to-go; not a travel time. Otherwise the weighted sum of terms (sense: max).
     lattice_objective
         Objective of the lattice path that the refinement started from.
     termination, verdict, rung, certificate
-        See their types.
+        Values documented at their types.
     wall_s, solve_s, iterations
-        Time of the whole step, of the solver in it, and solver iterations.
+        Wall time of the whole step, solver time within it, and number of solver iterations.
     multipliers
         Named constraint multipliers of the solver, for reports.
     message
-        Why there is no better plan; empty if the plan is as good as required.
+        Reason why there is no better plan; empty if the plan meets all requirements.
     pivot
         Terminal waypoint of the cost-to-go; None without one.
     sense
-        Whether less or more of the objective is better.
+        Direction of the objective: minimised or maximised.
     drive
-        States and inputs along the places; None for the single integrator.
+        States and inputs along the path; None for the single integrator.
     route_m
-        ``(r, 2)`` remaining route to a goal from the last place on, from the search.
+        ``(r, 2)`` route found from the last position to the goal.
     holes
-        Stretches of path and route to a goal that miss p_min.
+        Stretches of path and route to a goal that violate p_min.
     """
 
     robot: str
@@ -163,17 +163,17 @@ class Plan:
 
     @property
     def next_state(self) -> NDArray[np.float64]:
-        """``(s,)`` the robot's state after the first step."""
+        """``(s,)`` state of the robot after the first step."""
         return self.positions_m[1] if self.drive is None else self.drive.states[1]
 
     @property
     def next_position_m(self) -> NDArray[np.float64]:
-        """``(2,)`` the robot's position after the first step."""
+        """``(2,)`` position of the robot after the first step."""
         return self.positions_m[1]
 
     @property
     def next_input(self) -> NDArray[np.float64]:
-        """``(m,)`` the input during the first step; of a single integrator its velocity in m/s."""
+        """``(m,)`` input during the first step; for a single integrator its velocity in m/s."""
         if self.drive is None:
             return (self.positions_m[1] - self.positions_m[0]) / (self.t_s[1] - self.t_s[0])
         return self.drive.inputs[0]
@@ -191,7 +191,7 @@ class Plan:
 
 
 def share_gained(gain: float, lattice: float, refined: float) -> float:
-    """Return a gain as a share of the lattice objective; NaN if that is close to zero."""
+    """Return a gain relative to the lattice objective; NaN if that is close to zero."""
     if gain == 0.0:
         return 0.0
     return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(refined) > 0.0 else math.nan
@@ -203,7 +203,7 @@ def is_sound(
     position_m: NDArray[np.float64],
     path_m: NDArray[np.float64],
 ) -> bool:
-    """Return whether a path (N, 2) from `position_m` (2,) keeps clearance, speed and workspace."""
+    """Return whether a path (N, 2) from `position_m` (2,) satisfies clearance, speed, workspace."""
     whole_m = np.vstack([position_m, path_m])
     clearance = swept_clearance_m(index, whole_m)
     return bool(
@@ -216,9 +216,9 @@ def is_sound(
 def shifted_path(
     problem: Problem, index: ObstacleIndex, position_m: NDArray[np.float64], warm: Plan | None
 ) -> NDArray[np.float64] | None:
-    """Return the rest (N, 2) of a verified plan after its first step, standing still at its end.
+    """Return the remainder (N, 2) of a verified plan after its first step, waiting at its end.
 
-    None if the plan is not verified, no longer drivable, or of a robot with dynamics.
+    None if the plan is unverified, no longer drivable, or of a robot with dynamics.
     """
     # Shapes: position_m (2,).
     if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
@@ -230,7 +230,7 @@ def shifted_path(
 
 
 def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Return the rest of a plan of a robot with dynamics after its first step, then a braking step.
+    """Return the remainder after its first step of a plan with dynamics, plus a braking step.
 
     The plan need not be verified: the swept area does not depend on the channel.
     """

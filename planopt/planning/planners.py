@@ -1,15 +1,15 @@
-"""The planners that a problem may name, and the baselines among them.
+"""Planners that a problem may name, including the baselines.
 
-The one-step planner is that of [GM11]: equations (2), the inner layer of (3), and (4) are maximised
-over a dense set of places within one step; for terms that measure, over unmeasured ones ("q not in
-Q"). More steps repeat this greedily. If all places around are measured the robot takes the shortest
-path out.
+The one-step planner follows [GM11]: it maximises equations (2), the inner layer of (3), and (4)
+over a dense set of positions within one step; measuring terms consider only unmeasured positions
+("q not in Q"). Several steps repeat this greedily. If all positions around are measured, the robot
+takes the shortest path out.
 
-The lawnmower sweeps all free space in lanes along rows of the lattice, about a decorrelation
-distance of the fitted channel apart, joined by shortest paths.
+The lawnmower sweeps all free space in lanes along lattice rows, about one decorrelation distance of
+the fitted channel apart and joined by shortest paths.
 
-The strategies of communication of [GM11] plan with another channel: path loss without shadowing, a
-disc in which all packets arrive, or a link that is never lost. The verifier uses the belief.
+The communication strategies of [GM11] plan with another channel: path loss without shadowing, a
+disc in which all packets arrive, or a link without loss. The verifier uses the actual belief.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ KEY = "planner.name"
 
 
 class Planner(Protocol):
-    """Plans for one robot of a problem whose objective is a sum of terms."""
+    """Protocol of planners for one robot of a problem whose objective is a sum of terms."""
 
     def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's state; `warm` is the previous plan."""
@@ -58,7 +58,7 @@ class Planner(Protocol):
 
 
 def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator) -> Planner:
-    """Return the planner that `problem.planner.name` names."""
+    """Return the planner selected by `problem.planner.name`."""
     kind = planner_kind(problem.planner.name)
     if kind.foresees:
         raise InputError(
@@ -82,7 +82,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
 def asked_plan(
     planner: Planner, context: StepContext, judge: Judge, warm: Plan | None = None
 ) -> Plan:
-    """Return the plan of a planner, which may be user-defined."""
+    """Return the plan of a possibly user-defined planner."""
     remedy = "return released(judge, path_m, begun_s), of a path (N, 2)"
     with calling(planner, "plan", key=KEY, remedy=remedy):
         plan = planner.plan(context, judge, warm)
@@ -96,10 +96,10 @@ def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Gene
 
 
 RINGS, HEADINGS = 10, 48
-"""Places within a step: circles and directions about the robot."""
+"""Numbers of circles and directions of the positions within a step."""
 
 Score = Callable[[StepContext, NDArray[np.float64]], NDArray[np.float64]]
-"""From paths (c, N, 2) to their scores (c,)."""
+"""Function from paths (c, N, 2) to their scores (c,)."""
 
 
 def as_ranked(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -113,7 +113,7 @@ def end_deviation(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray
 
 
 class OneStepPlanner:
-    """Plans greedily, step by step."""
+    """Greedy planner that optimises one step at a time."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class OneStepPlanner:
     ) -> None:
         self._problem, self._ground, self._score = problem, ground, score
         self._measures = learns(problem)
-        # An expression needs a whole path: it is valued as if the robot then stood.
+        # An expression needs a whole path: it is evaluated as if the robot waited afterwards.
         self._whole = any(
             term.structure == "full" and not (term.is_measured or term.steers or term.probes_end)
             for term in problem.terms
@@ -136,7 +136,7 @@ class OneStepPlanner:
         self._offsets_m = np.vstack([np.zeros((1, 2)), rings])
 
     def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Return a plan from the robot's position; `warm` is not used."""
+        """Return a plan from the robot's position; `warm` is unused."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
         for _ in range(self._problem.planner.horizon):
@@ -152,7 +152,7 @@ class OneStepPlanner:
     def _best_step(
         self, context: StepContext, path: list[NDArray[np.float64]]
     ) -> NDArray[np.float64] | None:
-        """Return the best place to go to after `path`; None if none is free."""
+        """Return the best next position after `path`; None if none is free."""
         here = path[-1] if path else context.position_m
         ends = here + self._offsets_m
         allowed = free_ends(self._problem, self._ground, here, ends)
@@ -175,18 +175,18 @@ class OneStepPlanner:
 largest_deviation_planner = partial(OneStepPlanner, score=end_deviation)
 
 DRAWS = 64
-"""Number of steps drawn for one; the robot stands still if none is free."""
+"""Number of candidate steps per draw; the robot waits if none is free."""
 
 TURN_STD_RAD = 0.4
-"""Standard deviation of the turn from one step of a persistent walk to the next."""
+"""Standard deviation of the turn between consecutive steps of a persistent walk."""
 
 Walk = Literal["full", "disk", "persistent"]
-"""Full steps in uniform directions, uniform over the disc of one step, or full steps with small
+"""Full steps in uniform directions, steps uniform in the one-step disc, or full steps with small
 turns."""
 
 
 class RandomPlanner:
-    """Walks at random."""
+    """Random-walk planner."""
 
     def __init__(
         self,
@@ -218,13 +218,13 @@ class RandomPlanner:
         return released(judge, held(context, path), begun)
 
     def _offsets(self, heading: float | None) -> NDArray[np.float64]:
-        """Draw steps (`DRAWS`, 2) in units of the longest, after one in a direction or none."""
+        """Draw steps (`DRAWS`, 2) relative to the longest, given the last heading or None."""
         drawn = self._generator.uniform(-math.pi, math.pi, DRAWS)
         lengths = np.ones(DRAWS)
         if self._walk == "disk":
             lengths = np.sqrt(self._generator.uniform(0.0, 1.0, DRAWS))
         elif self._walk == "persistent" and heading is not None:
-            # The other half is for a place where all of these are blocked.
+            # The other half is uniform, in case all small turns are blocked.
             turns = self._generator.normal(0.0, TURN_STD_RAD, DRAWS // 2)
             drawn[: DRAWS // 2] = heading + turns
         return lengths[:, None] * np.column_stack([np.cos(drawn), np.sin(drawn)])
@@ -235,18 +235,18 @@ persistent_walk_planner = partial(RandomPlanner, walk="persistent")
 
 
 def _heading(step_m: NDArray[np.float64]) -> float | None:
-    """Return the direction of a step (2,); None if it stands still."""
+    """Return the heading of a step (2,); None for a waiting step."""
     if np.linalg.norm(step_m) <= STANDSTILL_M:
         return None
     return math.atan2(float(step_m[1]), float(step_m[0]))
 
 
 FEWEST_LANES = 3
-"""The fitted decorrelation distance may be longer than the workspace."""
+"""Minimum number of lanes; the fitted decorrelation distance may exceed the workspace."""
 
 
 class LawnmowerPlanner:
-    """Sweeps the workspace; keeps the tour and its progress."""
+    """Planner that sweeps the workspace; stores the tour and its progress."""
 
     def __init__(
         self, problem: Problem, ground: Ground, _generator: np.random.Generator | None = None
@@ -257,7 +257,7 @@ class LawnmowerPlanner:
         self._next = 0
 
     def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Return a plan along the tour, which begins anew from a place off it; `warm` is unused."""
+        """Return a plan along the tour, which restarts if the robot is off it; `warm` is unused."""
         begun = perf_counter()
         here = context.position_m
         ahead = self._stops_m[self._next :]
@@ -271,7 +271,7 @@ class LawnmowerPlanner:
         return released(judge, held(context, list(path)), begun)
 
     def _begin(self, here_m: NDArray[np.float64], context: StepContext) -> None:
-        """Lay the stops of a tour from `here_m` (2,)."""
+        """Compute the stops of a tour from `here_m` (2,)."""
         road_map = self._ground.road_map
         nodes, lengths = first_moves(self._ground, self._problem, here_m)
         if not len(nodes):
@@ -286,14 +286,14 @@ class LawnmowerPlanner:
 
 
 def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]:
-    """Return nodes from `first` on along lanes over all reachable space, each a move from the last.
+    """Return the nodes of lanes over all reachable space from `first`, one move apart.
 
-    Lanes are about `apart_m` apart, as near as rows of nodes allow.
+    The lane spacing is `apart_m`, rounded to rows of nodes.
     """
     tour = [first]
     low, high = int(road_map.rows.min()), int(road_map.rows.max())
     lanes = lane_rows(low, high, apart_m / road_map.lattice.spacing_m)
-    # From the nearer side on.
+    # Begin at the nearer side.
     if road_map.rows[first] - low > high - road_map.rows[first]:
         lanes.reverse()
     middle = 0.5 * (road_map.columns.min() + road_map.columns.max())
@@ -309,7 +309,7 @@ def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]
 
 
 def lane_rows(low: int, high: int, apart: float) -> list[int]:
-    """Return rows of lanes about `apart` rows apart, half of that from the first and last row."""
+    """Return lane rows about `apart` rows apart, with half of that to the first and last row."""
     rows = high - low + 1
     count = min(max(math.ceil(rows / apart), FEWEST_LANES), rows)
     middles = low + (np.arange(count) + 0.5) * rows / count - 0.5
@@ -317,7 +317,7 @@ def lane_rows(low: int, high: int, apart: float) -> list[int]:
 
 
 def _route(road_map: RoadMap, here: int, there: int) -> list[int]:
-    """Return the nodes after `here` up to `there`; none if that is unreachable."""
+    """Return the nodes after `here` up to `there`; empty if it is unreachable."""
     moves = road_map.edge_to[road_map.edge_start[here] : road_map.edge_start[here + 1]]
     if there in moves:
         return [there]
@@ -326,22 +326,22 @@ def _route(road_map: RoadMap, here: int, there: int) -> list[int]:
 
 
 EDGE_STD_DB = 0.1
-"""Standard deviation of power at the edge of a disc, which gives a solver a slope there."""
+"""Standard deviation of power at a disc's edge, which provides a gradient there."""
 
 CERTAIN_DB = 300.0
-"""Gain with which no packet is lost."""
+"""Path gain at which no packet is lost."""
 
 Assumed = Callable[[ChannelParameters], ChannelParameters]
-"""From the fitted channel to the one that a strategy plans with."""
+"""Function from the fitted channel to the channel that a strategy assumes."""
 
 
 def path_loss_only(parameters: ChannelParameters) -> ChannelParameters:
-    """Return the fitted channel; without measurements only its path loss is known."""
+    """Return the fitted channel; without measurements it predicts path loss only."""
     return parameters
 
 
 def informed_disk(parameters: ChannelParameters) -> ChannelParameters:
-    """Return a channel of path loss alone: connected within a disc, and not beyond."""
+    """Return a pure path-loss channel: connected within a disc and not beyond."""
     return replace(parameters, shadow_std_db=0.0, multipath_std_db=EDGE_STD_DB)
 
 
@@ -351,7 +351,7 @@ def unaware(parameters: ChannelParameters) -> ChannelParameters:
 
 
 def require_tracking(problem: Problem) -> None:
-    """Raise an InputError unless a problem tracks a target for one station."""
+    """Raise an InputError unless the problem tracks a target with one station."""
     if not any(term.sensor for term in problem.terms) or len(problem.stations) > 1:
         raise InputError(
             f"is {problem.planner.name}, which tracks a target for one station",
@@ -362,7 +362,7 @@ def require_tracking(problem: Problem) -> None:
 
 
 class StrategyPlanner:
-    """Plans for one robot that tracks a target, on the channel that it assumes."""
+    """Planner of one target-tracking robot on an assumed channel."""
 
     def __init__(
         self,
@@ -387,14 +387,14 @@ class StrategyPlanner:
         channel = condition(self._assumed(parameters), nothing, theta="known")
         path = self._home(context) if self._assumed is informed_disk else None
         if path is None:
-            # The run so far has taught nothing of an assumed channel either.
+            # An assumed channel is not updated by the run, so that the history is empty as well.
             seen = replace(context, posteriors=(channel,), uncertain=None, history=BEGINNING)
             assuming = replace(judge, context=seen, objective=ObjectiveValue(seen))
             path = self._planner.plan(seen, assuming, warm).positions_m[1:]
         return released(judge, path, begun)
 
     def _home(self, context: StepContext) -> NDArray[np.float64] | None:
-        """Return the shortest path (N, 2) to the station; None if the disc is within reach."""
+        """Return the shortest path (N, 2) to the station; None if the disc is reachable."""
         believed, station = context.posterior, self._problem.stations[0]
         k_pl_db, n_pl = believed.theta
         slant = 10.0 ** ((k_pl_db - station.threshold_dbm) / (10.0 * n_pl))

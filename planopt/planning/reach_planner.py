@@ -1,7 +1,7 @@
 """One receding-horizon step to a goal: initial guess, refinement, verification, fallbacks.
 
-A robot with dynamics follows the path that the lattice search finds for a single integrator. The
-cost-to-go is counted from where it would come to rest.
+A robot with dynamics follows the lattice path that is found for a single integrator. Its
+cost-to-go is measured from its resting position after braking.
 """
 
 from __future__ import annotations
@@ -71,45 +71,45 @@ from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.moving_discs import MovingDiscs
 
 FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
-"""Shares of the horizon over which a robot with dynamics follows the path found: a longer one than
-the horizon, so that it does not brake at its end, and shorter ones for sharp turns."""
+"""Fractions of the horizon over which a robot with dynamics follows the lattice path: above one, so
+that it does not brake at the end, and below one for sharp turns."""
 
 GAIN_SHARE = 0.15
-"""Distance that a refinement may gain on the followed path, as a share of the longest plan."""
+"""Expected gain of a refinement over the followed path, relative to the longest plan."""
 
 STAGNANT_STEPS = 0.1
-"""A plan makes no progress if it moves the resting position by at most this many longest steps."""
+"""A plan stagnates if it moves the resting position by at most this many longest steps."""
 
 LINES_PER_SEGMENT = 4
-"""Nearest convex pieces with a separating line for each segment; the verifier checks all."""
+"""Number of nearest convex pieces with a separating line per segment; the verifier checks all."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """The context of one robot's step, and the path found for it."""
+    """Context of one robot's step, and the lattice path found for it."""
 
     context: VerifierContext
-    step: StepContext  # For the planner, with the threshold lowered by bounded slack
-    start: GlobalStart | None  # The path; None if no node is within reach
-    wall_s: float  # Time of the search
+    step: StepContext  # Planner's context, thresholds lowered by bounded slack
+    start: GlobalStart | None  # Initial guess; None if no node is reachable
+    wall_s: float  # Wall time of the search
 
     @property
     def state(self) -> NDArray[np.float64]:
-        """``(s,)`` the robot's state."""
+        """``(s,)`` state of the robot."""
         return self.context.state
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The timed path of one robot to its goal."""
+    """Timed path of one robot to its goal."""
 
-    outlook: Outlook  # With the first steps of the path
-    places_m: NDArray[np.float64]  # (T + 1, 2) positions after each step
-    arrives: bool = True  # False if it ends where the robot is in no other robot's way
+    outlook: Outlook  # Context with the first steps of the path
+    places_m: NDArray[np.float64]  # (T + 1, 2) initial position and positions after each step
+    arrives: bool = True  # False if it ends at a refuge off the others' paths
 
 
 class ReachPlanner:
-    """Plans to the goal of one problem; keeps the solver, the lattice and the verifier's grid."""
+    """Planner to one problem's goal; caches the solver, the lattice and the verifier's grid."""
 
     def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self.problem = problem
@@ -117,7 +117,7 @@ class ReachPlanner:
         self._eased = eased(problem)
         self._search = GlobalSearch(self._eased, scene, others)
         self._region = workspace_region(problem)
-        # Only a chance constraint that may be missed has a price to compare.
+        # A soft chance constraint needs cost comparisons; a hard one does not.
         may_miss = problem.constraints.rule.slack_max_db is None
         self._goal_grid = build_goal_grid(problem, scene.index) if may_miss else None
         self._nlp: PathNlp | None = None
@@ -136,13 +136,13 @@ class ReachPlanner:
         warm: Plan | None = None,
         history: History = BEGINNING,
     ) -> Plan:
-        """Return a plan from `state` on the current belief."""
+        """Return a plan from `state` with the current belief."""
         return self.release(self.outlook(belief, state, history), warm)
 
     def outlook(
         self, belief: Belief, state: NDArray[np.float64], history: History = BEGINNING
     ) -> Outlook:
-        """Search the path of the robot without regard to other robots."""
+        """Search the robot's path, ignoring other robots."""
         begun = perf_counter()
         context = verifier_context(
             self.problem,
@@ -164,7 +164,7 @@ class ReachPlanner:
         return _course(outlook, search)
 
     def aside(self, outlook: Outlook, others_m: NDArray[np.float64], steps: int) -> Course | None:
-        """Return a course away from all positions (k, 2) of other robots; None if there is none."""
+        """Return a course to a refuge off the others' positions (k, 2); None if there is none."""
         search = partial(self._search.aside, others_m=others_m, steps=steps)
         return _course(outlook, search)
 
@@ -175,7 +175,7 @@ class ReachPlanner:
         moving: MovingDiscs | None = None,
         reserved_m: NDArray[np.float64] | None = None,  # (N, 2)
     ) -> Plan:
-        """Refine and verify the path of an outlook, or fall back."""
+        """Refine and verify the path of an outlook, or use a fallback."""
         begun = perf_counter() - outlook.wall_s
         problem, position_m = self.problem, outlook.state[:2]
         context, step, start = outlook.context, outlook.step, outlook.start
@@ -237,7 +237,7 @@ class ReachPlanner:
         warm: Plan | None,
         budget: Budget,
     ) -> Iterator[Candidate]:
-        """Yield candidates in order of promise: refined guesses, then the lattice path."""
+        """Yield candidates, most promising first: refined guesses, then the lattice path."""
         if refinement is not None:
             shifted = shifted_path(self.problem, judge.index, judge.position_m, warm)
             for attempt in refinement.attempts(shifted):
@@ -256,7 +256,7 @@ class ReachPlanner:
     def _as_found(
         self, judge: Judge, cost: ReachCost, start: GlobalStart, warm: Plan | None
     ) -> Candidate:
-        """Return a path that is released without refinement if it is sound; else a fallback."""
+        """Return the unrefined path as a plan if it is sound; otherwise a fallback."""
         rung = Rung.GIVE_WAY if start.gives_way else Rung.DIRECT
         found = judge.judged(judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY))
         if found.sound:
@@ -273,7 +273,7 @@ def _course(
         tuple[GlobalStart, NDArray[np.float64], TimedPath] | None,
     ],
 ) -> Course | None:
-    """Return the course that a search finds for an outlook; None if there is none."""
+    """Return the course found by a search for an outlook; None if there is none."""
     begun = perf_counter()
     found = None if outlook.start is None else search(outlook.state[:2], outlook.start)
     if found is None:
@@ -284,7 +284,7 @@ def _course(
 
 
 def eased(problem: Problem) -> Problem:
-    """Return the problem with its thresholds lowered by the allowed slack, which then is none."""
+    """Return the problem with thresholds lowered by the allowed slack, and no slack left."""
     rule = problem.constraints.rule
     if not rule.slack_max_db:
         return problem
@@ -297,13 +297,13 @@ def eased(problem: Problem) -> Problem:
 
 
 def _moves(judge: Judge, path_m: NDArray[np.float64]) -> bool:
-    """Return whether any step of a path moves; else there is nothing to refine."""
+    """Return whether any step of a path moves; a stationary path needs no refinement."""
     steps = np.diff(np.vstack([judge.position_m, path_m]), axis=0)
     return bool((np.linalg.norm(steps, axis=1) > STANDSTILL_M).any())
 
 
 class DrivenReach:
-    """Chooses the candidate of a robot with dynamics on the path that the search found."""
+    """Choice of the candidate of a robot with dynamics along a given lattice path."""
 
     def __init__(self, problem: Problem, scene: Scene) -> None:
         self._problem = problem
@@ -320,7 +320,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> tuple[Candidate, Pivot | None]:
-        """Return the released candidate and the pivot of its cost-to-go."""
+        """Return the candidate to release and the pivot of its cost-to-go."""
         if start is None:
             return without_guess(judge, warm), None
         if start.is_direct and (direct := self._direct(judge, start, warm)) is not None:
@@ -331,7 +331,7 @@ class DrivenReach:
             self._problem, judge.position_m, step.power, ahead, priced=not start.is_direct
         )
         now = np.array(self._dynamics.resting_place(tuple(judge.state)))
-        # The end of a drive that comes too near to obstacles is unknown.
+        # Drives that violate clearance predict no resting position.
         rests = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
         shared = self._pivot(start, rests or [now], node_margin_db)
 
@@ -342,7 +342,7 @@ class DrivenReach:
 
         found = self._climb(step, judge, starts, cost, own, warm, budget)
         if self._is_stagnant(found):
-            # The pivot may be hidden from here: a straight path to it then makes no progress.
+            # The shared pivot may be hidden from the robot: a straight path to it stagnates.
             nearer = self._pivot(start, [now], node_margin_db)
             if not np.array_equal(nearer.position_m, shared.position_m):
                 found = self._climb(step, judge, starts, cost, lambda _: nearer, warm, budget)
@@ -355,7 +355,7 @@ class DrivenReach:
         return found, None if found.drive is None else cost.pivot_of(found.path_m, found.drive)
 
     def _direct(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> Candidate | None:
-        """Drive the shortest path node by node, from rest to rest; None if that is unknown.
+        """Return the shortest path driven node by node, from rest to rest; None if unavailable.
 
         A moving robot first completes its previous plan.
         """
@@ -374,11 +374,11 @@ class DrivenReach:
         return without_guess(judge, warm)
 
     def _drive(self, judge: Judge, inputs: NDArray[np.float64]) -> Drive:
-        """Return the trajectory of the inputs (N, m) from the robot's state."""
+        """Return the trajectory for the inputs (N, m) from the robot's state."""
         return rolled_out(self._dynamics, judge.state, inputs, self._problem.planner.step_s)
 
     def _straight(self, judge: Judge, end_m: NDArray[np.float64]) -> Drive | None:
-        """Return the drive from rest to rest at a position (2,), N steps; None if unknown."""
+        """Return an N-step drive from rest to rest at a position (2,); None if unavailable."""
         settings = self._problem.planner
         inputs = self._dynamics.straight(judge.state, end_m, settings.step_s)
         if inputs is None:
@@ -389,7 +389,7 @@ class DrivenReach:
     def _starts(
         self, step: StepContext, judge: Judge, start: GlobalStart, warm: Plan | None
     ) -> list[Guess]:
-        """Return initial guesses: the previous plan, along the path found, and straight on."""
+        """Return initial guesses: the previous plan, drives along the path, and straight drives."""
         problem, settings = self._problem, self._problem.planner
         last = last_drive(problem, warm)
         starts = [] if last is None else [driven_start(judge, step, last)]
@@ -415,7 +415,7 @@ class DrivenReach:
         places_m: list[NDArray[np.float64]],
         node_margin_db: NDArray[np.float64] | None,
     ) -> Pivot:
-        """Return the pivot visible from the position (2,) of the least cost-to-go."""
+        """Return the pivot visible from the resting position (2,) with the least cost-to-go."""
         problem, cost_m = self._problem, start.ways.cost_m
         views = [(int(start.nodes[-1]), start.path_m[-1])]
         for place in places_m:
@@ -442,7 +442,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """Return the best candidate of the initial guesses, each with its pivot."""
+        """Return the best candidate refined from the initial guesses, each with its own pivot."""
         judge = replace(judge, objective=cost)
         if stops_at_goal(self._problem, judge.state):
             stopped = self._stopped(judge)
@@ -461,7 +461,7 @@ class DrivenReach:
         return self._cascade.first_verified(step, judge, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
-        """Return the cost of the remaining distance for the solver, per step near the goal."""
+        """Return the goal cost for the solver, charged at every step near the goal."""
         problem, horizon = self._problem, len(drive.inputs)
         away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
         arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)
@@ -478,7 +478,7 @@ class DrivenReach:
         )
 
     def _is_stagnant(self, found: Candidate) -> bool:
-        """Return whether the plan comes to rest about where braking now would lead."""
+        """Return whether the plan's resting position is nearly that of braking now."""
         if found.drive is None:
             return False
         resting = resting_places_m(found.drive)

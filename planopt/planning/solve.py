@@ -1,4 +1,4 @@
-"""Solve a problem once, and the planner for a robot's own loop."""
+"""One-time solution of a problem, and the planner for a user's own loop."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def solve(
     seed: int = 0,
     measurements: UserMeasurements | None = None,
 ) -> Solution:
-    """Plan for each robot from its start; arguments as of :func:`planopt.solve`.
+    """Plan for each robot from its start; the arguments are those of :func:`planopt.solve`.
 
-    The plans are those that a run of the same seed begins with.
+    The plans equal the first plans of a run with the same seed.
     """
     problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    # An unreachable goal is found out before the files of the channel are read.
+    # Detect an unreachable goal before reading the channel files.
     scenes = build_scenes(problem)
     return solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
 
@@ -63,7 +63,7 @@ def solve(
 def solve_on(
     problem: Problem, belief: Belief, seed: int, scenes: Sequence[Scene] | None = None
 ) -> Solution:
-    """Plan for each robot from its start on a belief; scenes are built unless supplied."""
+    """Plan for each robot from its start with a belief; scenes are built unless supplied."""
     scenes = build_scenes(problem) if scenes is None else scenes
     problem = with_drawn_starts(problem, seed)
     seeds = team_seeds(problem, seed)
@@ -74,35 +74,35 @@ def solve_on(
 
 
 class Planner:
-    """Plans the next steps of robots in a user's own loop.
+    """Planner of the next steps of robots in a user's own loop.
 
-    Belief, track and previous plan are kept between calls. Each call of :meth:`step` stands for one
+    Belief, track and previous plan persist between calls. Each call of :meth:`step` is one
     step of ``problem.planner.step_s`` seconds. Several planners may run in several threads;
-    a planner that is called while it plans in another thread raises an InputError.
+    calling a planner while it plans in another thread raises an InputError.
 
     Parameters
     ----------
     problem
-        From :func:`planopt.load` or made in Python. For a problem of another task than motion
-        planning the object is the controller of that task, with a method ``step`` of its own:
+        Problem from :func:`planopt.load` or created in Python. For tasks other than motion
+        planning the object is the controller of that task, with its own method ``step``:
         :class:`planopt.problems.NetworkController` or :class:`planopt.problems.PursuitController`.
     measurements
-        First measurements, as for :func:`planopt.solve`. By default they, and all other random
-        values, are those of :func:`planopt.simulate`: a loop in the same ground truth repeats its
-        run. With measurements the initial estimate of a target is that of its table.
+        Initial measurements, as for :func:`planopt.solve`. By default they and all other random
+        values are those of :func:`planopt.simulate`: a loop in the same ground truth repeats its
+        run. If they are supplied, the target's initial estimate is that of its table.
     horizon, planner, cost_to_go
-        Override the problem's planner settings.
+        Overrides of the problem's planner settings.
     budget_s
-        Time limit in seconds for the plan of a robot, in each round of a team.
+        Time limit in seconds for each robot's plan, in each round of a team.
     seed
         Random seed.
 
     Raises
     ------
     InputError
-        An argument cannot be used.
+        If an argument is invalid.
     NoPlanError
-        Obstacles cut the goal off.
+        If obstacles cut the goal off.
 
     Examples
     --------
@@ -171,7 +171,7 @@ class Planner:
 
     @property
     def beliefs(self) -> tuple[Belief, ...]:
-        """The current belief of each robot."""
+        """Current belief of each robot."""
         return tuple(self._robots.beliefs)
 
     def step(
@@ -183,7 +183,7 @@ class Planner:
         target_m: ArrayLike | None = None,
         obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> Plan:
-        """Plan from the current state of the only robot.
+        """Plan from the current state of a single robot.
 
         Parameters
         ----------
@@ -194,33 +194,33 @@ class Planner:
             Measurements since the last call, as for :func:`planopt.solve`. Measurements within
             ``channel.measure_spacing_m`` of an earlier one are ignored.
         connected
-            Whether the robot is connected now. Constraints over a whole run count it, and an
-            observation of the target reaches the station only then. The default is the last
-            measurement or, without one, the prediction.
+            Whether the robot is connected now. Constraints over a whole run use this value, and an
+            observation of the target reaches the station only if it is true. The default is the
+            last measurement or, without one, the prediction.
         target_m
-            ``(2,)`` observed position of the target, if it is observed. The first call ignores it
-            and uses the initial estimate of the problem.
+            ``(2,)`` observed position of the target, if observed. The first call ignores it and
+            uses the initial estimate of the problem.
         obstacles
-            Obstacles that have become known since the last call; ``until_s`` ends an obstacle. A
-            robot inside a new obstacle is led out of it.
+            Obstacles discovered since the last call; ``until_s`` ends an obstacle. A robot inside a
+            new obstacle is led out of it.
 
         Returns
         -------
         Plan
-            ``plan.next_position_m`` is the position to drive to, ``plan.next_input`` the input.
+            Plan with the next position ``next_position_m`` and the next input ``next_input``.
 
         Raises
         ------
         InputError
-            There are several robots (use :meth:`step_all`), the state or a measurement is invalid,
-            or another thread uses this planner. The planner is unchanged.
+            If there are several robots (use :meth:`step_all`), if the state or a measurement is
+            invalid, or if another thread uses this planner. The planner is unchanged.
         NoPlanError
-            It is proved that there is no plan from this state.
+            If it is proved that there is no plan from this state.
 
         Warns
         -----
         UserWarning
-            Powers are implausible, or the robot is many steps away from its plan.
+            If powers are implausible, or the robot is many steps away from its plan.
 
         Examples
         --------
@@ -253,7 +253,7 @@ class Planner:
         target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None = None,
         obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> tuple[Plan, ...]:
-        """Plan from the states of all robots; as :meth:`step`, with an entry for each robot."""
+        """Plan from the states of all robots; like :meth:`step`, with one entry per robot."""
         if not self._busy.acquire(blocking=False):
             raise InputError(
                 "a planner was called while it plans in another thread",
@@ -314,12 +314,12 @@ class Planner:
         return tuple(self._robots.plan())
 
     def _state(self, number: int, given: ArrayLike) -> NDArray[np.float64]:
-        """Return the state of a robot, whose position must be possible."""
+        """Return the validated state of a robot."""
         robot = self.problem.robots[number]
         key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
         names = robot.dynamics.state_names
         state = _numbers(key, given, (len(names),), ", ".join(names))
-        # Drift may carry a robot out of bounds; it is led back. A step out is another frame.
+        # Drift may carry a robot slightly out of bounds; a larger offset means another frame.
         nearest = np.clip(state[:2], *np.reshape(self.problem.workspace.bounds_m, (2, 2)))
         reach = self._robots.owns[number].step_length_m if robot.moves_freely else 0.0
         if float(np.linalg.norm(state[:2] - nearest)) > reach:
@@ -340,7 +340,7 @@ class Planner:
     def _implausible(
         self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
     ) -> Iterator[str]:
-        """Yield warnings about implausible powers, and robots far from their plans."""
+        """Yield warnings about implausible powers and about robots far from their plans."""
         for taken in (each for stations in measured for each in stations):
             yield from measured_warnings(taken)
         for number, (state, plans) in enumerate(zip(states, self._robots.plans, strict=True)):
@@ -355,7 +355,7 @@ class Planner:
                 )
 
     def _seen(self, place: ArrayLike | None) -> NDArray[np.float64]:
-        """Return the observed position of the target; NaN without observation."""
+        """Return the observed position of the target; NaN if unobserved."""
         if place is None:
             return np.full(2, np.nan)
         if not self.problem.targets:
@@ -377,7 +377,7 @@ class Planner:
 
 
 def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
-    """Return which robots are connected, from truth values alone."""
+    """Return the robots' connection states, which must be booleans."""
     values: Sequence[object] = list(given)
     for number, value in enumerate(values):
         if not isinstance(value, bool | np.bool_):
@@ -388,7 +388,7 @@ def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
 
 
 def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> NDArray[np.float64]:
-    """Return finite numbers of a shape."""
+    """Return a finite array of the given shape."""
     try:
         found = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):

@@ -75,17 +75,17 @@ class PathShape:
     Attributes
     ----------
     horizon, lines
-            Horizon N, and number of separating lines per segment.
+        Horizon N, and number of separating lines per segment.
     structure
-            Coupling of the stages by the value.
+        Coupling of the stages by the value.
     bounded, summed
-            Whether each stage's connectivity or a sum over stages is bounded; not both.
+        Whether each stage's connectivity or a sum over stages is bounded; not both.
     motion
         Structure of the rows of the robot's dynamics; None for the single integrator.
     charged
-            Whether a goal cost is subtracted, for a robot with dynamics.
+        Whether a goal cost is subtracted, for a robot with dynamics.
     slacked
-            Whether slacks may relax the connectivity bounds.
+        Whether slacks may relax the connectivity bounds.
     """
 
     horizon: int

@@ -88,7 +88,7 @@ def _cut(text: str, most: int) -> str:
 
 
 class InputError(PlanoptError):
-    """User input that cannot be used.
+    """Error in user input.
 
     Parameters
     ----------
@@ -139,8 +139,8 @@ class InputError(PlanoptError):
 
 
 class OutputError(PlanoptError):
-    """Failure to write a result."""
+    """Error raised if a result cannot be written."""
 
 
 class NoPlanError(PlanoptError):
-    """Proof that no plan exists, for instance because obstacles cut off the goal."""
+    """Error raised if provably no plan exists, for instance because obstacles cut off the goal."""

@@ -1,6 +1,6 @@
-"""Pursuit over distance-sensitive snapshots: the service, its guarantees, its design, the chase.
+"""Pursuit over distance-sensitive snapshots: service, guarantees, network design, simulation.
 
-Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+Names are imported on first use; the stub ``__init__.pyi`` lists them.
 """
 
 from planopt.lazy_names import lazy_names

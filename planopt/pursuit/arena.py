@@ -1,7 +1,7 @@
 """Arenas of a pursuit: open space, a rectangle, or obstacles with shortest paths around them.
 
-Free space is the rectangle without the obstacles, grown by the clearance. The detour factor is the
-largest ratio of the length of a shortest path to that of a straight line.
+Free space is the rectangle minus the obstacles inflated by the clearance. The detour factor is the
+largest ratio of shortest path length to straight-line distance.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from planopt.world.shortest_paths import (
 from planopt.world.workspace import Workspace
 
 GOAL_SHARE, EVADER_SHARE = 1.03, 1.06
-"""Distances of moved goals and of evaders from obstacles, as shares of the margin of paths. The
-nearest free place is never farther from a report than the evader, buffers of GEOS included."""
+"""Clearances of moved goals and of evaders, in path margins; the order holds despite GEOS errors.
+"""
 
 KEPT_PATHS = 64
-"""Number of places whose shortest paths are kept: those of all pursuers in a step."""
+"""Number of start points whose shortest paths are cached: all pursuers in a step."""
 
 GOLDEN, NARROWINGS = 0.5 * (math.sqrt(5.0) - 1.0), 34
-"""Golden sections narrow an interval to less than 1e-7 of its length."""
+"""Golden ratio and number of section steps, which narrow an interval by a factor of 1e-7."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Arena:
     # (x_min, y_min, x_max, y_max); None for open space
     bounds_m: tuple[float, float, float, float] | None = None
     obstacles: ObstacleIndex | None = None  # None for open space
-    clearance_m: float = 0.0  # From obstacles, for pursuers and evaders
+    clearance_m: float = 0.0  # Obstacle clearance of pursuers and evaders
 
     def __post_init__(self) -> None:
         if self.corners > MAX_CORNERS:
@@ -59,16 +59,16 @@ class Arena:
 
     @property
     def corners(self) -> int:
-        """Return the number of corners at which shortest paths may turn."""
+        """Return the number of vertices at which shortest paths may turn."""
         return 0 if self.obstacles is None else len(corners_m(self._closed))
 
     @cached_property
     def detour(self) -> float:
-        """Return a bound on the length of shortest paths over that of straight lines.
+        """Return an upper bound on the ratio of shortest path length to straight-line distance.
 
-        A straight line leaves free space at one point of a boundary ring and enters it again at
-        another point of the same ring; the shorter part of the ring between them is a detour. The
-        bound is exact for convex obstacles that stand alone.
+        A straight line leaves free space at one point of a boundary ring and re-enters it at
+        another point of the same ring; the shorter arc of the ring between them is a detour. The
+        bound is exact for isolated convex obstacles.
         """
         if self.obstacles is None or self.bounds_m is None:
             return 1.0
@@ -83,9 +83,9 @@ class Arena:
     def moved(
         self, place_m: NDArray[np.float64], moves_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the ends of moves (k, 2) from a place (2,), within the bounds.
+        """Return the ends of moves (k, 2) from a position (2,), clipped to the bounds.
 
-        A move that comes too near an obstacle is not made at all.
+        A move that violates the clearance is not made at all.
         """
         ends_m = self.within(place_m + moves_m)
         if self.obstacles is not None:
@@ -99,7 +99,7 @@ class Arena:
         return ends_m
 
     def within(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the nearest places (..., 2) within the bounds."""
+        """Return the nearest positions (..., 2) within the bounds."""
         if self.bounds_m is None:
             return places_m
         return np.clip(places_m, self.bounds_m[:2], self.bounds_m[2:])
@@ -107,9 +107,9 @@ class Arena:
     def route_m(
         self, place_m: NDArray[np.float64], goal_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the corners of the shortest path from a place to a goal, the goal last; (k, 2).
+        """Return the waypoints (k, 2) of the shortest path to a goal, the goal being last.
 
-        A goal outside free space is replaced by the nearest free place.
+        A goal outside free space is replaced by the nearest free point.
         """
         goal_m = self.free_m(goal_m)
         if self.obstacles is None:
@@ -125,19 +125,19 @@ class Arena:
     def distances_m(
         self, place_m: NDArray[np.float64], goals_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the length of the shortest path to each goal (k, 2), as ``(k,)``."""
+        """Return the lengths (k,) of the shortest paths to goals (k, 2)."""
         if self.obstacles is None:
             return np.linalg.norm(goals_m - place_m, axis=1)
         return path_lengths_m(self._paths(place_m), goals_m)
 
     def free_m(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the nearest free place."""
+        """Return the free point nearest to a position."""
         place_m = self.within(place_m)
         if self.obstacles is None or self.bounds_m is None or self.is_free(place_m):
             return place_m
         wide = shapely.buffer(self.obstacles.polygons, GOAL_SHARE * self._margin_m)
         free = shapely.box(*self.bounds_m).difference(shapely.union_all(wide))
-        # Shapely types the keyword arguments of this one as unknown.
+        # Shapely types the keyword arguments of this function as unknown.
         nearest = shapely.shortest_line(  # pyright: ignore[reportUnknownMemberType]
             shapely.Point(*place_m), free
         )
@@ -145,11 +145,11 @@ class Arena:
 
     @property
     def _margin_m(self) -> float:
-        """Distance of the corners of paths from obstacles, a little more than the clearance."""
+        """Distance of path vertices from obstacles, slightly larger than the clearance."""
         return ROUND_SHARE * self.clearance_m
 
     def is_free(self, place_m: NDArray[np.float64], share: float = 1.0) -> bool:
-        """Return whether a place is in free space, with a share of the margin of paths."""
+        """Return whether a position is free, with a clearance of `share` times the path margin."""
         if not np.array_equal(self.within(place_m), place_m):
             return False
         away_m = math.inf
@@ -159,7 +159,7 @@ class Arena:
 
     @property
     def _closed(self) -> NDArray[np.object_]:
-        """Obstacles, grown by the margin of paths."""
+        """Obstacles inflated by the path margin."""
         assert self.obstacles is not None
         return grown(self.obstacles.polygons, self._margin_m, inner=False)
 
@@ -168,13 +168,13 @@ class Arena:
         return {}
 
     def _paths(self, place_m: NDArray[np.float64]) -> ShortestPaths:
-        """Return the shortest paths from a place, of which the last ones are kept."""
+        """Return the shortest paths from a position, using a cache of recent ones."""
         kept, key = self._kept_paths, (float(place_m[0]), float(place_m[1]))
         if key in kept:
             return kept[key]
         assert self.obstacles is not None and self.bounds_m is not None
         width_m, height_m = np.subtract(self.bounds_m[2:], self.bounds_m[:2]).tolist()
-        # No shortest path is longer than all walls of a maze this size could make it.
+        # The radius exceeds the length of any shortest path.
         radius_m = 4.0 * (width_m + height_m)
         if len(kept) == KEPT_PATHS:
             del kept[next(iter(kept))]
@@ -185,16 +185,16 @@ class Arena:
 
 
 def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
-    """Return the arena of a workspace, whose moving obstacles are left out."""
+    """Return the arena of a workspace, without its moving obstacles."""
     obstacles = index_obstacles(workspace) if workspace.obstacles else None
     return Arena(workspace.bounds_m, obstacles, clearance_m)
 
 
 def _ring_detour(ring_m: NDArray[np.float64]) -> float:
-    """Return the largest ratio of the shorter part of a ring (n, 2) to a chord on its right side.
+    """Return the largest ratio of the shorter arc of a ring (n, 2) to a chord on its right side.
 
-    For places at s and t on two edges the part is a concave function of both and the chord a convex
-    one: the largest ratio is found by nested golden sections.
+    For points at s and t on two edges, the arc is a concave function of (s, t) and the chord a
+    convex one, so nested golden-section searches find the largest ratio.
     """
     ahead = np.roll(ring_m, -1, axis=0) - ring_m
     length = np.linalg.norm(ahead, axis=1)
@@ -235,7 +235,7 @@ def _dots(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np
 def _positive(
     at_zero: NDArray[np.float64], slope: NDArray[np.float64], end: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the intervals (2, k) of [0, end] where ``at_zero + slope s > 0``."""
+    """Return the subintervals (2, k) of [0, end] where ``at_zero + slope s > 0``."""
     steep = np.abs(slope) > 1e-12
     root = np.clip(-at_zero / np.where(steep, slope, 1.0), 0.0, end)
     low = np.where(steep & (slope > 0.0), root, np.where(~steep & (at_zero <= 0.0), end, 0.0))
@@ -247,7 +247,7 @@ def _largest(
     low: NDArray[np.float64],
     high: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the largest values (k,) of quasi-concave functions on intervals."""
+    """Return the maxima (k,) of quasi-concave functions on intervals."""
     left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     at_left, at_right = function(left), function(right)
     for _ in range(NARROWINGS):

@@ -1,9 +1,9 @@
-"""Verify guarantees of capture and network designs from their numbers, by the definitions alone.
+"""Verification of capture guarantees and network designs from their numbers.
 
-The formulas of docs/theory/pursuit.md are written a second time, independent of the search of
-designs and of the classes of services and guarantees. A guarantee is accepted if its inequalities
-hold, its floor and its time to capture are no smaller than the values found here, and the logged
-stages and captures keep its bounds.
+The formulas of docs/theory/pursuit.md are implemented a second time, independently of the design
+search and of the classes for services and guarantees. A guarantee is accepted if its inequalities
+hold, its floor and capture time are no smaller than the values computed here, and the logged stages
+and captures satisfy its bounds.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ from planopt.pursuit.verify import PursuitData, PursuitLog, Violation
 Floats = NDArray[np.float64]
 
 ROUNDING = 1e-9
-"""Relative tolerance of requirements that are met exactly, for rounding."""
+"""Relative rounding tolerance of requirements that are met with equality."""
 
 SLACK = 1e-6
 """Relative tolerance of claimed numbers."""
 
 INTERVALS = 1000
-"""Intervals of the integral that bounds the time to capture from above."""
+"""Number of intervals of the integral that bounds the capture time from above."""
 
 REPORT_SHARE = 2.0
-"""Among obstacles a report is moved out of them by at most its error, which doubles the error."""
+"""Factor on report errors among obstacles: moving a report to free space may double its error."""
 
 TURN_SEGMENTS = 2
-"""Straight pieces of a quarter turn about a corner, on the paths that pursuers drive."""
+"""Straight segments per quarter turn of a path around an obstacle vertex."""
 
 RING_SAMPLES = 100
-"""Positions on a boundary between which the detour factor is compared with the chord."""
+"""Number of boundary points at which the detour factor is compared with the chord."""
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """An inequality that a design must meet."""
+    """An inequality that a design must satisfy."""
 
     inequality: Inequality
     strict: bool = True  # Whether equality is a failure; loads and margins may be met exactly
 
     @property
     def holds(self) -> bool:
-        """Return whether the design meets it."""
+        """Return whether the design satisfies the inequality."""
         if self.strict:
             return self.inequality.holds
         return self.inequality.left <= self.inequality.right * (1.0 + ROUNDING)
@@ -62,50 +62,50 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Case:
-    """Speeds of a chase, and bounds on the age and the error of records at distance d."""
+    """Speeds of a chase, and bounds on age and error of records at distance d."""
 
     evader_m_s: float
     pursuer_m_s: float
-    delay_s: float  # Time of a stage beyond straight driving and waiting
+    delay_s: float  # Time of a stage in addition to straight driving and waiting
     age_s_m: float  # Age is at most max(age_s_m d, least_age_s)
     error: float  # Error is at most max(error d, least_error_m)
     least_age_s: float
     least_error_m: float
-    period_s_m: float  # Time between rounds a metre of distance
+    period_s_m: float  # Time between rounds per metre of distance
 
     @property
     def moved(self) -> float:
-        """Return x: distance that the evader moves while a record ages, a metre of distance."""
+        """Return x: evader displacement during the age of a record, per metre of distance."""
         return self.age_s_m * self.evader_m_s
 
     @property
     def contraction(self) -> float:
-        """Return a: distance left after a stage with fresh records, a metre of distance."""
+        """Return a: remaining distance after a stage with fresh records, per metre of distance."""
         ratio = self.evader_m_s / self.pursuer_m_s
         return ratio + self.error * (1.0 + ratio)
 
     @property
     def lag(self) -> float:
-        """Return y: distance that the evader moves between rounds, a metre of distance."""
+        """Return y: evader displacement between rounds, per metre of distance."""
         return self.period_s_m * self.evader_m_s
 
     def lagged(self) -> Case:
-        """Return the case with slopes by the distance to the position sampled last."""
+        """Return the case with slopes relative to the distance to the last sampled position."""
         share = 1.0 / (1.0 - self.lag)
         return replace(self, age_s_m=share * self.age_s_m, error=share * self.error)
 
     def start_m(self, distance_m: float) -> float:
-        """Return W of a first record of an evader that was sampled at this distance."""
+        """Return W for the first record of an evader sampled at this distance."""
         return distance_m + self.evader_m_s * max(self.age_s_m * distance_m, self.least_age_s)
 
     def least_distance_m(self, bound_m: Floats) -> Floats:
-        """Return the least sampled distance with this W; the inverse of :meth:`start_m`."""
+        """Return the smallest sampled distance with this W; the inverse of :meth:`start_m`."""
         moved_m = self.evader_m_s * self.least_age_s
         return np.maximum(0.0, np.minimum(bound_m / (1.0 + self.moved), bound_m - moved_m))
 
 
 def premises(theorem: Theorem, case: Case) -> list[Inequality]:
-    """Return the inequalities that a theorem needs."""
+    """Return the inequalities required by a theorem."""
     a, x = case.contraction, case.moved
     if theorem is Theorem.LEMMA:
         return [Inequality("a + x below 1", a + x, 1.0)]
@@ -124,7 +124,7 @@ def premises(theorem: Theorem, case: Case) -> list[Inequality]:
 
 
 def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats, Floats]]:
-    """Return bound and duration after each kind of stage (driving, waiting) from bounds (k,).
+    """Return bound and duration for each kind of stage (driving, waiting), given bounds (k,).
 
     The bound is on W, for the Lemma on the sampled distance. All premises must hold.
     """
@@ -150,12 +150,12 @@ def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats,
 
 
 def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
-    """Return the largest bound after a stage, from bounds (k,)."""
+    """Return the largest bound after a stage, given bounds (k,) before it."""
     return np.max([after for after, _ in stages(theorem, case, before_m)], axis=0)
 
 
 def floor_m(theorem: Theorem, case: Case) -> float:
-    """Return the largest W that a stage may fail to lower; infinite if a premise fails."""
+    """Return the largest W that a stage may fail to reduce; infinite if a premise fails."""
     if not all(each.holds for each in premises(theorem, case)):
         return math.inf
     grid: Floats = np.geomspace(1e-9, 1e15, 2001)
@@ -172,7 +172,7 @@ def floor_m(theorem: Theorem, case: Case) -> float:
 
 
 def capture_time_s(theorem: Theorem, case: Case, distance_m: float, radius_m: float) -> float:
-    """Return the longest time to capture from a first sampled distance; infinite without bound."""
+    """Return the maximum time to capture from a first sampled distance; infinite if unbounded."""
     if not floor_m(theorem, case) < radius_m:
         return math.inf
     first, last = case.start_m(distance_m), radius_m
@@ -181,7 +181,7 @@ def capture_time_s(theorem: Theorem, case: Case, distance_m: float, radius_m: fl
     if first <= last:
         return 0.0
     grid = np.geomspace(last, first, INTERVALS + 1)
-    # A stage takes at most (decrease of W) x (largest duration over decrease), which falls with W.
+    # Decrease of W times (maximum duration / decrease), which falls with W, bounds a stage's time.
     pace = np.zeros(INTERVALS)
     for after, lasts_s in stages(theorem, case, grid[:-1]):
         pace = np.maximum(pace, lasts_s / (grid[:-1] - after))
@@ -190,7 +190,7 @@ def capture_time_s(theorem: Theorem, case: Case, distance_m: float, radius_m: fl
 
 @dataclass(frozen=True)
 class DesignData:
-    """A network design and the pursuit that it serves."""
+    """A network design and the pursuit it is made for."""
 
     evader_speed_m_s: float
     pursuer_speed_m_s: float
@@ -201,7 +201,7 @@ class DesignData:
     record_bits: float
     slots_per_frame: int
     slot_blocks: int
-    margin: float  # Least distance of a + x from 1 where no capture radius is required
+    margin: float  # Minimum distance of a + x from 1 if no capture radius is required
     first_distance_m: float | None
     capture_radius_m: float | None
     deadline_s: float | None
@@ -214,7 +214,7 @@ def certify(
     rate_divisor: int,
     bits_per_axis: int,
 ) -> tuple[Requirement, ...]:
-    """Return every requirement on a network of these numbers, met or not."""
+    """Return every requirement on a network with these numbers, satisfied or not."""
     payload = data.header_bits + data.slot_blocks * (data.record_bits + 2 * bits_per_axis)
     carried = data.bit_rate_bit_s * slot_width_s
     words = "payload of a slot below what it carries"
@@ -258,19 +258,19 @@ def certify(
 
 @dataclass(frozen=True)
 class Claim:
-    """Claims of a saved run under one theorem for its first pursuer and evader."""
+    """Claims of a saved run under one theorem, for its first pursuer and evader."""
 
     theorem: Theorem
     distances: Distances
     holds: bool
     captures: bool  # Whether the floor is below the capture radius
-    capture_time_s: float | None  # None if no time is promised
+    capture_time_s: float | None  # None if no time is guaranteed
 
 
 def verify_guarantees(
     data: PursuitData, log: PursuitLog, claims: tuple[Claim, ...], detour: float
 ) -> list[Violation]:
-    """Return the claims that do not follow, and the bounds that the logged pursuit exceeds."""
+    """Return unproven claims, and bounds that the logged pursuit violates."""
     found: list[Violation] = []
     least = _least_detour(data)
     if not least <= detour * (1.0 + SLACK):
@@ -304,7 +304,7 @@ def verify_guarantees(
 def _stage_faults(
     data: PursuitData, log: PursuitLog, claim: Claim, detour: float
 ) -> Iterator[Violation]:
-    """Yield chases with a stage that begins beyond the bound by the stage before.
+    """Yield chases with a stage that starts above the bound implied by the previous stage.
 
     Path lengths are only known to lie between the chord and `detour` times the chord.
     """
@@ -328,7 +328,7 @@ def _stage_faults(
 
 
 def _sampled_away_m(log: PursuitLog, rows: NDArray[np.intp] | int) -> Floats:
-    """Return the distance from the pursuer to where the evader was sampled, for reports (k,)."""
+    """Return the distances (k,) from the pursuer to the positions where the evader was sampled."""
     reports, found = log.reports, list[float]()
     for row in np.atleast_1d(rows).tolist():
         step = int(np.abs(log.times_s - reports.time_s[row]).argmin())
@@ -341,7 +341,7 @@ def _sampled_away_m(log: PursuitLog, rows: NDArray[np.intp] | int) -> Floats:
 def _case(
     data: PursuitData, pursuer: int, evader: int, distances: Distances, detour: float
 ) -> Case:
-    """Return the case of one chase; among obstacles errors widen, or the pursuer is slower."""
+    """Return the case of one chase; obstacles enlarge errors or reduce the pursuer's speed."""
     service, robot = data.service, data.pursuers[pursuer]
     turn_s = 0.0 if robot.turn_rate_max_rad_s is None else math.pi / robot.turn_rate_max_rad_s
     round_s_m = 2.0 * service.hops_per_round * service.frame_s / service.mote_spacing_m
@@ -369,13 +369,13 @@ def _case(
 
 
 def _grown(data: PursuitData) -> list[shapely.Geometry]:
-    """Return the obstacles, grown until chords of their rounded corners keep the clearance."""
+    """Return the obstacles, inflated so that chords of the rounded vertices keep the clearance."""
     by_m = data.clearance_m / math.cos(0.25 * math.pi / TURN_SEGMENTS)
     return [shapely.buffer(each, by_m, quad_segs=TURN_SEGMENTS) for each in data.obstacles]
 
 
 def _corners(data: PursuitData) -> int:
-    """Return the number of convex corners, at which shortest paths may turn."""
+    """Return the number of convex vertices, at which shortest paths may turn."""
     count = 0
     for part in shapely.get_parts(_grown(data)):
         for ring in shapely.get_rings(shapely.orient_polygons(part)):
@@ -386,7 +386,7 @@ def _corners(data: PursuitData) -> int:
 
 
 def _least_detour(data: PursuitData) -> float:
-    """Return a lower bound on path over chord lengths, from positions along free boundaries."""
+    """Return a lower bound on the detour factor, from pairs of points on free-space boundaries."""
     if not data.obstacles or data.bounds_m is None:
         return 1.0
     free = shapely.box(*data.bounds_m).difference(shapely.union_all(_grown(data)))
@@ -404,7 +404,7 @@ def _least_detour(data: PursuitData) -> float:
         above = np.flatnonzero(ratios > least)
         above = above[np.argsort(-ratios[above])]
         chords = shapely.linestrings(places_m[np.stack([one[above], other[above]], axis=1)])
-        # Only a chord that is in free space at its ends alone needs the path along the boundary.
+        # The path along the boundary is needed only if the chord has no length in free space.
         inside_m = shapely.length(shapely.intersection(chords, free))  # pyright: ignore[reportUnknownMemberType]
         outside = np.asarray(inside_m) <= SLACK * chords_m[above]
         if outside.any():

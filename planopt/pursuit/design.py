@@ -1,9 +1,9 @@
-"""Co-design of pursuit and network: slot width, rate and compression of least power or energy.
+"""Co-design of pursuit and network: slot width, rate and compression of minimum power or energy.
 
-Rounds as slow and reports as coarse as the guarantee of capture allows cost least (equations 8.11
-to 8.14). For a number c of bits all limits on the slot are linear and the best slot is known; c is
-scanned. With compression as a continuous variable the same problem is a convex programme, whose
-optimum is a lower bound.
+The cheapest design has the slowest rounds and coarsest reports that the guarantee of capture allows
+(equations 8.11 to 8.14). For a fixed number of bits c, all limits on the slot are linear and the
+optimal slot is known; c is scanned. With continuous compression the problem is a convex programme,
+whose optimum is a lower bound.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from planopt.pursuit.service import (
 from planopt.pursuit.theorems import Inequality, Theorem
 
 MAX_BITS = 16
-"""Largest number of bits an axis: errors are then a thousandth of a per cent of the distance."""
+"""Maximum number of bits per axis; errors are then 0.001 % of the distance."""
 
 SLOT_SHARE = 1e-10
-"""Share of its width to which the widest slot is found by bisection."""
+"""Relative tolerance of the bisection for the widest slot."""
 
 PAYLOAD_FITS = "slot of the payload below the widest slot"
 IN_TIME = "time to capture below the deadline"
 
 SHARP_ORDER = {"capture_radius": 1, "deadline": 2, "payload": 3}
-"""Order of the requirements that follow the inequalities of the theorem."""
+"""Rank of the requirements that follow the inequalities of the theorem."""
 
 ELASTICITY_STEP = 1e-5
-"""Share by which a quantity is changed to find its effect on the optimum."""
+"""Relative step of the finite differences for sensitivities."""
 
 TOLERANCE = 1e-10
-"""Tolerance of the solver; scaled, costs agree with closed forms to 1e-6."""
+"""Tolerance of the solver; scaled costs agree with closed forms to 1e-6."""
 
 
 class NoDesignError(NoPlanError):
-    """No network meets the requirement."""
+    """Error raised if no network meets the requirements."""
 
     def __init__(self, inequality: Inequality, bits_per_axis: int) -> None:
         self.inequality, self.bits_per_axis = inequality, bits_per_axis
@@ -58,10 +58,10 @@ class NoDesignError(NoPlanError):
 
 
 def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
-    """Return the mean number of blocks that a mote far from the edges floods in a frame.
+    """Return the mean number of blocks per frame flooded by a mote far from the edges.
 
-    A level-j round of ``3 * 2^j`` frames has nine blocks a mote, ``(3 - 2^(1 - j))^2`` without
-    those of the border: all levels together ``3 (2 - 2^-L) < 6``, or less than 2.2.
+    A level-j round of ``3 * 2^j`` frames has nine blocks per mote, or ``(3 - 2^(1 - j))^2`` without
+    border relays. All levels together need ``3 (2 - 2^-L) < 6`` blocks, or less than 2.2.
     """
     cell = np.exp2(np.arange(levels + 1))
     each = np.full(levels + 1, 9.0) if border_relays else (3.0 - 2.0 / cell) ** 2
@@ -100,22 +100,22 @@ class MoteNetwork(Table):
 
     @property
     def mean_blocks(self) -> float:
-        """Return the mean number of blocks that a mote sends in a frame."""
+        """Return the mean number of blocks that a mote sends per frame."""
         return mean_blocks_per_frame(self.border_relays, self.levels)
 
     def frame_bits(self, bits_per_axis: float) -> float:
-        """Return the mean number of bits that a mote sends in a frame, header and blocks."""
+        """Return the mean number of bits that a mote sends per frame, header included."""
         return self.header_bits + self.mean_blocks * (self.record_bits + 2.0 * bits_per_axis)
 
     def least_slot_s(self, bits_per_axis: float) -> float:
-        """Return the width of a slot that carries header and `slot_blocks` blocks."""
+        """Return the width of a slot that carries the header and `slot_blocks` blocks."""
         block_bits = self.record_bits + 2.0 * bits_per_axis
         return (self.header_bits + self.slot_blocks * block_bits) / self.bit_rate_bit_s
 
     def power_w(
         self, slot_width_s: float, bits_per_axis: float, rate_divisor: float = 1.0
     ) -> float:
-        """Return the power of the network; with r > 1 motes sleep in all but every r-th round."""
+        """Return the power of the network; if r > 1, motes sleep except in every r-th round."""
         lasts_s = self.slots_per_frame * slot_width_s * rate_divisor
         sent_w = self.energy_j_per_bit * self.frame_bits(bits_per_axis) / lasts_s
         return self.motes * (sent_w + self.idle_w)
@@ -133,106 +133,105 @@ class MoteNetwork(Table):
         )
 
     def staleness_per_slot(self, evader_speed_m_s: float) -> float:
-        """Return x / s_w at r = 1, ``12 eta_s v_e`` a mote spacing; in 1/s."""
+        """Return x / s_w at r = 1 in 1/s, that is ``12 eta_s v_e`` per mote spacing."""
         frames = 4.0 * HOPS_PER_ROUND * self.slots_per_frame
         return frames * evader_speed_m_s / self.mote_spacing_m
 
 
 @dataclass(frozen=True)
 class DesignTask:
-    """The requirements of a network."""
+    """Requirements of a network."""
 
     network: MoteNetwork
     chase: Chase
-    margin: float = 0.01  # delta: least distance of a + x from 1
-    bits_per_axis: int | None = None  # c; None to choose it
+    margin: float = 0.01  # delta: minimum distance of a + x from 1
+    bits_per_axis: int | None = None  # c; None to optimise it
     first_distance_m: float | None = None  # From the pursuer to the evader's first sample
-    capture_radius_m: float | None = None  # None for no such requirement
-    deadline_s: float | None = None  # None for no such requirement
+    capture_radius_m: float | None = None  # None if there is no such requirement
+    deadline_s: float | None = None  # None if there is no such requirement
 
     @property
     def bits(self) -> Iterable[int]:
-        """Numbers of bits to scan."""
+        """Candidate numbers of bits."""
         return range(1, MAX_BITS + 1) if self.bits_per_axis is None else (self.bits_per_axis,)
 
     @property
     def staleness_per_slot(self) -> float:
-        """X / s_w at r = 1, in 1/s."""
+        """Ratio x / s_w at r = 1, in 1/s."""
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:
-        """Return 1 - a - delta, the largest x."""
+        """Return 1 - a - delta, the upper limit of x."""
         kappa = relative_error(bits_per_axis)
         return 1.0 - contraction(self.chase.speed_ratio, kappa) - self.margin
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A network for a pursuit."""
+    """Network design for a pursuit."""
 
     task: DesignTask
     slot_width_s: float  # s_w
     rate_divisor: int  # r
     bits_per_axis: int  # c
     cost_w: float  # Power of the network
-    # Requirements that prevent a lower cost: lemma, payload, deadline, capture_radius, or the name
-    # of a theorem
+    # Active requirements, which prevent a lower cost: lemma, payload, deadline, capture_radius, or
+    # the name of a theorem
     binding: tuple[str, ...]
     guarantees: dict[Theorem, Guarantee]
 
     @property
     def capture_time_s(self) -> float:
-        """Return the longest time to capture by the Lemma without floors; infinite if it fails."""
+        """Return the maximum capture time by the Lemma without floors; infinite if it fails."""
         x = 0.5 * (1 + self.rate_divisor) * self.slot_width_s * self.task.staleness_per_slot
         left = _left(self.task, self.bits_per_axis) - x
         return _driving_s(self.task, self.bits_per_axis) / left if left > 0.0 else math.inf
 
     @property
     def energy_per_capture_j(self) -> float:
-        """Return the energy that the network spends in that time."""
+        """Return the energy consumed by the network within the maximum capture time."""
         return self.cost_w * self.capture_time_s
 
 
 def cheapest_design(task: DesignTask) -> Design:
-    """Return the design of least power for which Lemma III.3 holds by the margin.
+    """Return the minimum-power design that satisfies Lemma III.3 with the margin.
 
-    For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power falls with the
-    width.
+    For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power decreases with the
+    slot width.
     """
     return _scan(task, partial(_lemma_candidate, task))
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
-    """Return the design of least power by the Lemma, with rounds of all levels every r-th time.
+    """Return the minimum-power design by the Lemma, with rounds of all levels every r-th time.
 
-    Ages are then at most ``6 (1 + r) eta_s s_w`` frames a spacing: short slots and slow rounds cost
-    up to half as much as long slots, if motes sleep in between.
+    Ages are then at most ``6 (1 + r) eta_s s_w`` frames per spacing. Short slots with infrequent
+    rounds cost down to half as much as long slots, provided that motes sleep in between.
     """
     return _scan(task, partial(_rated_candidate, task))
 
 
 def least_energy_design(task: DesignTask) -> Design:
-    """Return the design of least energy per capture, by the Lemma's bound of the time.
+    """Return the design of minimum energy per capture, by the Lemma's bound on the time.
 
-    Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``: for each c least at half of
-    the Lemma's slot width, if the payload fits and the deadline, if there is one, is met.
+    Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``. For each c the minimum is at
+    half of the Lemma's slot width, if payload and deadline (if any) permit.
     """
     return _scan(task, partial(_energy_candidate, task), lambda design: design.energy_per_capture_j)
 
 
 def sharp_design(task: DesignTask, theorem: Theorem = Theorem.SAMPLED_DISTANCE) -> Design:
-    """Return the design of least power that guarantees capture in time, by one theorem.
+    """Return the minimum-power design that guarantees capture in time, by one theorem.
 
-    All bounds, floors included, grow with the slot: the widest slot is found by bisection.
+    All bounds, including floors, increase with the slot width, so bisection finds the widest slot.
     """
     return _scan(task, partial(_sharp_candidate, task, theorem))
 
 
 def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]:
-    """Return designs of least energy per capture for each bound of the time to capture.
+    """Return designs of minimum energy per capture for each deadline on the capture time.
 
-    Both are the Lemma's. Deadlines without a design are left out, and so are designs that another
-    one dominates.
+    Energy and time follow from the Lemma. Infeasible deadlines and dominated designs are omitted.
     """
     found: list[Design] = []
     for deadline_s in sorted(deadlines_s):
@@ -250,9 +249,9 @@ def sensitivities(
     solve: Callable[[DesignTask], Design],
     objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> dict[str, float]:
-    """Return the change of the optimum in per cent with one per cent more of a quantity.
+    """Return the percentage change of the optimum for a one per cent increase of each quantity.
 
-    The number of bits stays that of the optimum.
+    The number of bits is fixed at its optimum.
     """
     fixed = replace(task, bits_per_axis=solve(task).bits_per_axis)
 
@@ -274,7 +273,7 @@ def sensitivities(
 
 @dataclass(frozen=True)
 class _Found:
-    """A slot width and a rate divisor, and the requirements that prevent a lower cost."""
+    """Slot width, rate divisor and active requirements."""
 
     slot_width_s: float
     rate_divisor: int
@@ -283,14 +282,14 @@ class _Found:
 
 @dataclass(frozen=True)
 class _Failed:
-    """The inequality that fails, and the number of others that hold before it."""
+    """A failed inequality, and the number of inequalities that hold before it."""
 
     inequality: Inequality
     held: int
 
     @property
     def order(self) -> tuple[int, float]:
-        """Return the rank of a failure: the number that holds, then the share of the margin."""
+        """Return the sort key of a failure: number of inequalities held, then relative margin."""
         return self.held, self.inequality.margin / self.inequality.right
 
 
@@ -302,7 +301,7 @@ def _scan(
     candidate: Callable[[int], Candidate],
     objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> Design:
-    """Return the best design of all numbers of bits; else raise an error with the least failure."""
+    """Return the best design over all numbers of bits; raise the nearest failure if none."""
     designs: list[Design] = []
     failures: list[tuple[_Failed, int]] = []
     for c in task.bits:
@@ -327,7 +326,7 @@ def _lemma_candidate(task: DesignTask, bits: int) -> Candidate:
 
 
 def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
-    """Return the largest r whose slots carry the payload: power has the factor r / (1 + r)."""
+    """Return the largest r whose slots carry the payload; power is proportional to r / (1 + r)."""
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):
         return widest_s
@@ -336,9 +335,9 @@ def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
 
 
 def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
-    """Return the slot of least ``(A / s + B) / (q - p s)`` within margin, payload and deadline.
+    """Return the slot of minimum ``(A / s + B) / (q - p s)`` within margin, payload and deadline.
 
-    A and B are the costs of sending and idling, q = 1 - a and p s = x.
+    A and B are the costs of transmission and idling, q = 1 - a and p s = x.
     """
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):
@@ -362,14 +361,14 @@ def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
 
 
 def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> Candidate:
-    """Return the widest slot that meets a theorem, the capture radius and the deadline."""
+    """Return the widest slot that satisfies a theorem, the capture radius and the deadline."""
     least_s = task.network.least_slot_s(bits)
     failing = partial(_failing, task, theorem, bits)
     fails, narrow_s = failing(least_s), SLOT_SHARE * least_s
     if fails is not None:
         if failing(narrow_s) is not None:
             return _Failed(fails[1], SHARP_ORDER.get(fails[0], 0))
-        # Narrower slots meet the requirements: the payload is too large.
+        # Narrower slots satisfy the requirements, but they cannot carry the payload.
         widest_s, _ = _bisected(failing, narrow_s, least_s)
         return _Failed(Inequality(PAYLOAD_FITS, least_s, widest_s, "s"), SHARP_ORDER["payload"])
     low, high = least_s, 2.0 * least_s
@@ -384,7 +383,7 @@ def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> Candidate
 def _bisected(
     failing: Callable[[float], tuple[str, Inequality] | None], low: float, high: float
 ) -> tuple[float, float]:
-    """Return the widest slot that fails in nothing, and one that is just too wide."""
+    """Return the widest slot that meets all requirements, and one just too wide."""
     while high - low > SLOT_SHARE * high:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if failing(middle) is None else (low, middle)
@@ -394,7 +393,7 @@ def _bisected(
 def _failing(
     task: DesignTask, theorem: Theorem, bits: int, slot_s: float
 ) -> tuple[str, Inequality] | None:
-    """Return the name and inequality of the first requirement that a slot misses."""
+    """Return the name and inequality of the first requirement that a slot violates."""
     assert task.capture_radius_m is not None and task.deadline_s is not None
     found = capture_guarantees(task.chase, task.network.service(slot_s, bits).bounds)[theorem]
     for each in found.inequalities:
@@ -409,7 +408,7 @@ def _failing(
 
 
 def _widest_s(task: DesignTask, bits: int) -> float | _Failed:
-    """Return the widest slot by the Lemma, or the inequality that fails."""
+    """Return the widest slot by the Lemma, or the violated inequality."""
     room = task.room(bits)
     shrinks = Inequality("a + margin below 1", 1.0 - room, 1.0)
     if not shrinks.holds:
@@ -425,7 +424,7 @@ def _left(task: DesignTask, bits: int) -> float:
 
 
 def _driving_s(task: DesignTask, bits: int) -> float:
-    """Return ``(1 + kappa) d / (alpha v_e)``: the duration of the longest first stage."""
+    """Return ``(1 + kappa) d / (alpha v_e)``, the maximum duration of the first stage."""
     first_m = (1.0 + relative_error(bits)) * _first_distance_m(task)
     return first_m / task.chase.pursuer_speed_m_s
 
@@ -438,9 +437,9 @@ def _first_distance_m(task: DesignTask) -> float:
 
 @dataclass(frozen=True)
 class RelaxedDesign:
-    """An optimum over continuous compression and rate."""
+    """Optimum over continuous compression and rate."""
 
-    cost_w: float  # At most that of any design with whole numbers
+    cost_w: float  # Lower bound on the cost of designs with integer c and r
     slot_width_s: float  # s_w
     rate_divisor: float  # r
     relative_error: float  # kappa
@@ -449,12 +448,12 @@ class RelaxedDesign:
 def relaxed_design(
     task: DesignTask, *, rated: bool = False, bits_per_axis: float | None = None
 ) -> RelaxedDesign:
-    """Solve for slot width and compression of least power under the Lemma."""
+    """Return the slot width and compression of minimum power under the Lemma."""
     import cvxpy as cp
 
     network, chase = task.network, task.chase
     u = 1.0 / chase.speed_ratio
-    # The unit of slots is the widest one: that with exact reports.
+    # Slots are scaled by the widest one, which belongs to exact reports.
     unit_s = (1.0 - u - task.margin) / task.staleness_per_slot
     bits = network.header_bits + network.mean_blocks * network.record_bits
     t, z, w = cp.Variable(pos=True), cp.Variable(pos=True), cp.Variable(pos=True)
@@ -473,7 +472,7 @@ def relaxed_design(
     tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), TOLERANCE)
     try:
         with warnings.catch_warnings():
-            # CVXPY warns of an inaccurate optimum; here that is accurate to eight digits.
+            # CVXPY warns of an inaccurate optimum that is in fact accurate to eight digits.
             warnings.simplefilter("ignore")
             problem.solve(solver=cp.CLARABEL, **tolerances)
     except cp.SolverError:

@@ -1,7 +1,7 @@
-"""The motion of evaders: none, at random, or away from pursuers, greedily or with foresight.
+"""Evader behaviour: at rest, random walk, or flight from pursuers, greedy or with planning.
 
-Evaders know the exact positions and aims of their pursuers: an adversary that is stronger than a
-real one.
+Evaders know the exact positions and aims of their pursuers, which makes them stronger adversaries
+than real ones.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from planopt.keys import SMALLEST, Table
 from planopt.pursuit.arena import Arena
 
 HEADINGS = 32
-"""Number of compared directions; the first is straight away from a pursuer."""
+"""Number of candidate directions; the first points straight away from a pursuer."""
 
 
 @dataclass(frozen=True, eq=False)
 class EvaderView:
-    """The information on which an evader decides."""
+    """Information available to an evader's decision."""
 
     place_m: NDArray[np.float64]  # (2,)
-    speed_m_s: float  # Its largest speed
+    speed_m_s: float  # Maximum speed of the evader
     pursuers_m: NDArray[np.float64]  # (p, 2)
-    aims_m: NDArray[np.float64]  # (p, 2) points that the pursuers drive to
-    pursuer_speed_m_s: float  # Of the fastest pursuer
-    step_s: float  # Until the next decision
+    aims_m: NDArray[np.float64]  # (p, 2) points that the pursuers drive towards
+    pursuer_speed_m_s: float  # Speed of the fastest pursuer
+    step_s: float  # Time until the next decision
     arena: Arena
 
 
 Decide = Callable[[EvaderView], NDArray[np.float64]]
-"""Return the position (2,) after one step."""
+"""Function that returns the position (2,) after one step."""
 
 
 class Behaviour(Protocol):
-    """A kind of evader."""
+    """Behaviour of an evader."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the decisions in one pursuit, with a memory of their own."""
+        """Return the decision function for one pursuit, with its own memory."""
         ...
 
 
@@ -53,7 +53,7 @@ class Static(Table):
     kind: Literal["static"] = "static"
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the position where it is."""
+        """Return the current position as the decision."""
         return lambda view: view.place_m
 
 
@@ -65,7 +65,7 @@ class Wandering(Table):
     """Standard deviation of its turn over a second, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return a random walk; a blocked step turns to the next free heading."""
+        """Return a random walk; if a step is blocked, the next free heading is used."""
         heading = generator.uniform(0.0, 2.0 * np.pi)
 
         def decide(view: EvaderView) -> NDArray[np.float64]:
@@ -90,7 +90,7 @@ class Fleeing(Table):
     """Whether it flees from where they drive to."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the greedy step."""
+        """Return the greedy decision function."""
 
         def decide(view: EvaderView) -> NDArray[np.float64]:
             feared_m = view.aims_m if self.from_aims else view.pursuers_m
@@ -113,7 +113,7 @@ class Zigzag(Table):
     """To either side, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the zigzag, at a random time of its period."""
+        """Return the zigzag, with a random initial phase."""
         clock_s = generator.uniform(0.0, 2.0 * self.period_s)
 
         def decide(view: EvaderView) -> NDArray[np.float64]:
@@ -141,7 +141,7 @@ class Foresighted(Table):
     """Length of one of them in seconds."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the first step of a new plan."""
+        """Return the first step of a newly computed plan."""
 
         def decide(view: EvaderView) -> NDArray[np.float64]:
             nearest = np.linalg.norm(view.pursuers_m - view.place_m, axis=1).argmin()
@@ -169,13 +169,13 @@ class Foresighted(Table):
             away_m = np.linalg.norm(offset, axis=-1, keepdims=True)
             hunters = hunters + offset * np.minimum(1.0, chase_m / np.maximum(away_m, 1e-12))
             left_m = np.linalg.norm(places - hunters, axis=-1).min(axis=0)
-            # Late capture is better than early capture: earlier distances count a little.
+            # Small weights on earlier distances make late capture preferable to early capture.
             total_m += left_m * (1.0 if number + 1 == self.horizon else 0.1)
         return total_m
 
 
 def _fan() -> NDArray[np.float64]:
-    """Return turns from a heading: straight on first, then to either side in order."""
+    """Return turns relative to a heading: zero first, then both sides in increasing order."""
     turns = np.arange(1, HEADINGS // 2 + 1) * (2.0 * np.pi / HEADINGS)
     return np.append(0.0, np.stack([turns, -turns], axis=1).ravel()[:-1])
 

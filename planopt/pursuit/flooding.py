@@ -1,9 +1,9 @@
-"""Floods of a snapshot service, frame by frame: the load of every mote, and late records.
+"""Frame-by-frame flooding of a snapshot service: the load of every mote, and late records.
 
-The heads of the cells of level j - 1 pass their states to the head of the level-j cell that they
-are in, which floods the record: the motes of the cell and of the eight cells around it send it
-once, in the frame after they first heard it. A block is one record; a slot carries a number of
-blocks, and the others wait, those of coarse levels longest.
+The heads of level-(j - 1) cells pass their states to the head of their level-j cell, which floods
+the record: each mote of the cell and of its eight neighbours sends it once, in the frame after
+first receiving it. A block is one record. A slot carries a limited number of blocks; further blocks
+wait, those of coarse levels longest.
 """
 
 from __future__ import annotations
@@ -20,38 +20,38 @@ from planopt.pursuit.service import SnapshotService
 
 @dataclass(frozen=True, eq=False)
 class FloodingRun:
-    """Counts from one common start of all rounds to the next."""
+    """Counts over one common period of all rounds."""
 
     frames: int
     flood_blocks: NDArray[np.int64]  # (L + 1,) blocks sent by all motes, by level
-    gather_blocks: NDArray[np.int64]  # (L + 1,) states sent to the heads
-    motes_by_load: NDArray[np.int64]  # (most + 1,) pairs of mote and frame, by blocks sent
-    due: NDArray[np.int64]  # (L + 1,) pairs of mote and record that the rounds owed
-    late: NDArray[np.int64]  # (L + 1,) those that missed the end of their round
+    gather_blocks: NDArray[np.int64]  # (L + 1,) states sent to the heads, by level
+    motes_by_load: NDArray[np.int64]  # (most + 1,) number of (mote, frame) pairs, by blocks sent
+    due: NDArray[np.int64]  # (L + 1,) number of (mote, record) pairs to be delivered
+    late: NDArray[np.int64]  # (L + 1,) number of these that missed the end of their round
 
     @property
     def mean_load(self) -> float:
-        """Return the mean number of blocks that a mote sends in a frame."""
+        """Return the mean number of blocks that a mote sends per frame."""
         return float(np.average(np.arange(len(self.motes_by_load)), weights=self.motes_by_load))
 
     @property
     def peak_load(self) -> int:
-        """Return the largest number of blocks that a mote sent in a frame."""
+        """Return the maximum number of blocks that a mote sent in a frame."""
         return len(self.motes_by_load) - 1
 
     @property
     def keeps_rounds(self) -> bool:
-        """Return whether all motes of the nine cells had every record in time."""
+        """Return whether all motes of the nine cells received every record in time."""
         return not self.late.any()
 
 
 def simulate_flooding(
     service: SnapshotService,
     heads: Literal["first", "middle"] = "first",  # Position of the head in its cell
-    border_relays: bool = True,  # Whether motes at the border of the nine cells send records on
-    slot_blocks: int | None = None,  # Blocks that a slot carries; None for no limit
+    border_relays: bool = True,  # Whether motes at the border of the nine cells relay records
+    slot_blocks: int | None = None,  # Capacity of a slot in blocks; None for no limit
 ) -> FloodingRun:
-    """Return the counts of all rounds from one common start to the next."""
+    """Return the counts over one common period of all rounds."""
     side = service.motes_per_side
     rounds = [
         _Round(side, level, service.hops_per_round, heads == "middle", border_relays, slot_blocks)
@@ -62,7 +62,7 @@ def simulate_flooding(
     loads = np.zeros(1, dtype=np.int64)
     for frame in range(periods[-1]):
         load = np.zeros((side, side), dtype=np.int64)
-        # States on their paths to the heads are few: slots keep room for them first.
+        # States on their paths to the heads are few, so they have priority in the slots.
         for level, each in enumerate(rounds):
             gathered[level] += each.gather(frame % periods[level], load)
         for level, each in enumerate(rounds):
@@ -78,7 +78,7 @@ def simulate_flooding(
 
 
 class _Round:
-    """One round of a level: records in nine cells, ``(m, m, 3 s, 3 s)`` for s motes a side."""
+    """One round of a level: records in nine cells, ``(m, m, 3 s, 3 s)`` for s motes per side."""
 
     def __init__(
         self,
@@ -102,18 +102,18 @@ class _Round:
             self._relays[[0, -1]] = self._relays[:, [0, -1]] = False
         head, part = (cell // 2, cell // 4) if middle else (0, 0)
         self._head = cell + head
-        # The four states of a cell come from its quarters' heads, at most half a cell away.
+        # A cell's four states come from the heads of its quarters, at most half a cell away.
         corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)] if level else [], dtype=np.int64)
         offsets = corners.reshape(-1, 2) * (cell // 2) + part - head
         self._hops, self._steps = np.abs(offsets).max(axis=1, initial=0), np.sign(offsets)
         along = np.arange(self._count) * cell + head
         self._heads = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)
-        # The frames of a round in which states set out, and in which heads begin to flood.
+        # Frames of a round in which states are sent, and in which heads begin to flood.
         self._ends = cell // 2 if middle else cell - 1
         self._begins = (cell // 4 if middle else cell // 2 - 1) if level else 0
 
     def gather(self, offset: int, load: NDArray[np.int64]) -> int:
-        """Send every state one hop on; return the number of blocks sent."""
+        """Send every state one hop further; return the number of blocks sent."""
         left = self._hops - (offset - self._begins)
         if not self._begins <= offset < self._ends or not (left > 0).any():
             return 0
@@ -162,7 +162,7 @@ class _Round:
 
 
 def _heard_next(sending: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the motes that send or have a neighbour that sends; over the last two axes."""
+    """Return the motes that send or have a sending neighbour, over the last two axes."""
     wide = sending.copy()
     wide[..., 1:] |= sending[..., :-1]
     wide[..., :-1] |= sending[..., 1:]

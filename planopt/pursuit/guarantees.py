@@ -1,21 +1,21 @@
-"""Guarantees of capture: four theorems, the inequalities that each needs, and its bounds.
+"""Guarantees of capture: four theorems, their required inequalities, and their bounds.
 
 A pursuer drives in stages: it takes a record, drives straight to the reported position, and takes
 the next record there. W bounds the evader's distance at the start of a stage: the distance to its
-sampled position plus the distance that it may have moved since. Each theorem bounds the W of the
-next stage by the W of this one, from the bounds of the service (docs/theory/pursuit.md):
+sampled position plus its possible displacement since then. Each theorem bounds the W of the next
+stage by the W of the current one, using the bounds of the service (docs/theory/pursuit.md):
 
 * the Lemma (III.3 of [KAS]) bounds the distance to the sampled position, which must shrink in
   every stage;
 * `any_instant` holds if age and error are bounded by the distance at any one instant between the
   sample and now;
-* `sampled_distance` holds if they are bounded by the distance to the sampled position and a record
-  no older than the last one is available whenever the pursuer arrives: a faster pursuer can always
-  follow the trail;
-* `snapshots` holds for the rounds of a snapshot service, waiting for records included.
+* `sampled_distance` holds if they are bounded by the distance to the sampled position and the
+  pursuer always finds a record no older than its last one on arrival: a faster pursuer can
+  always follow the trail;
+* `snapshots` holds for the rounds of a snapshot service, including the wait for records.
 
-Among obstacles all four hold with lengths of shortest paths for larger errors, or with straight
-distances for a slower pursuer, by the largest ratio of paths to straight lines.
+Among obstacles all four hold either for shortest path lengths with larger errors, or for straight
+distances with a pursuer slowed by the detour factor.
 """
 
 from __future__ import annotations
@@ -35,30 +35,29 @@ from planopt.pursuit.theorems import Distances, Inequality, Theorem
 Floats = NDArray[np.float64]
 
 Stage = Callable[[Floats], tuple[Floats, Floats]]
-"""Map W at the start of a stage to the bound of W at its end and to a duration.
+"""Function from W at the start of a stage to the bound of W at its end and a duration.
 
-No stage takes longer than its decrease of W times that duration over the decrease to the bound.
+A stage takes at most (decrease of W) x duration / (decrease of W to the bound).
 """
 
 INTEGRATION_STEPS = 1000
-"""Intervals of the integral that bounds the time to capture, taken from above."""
+"""Number of intervals of the integral that bounds the capture time from above."""
 
 FLOOR_PLACES, FLOOR_ROUNDS = 65, 11
-"""Grid points of a search for the floor, and number of refined grids: to round-off."""
+"""Grid points and number of grid refinements of the search for the floor."""
 
 REPORT_SHARE = 2.0
-"""A report inside an obstacle is replaced by the nearest free place, which is at most this many
-times as far from the evader's position."""
+"""Maximum error ratio after replacing a report inside an obstacle by the nearest free point."""
 
 
 @dataclass(frozen=True)
 class Chase:
     """A pursuer and an evader."""
 
-    evader_speed_m_s: float  # Largest speeds
+    evader_speed_m_s: float  # Maximum speeds
     pursuer_speed_m_s: float
-    # Largest time of a stage beyond straight driving and waiting: a turn on the spot, and one step
-    # of a controller that acts in steps
+    # Maximum time of a stage in addition to straight driving and waiting: a turn on the spot, and
+    # one step of a discrete-time controller
     stage_delay_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -83,47 +82,47 @@ class Chase:
 
 @dataclass(frozen=True, eq=False)
 class Guarantee:
-    """The guarantee of one theorem for a chase."""
+    """Guarantee of one theorem for a chase."""
 
     theorem: Theorem
     chase: Chase
     bounds: ServiceBounds
-    inequalities: tuple[Inequality, ...]  # All must hold
-    ratio: float  # Largest W of a stage over that of the stage before, far from the floor
+    inequalities: tuple[Inequality, ...]  # Required inequalities
+    ratio: float  # Maximum ratio of successive W, far from the floor
     stages: tuple[Stage, ...]
-    distances: Distances = Distances.STRAIGHT  # Kind of distance that W bounds
+    distances: Distances = Distances.STRAIGHT  # Kind of distance bounded by W
 
     @property
     def holds(self) -> bool:
-        """Return whether every inequality does."""
+        """Return whether every inequality holds."""
         return all(each.holds for each in self.inequalities)
 
     @cached_property
     def floor_m(self) -> float:
-        """Largest W that may not fall; infinite unless all inequalities hold."""
+        """Largest W that may fail to decrease; infinite unless all inequalities hold."""
         floor_m = _floor_m(self.stages) if self.holds else math.inf
         if self.theorem is Theorem.LEMMA and math.isfinite(floor_m):
             return _start_m(self.chase, self.bounds, floor_m)
         return floor_m
 
     def next_bound_m(self, bound_m: Floats) -> Floats:
-        """Return the bound of W at the end of stages that begin with W (...); ``(...)``."""
+        """Return the bound of W at the end of stages that start with W, of the same shape."""
         return np.max([stage(bound_m)[0] for stage in self.stages], axis=0)
 
     def captures(self, capture_radius_m: float) -> Inequality:
-        """Return the further inequality that capture within a radius needs."""
+        """Return the additional inequality required for capture within a radius."""
         return Inequality("floor below the capture radius", self.floor_m, capture_radius_m, "m")
 
     def capture_time_s(self, distance_m: float, capture_radius_m: float) -> float:
-        """Return the longest time until the evader is within the radius; infinite without bound.
+        """Return the maximum time until the evader is within the radius; infinite if unbounded.
 
-        A stage that begins with W takes at most its decrease of W times the largest time over
-        decrease, which falls with W: the integral of that over W bounds the sum.
+        A stage starting with W takes at most its decrease of W times the maximum ratio of time to
+        decrease. This ratio falls with W, so its integral over W bounds the total time.
         """
         if not self.holds or not self.captures(capture_radius_m).holds:
             return math.inf
         first, last = _start_m(self.chase, self.bounds, distance_m), capture_radius_m
-        if self.theorem is Theorem.LEMMA:  # Its stages shrink the sampled distance
+        if self.theorem is Theorem.LEMMA:  # Bounds the sampled distance
             least = _least_distance_m(self.chase, self.bounds, np.array([first, last]))
             first, last = least.tolist()
         if first <= last:
@@ -144,7 +143,7 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
     wait = _wait(chase, bounds, bounds, lag=x)
 
     def shrink(sampled_m: Floats) -> tuple[Floats, Floats]:
-        """Bound the next sampled distance by this one, for the Lemma."""
+        """Return the bound on the next sampled distance and the duration, for the Lemma."""
         error_m, aged_m = _error_m(bounds, sampled_m), np.maximum(x * sampled_m, moved_m)
         lasts_s = (sampled_m + error_m) / chase.pursuer_speed_m_s + chase.stage_delay_s
         return error_m + aged_m + chase.evader_speed_m_s * lasts_s, lasts_s
@@ -175,9 +174,9 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
         ),
     ]
     if bounds.period_s_m is not None:
-        # A level is used because the next finer one, sampled at most a period later, had the evader
-        # elsewhere. In between it moved at most y = v_e times that period: bounds by the distance
-        # to the sampled position are those of the rounds with slopes over 1 - y.
+        # A level is used because the next finer one, sampled at most a period later, placed the
+        # evader elsewhere. In between it moved at most y = v_e times the period. Bounds relative to
+        # the sampled distance are therefore those of the rounds with slopes divided by 1 - y.
         lag = bounds.period_s_m * chase.evader_speed_m_s
         late = Inequality("y = v_e period below 1", lag, 1.0)
         if late.holds:
@@ -207,11 +206,11 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
 def guarantees_among_obstacles(
     chase: Chase, bounds: ServiceBounds, detour: float
 ) -> dict[Distances, dict[Theorem, Guarantee]]:
-    """Return the guarantees where shortest paths are longer than straight lines.
+    """Return the guarantees among obstacles, where shortest paths exceed straight distances.
 
-    The bounds of a service refer to straight distances. With lengths of paths, its ages hold and
-    its errors grow by the detour factor. With straight distances its errors hold, and the pursuer
-    approaches with its speed over the factor; this case is missing if the evader is not slower.
+    The bounds of a service refer to straight distances. For path lengths, ages are unchanged and
+    errors grow by the detour factor. For straight distances, errors are unchanged and the pursuer's
+    speed is divided by the factor; this case is omitted if the evader is not slower.
     """
     found: dict[Distances, dict[Theorem, Guarantee]] = {}
     for distances, speed_m_s, share in (
@@ -238,12 +237,12 @@ def contraction(speed_ratio: float, relative_error: float) -> float:
 
 
 def staleness(chase: Chase, bounds: ServiceBounds) -> float:
-    """Return x = sigma v_e: the distance that an evader moves while a record ages, a metre."""
+    """Return x = sigma v_e: evader displacement during the age of a record, per metre."""
     return bounds.age_s_m * chase.evader_speed_m_s
 
 
 def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
-    """Return a stage of driving where the sampled distance bounds age and error."""
+    """Return a driving stage whose age and error are bounded by the sampled distance."""
 
     def drive(bound_m: Floats) -> tuple[Floats, Floats]:
         sampled_m = _least_distance_m(chase, bounds, bound_m)
@@ -255,7 +254,7 @@ def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
 def _driven(
     chase: Chase, bound_m: Floats, sampled_m: Floats, error_m: Floats
 ) -> tuple[Floats, Floats]:
-    """Return W after a stage and its duration, both for the least sampled distance, the worst."""
+    """Return W after a stage and its duration for the worst case, the least sampled distance."""
     lasts_s = (sampled_m + error_m) / chase.pursuer_speed_m_s + chase.stage_delay_s
     return bound_m - sampled_m + error_m + chase.evader_speed_m_s * lasts_s, lasts_s
 
@@ -263,7 +262,7 @@ def _driven(
 def _wait(chase: Chase, errors: ServiceBounds, ages: ServiceBounds, lag: float) -> Stage:
     """Return a stage that ends when a record fresher than the last one arrives.
 
-    Until then all records are older, though their age is bounded by a distance that grows no faster
+    Until then all records are older, but their age is bounded by a distance that grows no faster
     than the evader moves: the last record is at most ``sigma error / (1 - lag)`` old.
     """
     if lag >= 1.0:
@@ -287,13 +286,13 @@ def _error_m(bounds: ServiceBounds, distance_m: Floats) -> Floats:
 
 
 def _start_m(chase: Chase, bounds: ServiceBounds, sampled_m: float) -> float:
-    """Return W for a first record of an evader sampled at this distance."""
+    """Return W for the first record of an evader sampled at this distance."""
     age_s = max(bounds.age_s_m * sampled_m, bounds.age_floor_s)
     return sampled_m + chase.evader_speed_m_s * age_s
 
 
 def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> Floats:
-    """Return the least sampled distance of W (...), the inverse of :func:`_start_m`."""
+    """Return the smallest sampled distance with W (...), the inverse of :func:`_start_m`."""
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
     return np.maximum(
         0.0, np.minimum(bound_m / (1.0 + staleness(chase, bounds)), bound_m - moved_m)
@@ -301,7 +300,7 @@ def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> F
 
 
 def _floor_m(stages: tuple[Stage, ...]) -> float:
-    """Return the largest W that a stage may raise: the fixed point of a bound of slope below 1."""
+    """Return the largest W that a stage may increase: fixed point of a bound of slope below 1."""
 
     def lifts(bounds_m: Floats) -> NDArray[np.bool_]:
         return np.any([stage(bounds_m)[0] > bounds_m for stage in stages], axis=0)

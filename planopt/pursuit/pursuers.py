@@ -1,9 +1,9 @@
-"""Pursuers: their motion, and their decisions from reports.
+"""Pursuers: their motion, and their decisions based on reports.
 
-A pursuer drives to the reported position, in stages or to every fresher report, or predicts the
-evader: it filters delayed reports and plans N steps to meet it. The velocity of an evader follows
-an Ornstein-Uhlenbeck process (equations 8.15 and 8.16), so that old velocities are not
-extrapolated far. Reports enter the filter at their sample times, which rule R keeps in order.
+A pursuer either drives to the reported position, in stages or whenever a fresher report arrives, or
+predicts the evader: it filters delayed reports and plans N steps to intercept it. The evader's
+velocity follows an Ornstein-Uhlenbeck process (equations 8.15 and 8.16), so that old velocities are
+not extrapolated far. Reports enter the filter in order of sample time (rule R).
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from planopt.pursuit.service import Record
 from planopt.robots.models import Unicycle
 
 ARRIVED_M = 1e-9
-"""A point nearer than this is reached: its bearing is no longer defined."""
+"""Distance below which a point counts as reached, since its bearing is undefined."""
 
 ARRIVED_SHARE = 1e-6
-"""Share of a step's length within which a corner of the route is reached."""
+"""Distance below which a waypoint counts as reached, relative to the step length."""
 
 
 class Motion(Protocol):
-    """The motion of a pursuer, of states (..., s) that begin with x and y."""
+    """Motion of a pursuer, with states (..., s) that begin with x and y."""
 
     @property
     def speed_max_m_s(self) -> float:
-        """Return the largest speed."""
+        """Return the maximum speed."""
         ...
 
     @property
     def turning_s(self) -> float:
-        """Return the largest time to a point beyond that of a straight line."""
+        """Return the maximum extra time to reach a point compared with a straight line."""
         ...
 
     def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -65,7 +65,7 @@ class StraightMotion:
     def towards(
         self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Drive straight, and stop at the point."""
+        """Return positions after driving straight, with a stop at the point."""
         offset = aims_m - states
         away = np.linalg.norm(offset, axis=-1, keepdims=True)
         share = np.minimum(1.0, self.speed_max_m_s * step_s / np.maximum(away, ARRIVED_M))
@@ -74,18 +74,18 @@ class StraightMotion:
 
 @dataclass(frozen=True)
 class UnicycleMotion:
-    """A unicycle that turns on the spot and drives straight, or drives an arc if that is faster."""
+    """Unicycle that turns on the spot and drives straight, or drives an arc if that is faster."""
 
     robot: Unicycle
 
     @property
     def speed_max_m_s(self) -> float:
-        """Return the largest forward speed."""
+        """Return the maximum forward speed."""
         return self.robot.speed_max_m_s
 
     @property
     def turning_s(self) -> float:
-        """Return the time of half a turn on the spot."""
+        """Return the time of a half turn on the spot."""
         return math.pi / self.robot.turn_rate_max_rad_s
 
     def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -95,17 +95,17 @@ class UnicycleMotion:
     def towards(
         self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Turn and drive; inputs are constant over each of the two parts of the step.
+        """Return states after a turn and a drive; inputs are constant over each part of the step.
 
-        The arc to a point at bearing b and distance d is ``d b / sin b`` long and turns by 2 b. It
-        is driven if that takes less time than turning by b and driving d.
+        The arc to a point at bearing b and distance d has length ``d b / sin b`` and turns by 2 b.
+        It is used if it takes less time than turning by b and driving d.
         """
         speed, rate = self.robot.speed_max_m_s, self.robot.turn_rate_max_rad_s
         offset = aims_m - states[..., :2]
         away = np.linalg.norm(offset, axis=-1)
         bearing = np.arctan2(offset[..., 1], offset[..., 0]) - states[..., 2]
         bearing = np.where(away > ARRIVED_M, np.remainder(bearing + np.pi, 2 * np.pi) - np.pi, 0.0)
-        # An arc of half a turn or more leads to no point behind the robot.
+        # Points behind the robot cannot be reached by an arc of less than half a turn.
         ahead = np.abs(bearing) < 0.5 * np.pi
         along = away / np.sinc(np.where(ahead, bearing, 0.0) / np.pi)
         arc_s = np.maximum(along / speed, 2.0 * np.abs(bearing) / rate)
@@ -126,7 +126,7 @@ class UnicycleMotion:
         rate_rad_s: NDArray[np.float64],
         lasts_s: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return exact steps of the robot: inputs times their duration, over one second."""
+        """Return exact steps of the robot; inputs are scaled by their duration, over one second."""
         moved = self.robot.step(
             (states[..., 0], states[..., 1], states[..., 2]),
             (speed_m_s * lasts_s, rate_rad_s * lasts_s),
@@ -137,21 +137,21 @@ class UnicycleMotion:
 
 @dataclass(frozen=True, eq=False)
 class PursuerView:
-    """The information on which a pursuer decides."""
+    """Information available to a pursuer's decision."""
 
-    time_s: float  # Now
-    step_s: float  # Until the next decision
-    state: NDArray[np.float64]  # Its own
-    ask: Callable[[Record | None], Record | None]  # The record here and now, from the one in use
+    time_s: float  # Current time
+    step_s: float  # Time until the next decision
+    state: NDArray[np.float64]  # State of the pursuer
+    ask: Callable[[Record | None], Record | None]  # Current local record, given the one in use
 
     @property
     def place_m(self) -> NDArray[np.float64]:
-        """Return its own position (2,)."""
+        """Return the pursuer's position (2,)."""
         return self.state[:2]
 
 
 class Driver(Protocol):
-    """The decisions of a pursuer in one pursuit of one evader."""
+    """Decisions of a pursuer chasing one evader."""
 
     @property
     def record(self) -> Record | None:
@@ -159,31 +159,31 @@ class Driver(Protocol):
         ...
 
     def aim_m(self, view: PursuerView) -> NDArray[np.float64]:
-        """Return the point to drive to, ``(2,)``."""
+        """Return the point (2,) to drive to."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Quest:
-    """The initial data of a driver."""
+    """Initial data of a driver."""
 
-    motion: Motion  # Its own
-    evader_speed_m_s: float  # Largest speed of all evaders
+    motion: Motion  # Motion of the pursuer
+    evader_speed_m_s: float  # Maximum speed over all evaders
     arena: Arena
 
 
 class Policy(Protocol):
-    """A kind of pursuer."""
+    """Behaviour of a pursuer."""
 
     def begin(self, quest: Quest) -> Driver:
-        """Return the driver of one pursuit of one evader."""
+        """Return the driver for one pursuit of one evader."""
         ...
 
 
 def fresher(found: Record, held: Record | None) -> bool:
     """Return whether rule R replaces the record in use.
 
-    A record never replaces one with a later sample time; of equal ones the more exact is taken.
+    A record never replaces one with a later sample time; of equal ones the more exact is used.
     """
     if held is None or found.sampled_s > held.sampled_s:
         return True
@@ -192,10 +192,10 @@ def fresher(found: Record, held: Record | None) -> bool:
 
 @dataclass(frozen=True)
 class DriveToReport:
-    """Drive to the reported position, around obstacles."""
+    """Pursuit that drives to the reported position, around obstacles."""
 
-    # Whether a fresher record is taken at once. Otherwise the next one is taken on arrival, in
-    # stages, as the guarantees require.
+    # Whether a fresher record is used at once; otherwise the next one is taken on arrival, in
+    # stages, as the guarantees require
     retarget: bool = False
 
     def begin(self, quest: Quest) -> Driver:
@@ -204,7 +204,7 @@ class DriveToReport:
 
 
 class _ReportDriver:
-    """The record in use and the route to it."""
+    """Driver with the record in use and the route to it."""
 
     def __init__(self, policy: DriveToReport, quest: Quest) -> None:
         self._policy, self._quest = policy, quest
@@ -224,7 +224,7 @@ class _ReportDriver:
 def _remaining(
     route_m: NDArray[np.float64], view: PursuerView, quest: Quest
 ) -> NDArray[np.float64]:
-    """Return the corners (k, 2) of a route that are not reached yet."""
+    """Return the waypoints (k, 2) of a route that are not yet reached."""
     near_m = ARRIVED_SHARE * quest.motion.speed_max_m_s * view.step_s
     while len(route_m) and np.linalg.norm(route_m[0] - view.place_m) <= near_m:
         route_m = route_m[1:]
@@ -233,14 +233,14 @@ def _remaining(
 
 @dataclass(frozen=True)
 class RecedingHorizon:
-    """Predict the evader N plan steps ahead, and drive to the first place where it can be met.
+    """Pursuit that predicts the evader N plan steps ahead and drives to the first meeting point.
 
-    A plan is made with every fresher record, and once a plan step.
+    A plan is made for every fresher record, and once per plan step.
     """
 
-    horizon: int  # N
-    plan_step_s: float  # Length of a plan step
-    manoeuvre_s: float  # Time constant with which velocities are forgotten
+    horizon: int  # N, in plan steps
+    plan_step_s: float  # Duration of a plan step
+    manoeuvre_s: float  # Correlation time of the evader's velocity
 
     def begin(self, quest: Quest) -> Driver:
         """Return a driver without an estimate."""
@@ -249,18 +249,18 @@ class RecedingHorizon:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Position and velocity of an evader at a time; axes are independent and alike."""
+    """Estimated position and velocity of an evader; the axes are independent and identical."""
 
     time_s: float
-    mean: NDArray[np.float64]  # (2, 2) rows position [m] and velocity [m/s], a column an axis
-    covariance: NDArray[np.float64]  # (2, 2) of position and velocity on each axis
+    mean: NDArray[np.float64]  # (2, 2) rows position [m] and velocity [m/s], one column per axis
+    covariance: NDArray[np.float64]  # (2, 2) of position and velocity, for each axis
 
 
 def predicted(estimate: Estimate, time_s: float, speed_m_s: float, manoeuvre_s: float) -> Estimate:
     """Return the estimate at a later time.
 
-    Velocities keep the standard deviation ``speed / sqrt 2`` an axis, which gives the process
-    noise.
+    The stationary velocity has standard deviation ``speed / sqrt 2`` per axis, which determines the
+    process noise.
     """
     lasts_s = max(0.0, time_s - estimate.time_s)
     kept = math.exp(-lasts_s / manoeuvre_s)
@@ -278,9 +278,9 @@ def predicted(estimate: Estimate, time_s: float, speed_m_s: float, manoeuvre_s: 
 
 
 def updated(estimate: Estimate, record: Record) -> Estimate:
-    """Return the estimate at the time of a record after an update with it.
+    """Return the estimate at the time of a record, updated with it.
 
-    The error is uniform over the square cell whose half diagonal is the record's bound.
+    The error is uniform over the square cell whose half diagonal is the record's error bound.
     """
     variance = record.error_m**2 / 6.0
     gain = estimate.covariance[:, 0] / (estimate.covariance[0, 0] + variance)
@@ -290,7 +290,7 @@ def updated(estimate: Estimate, record: Record) -> Estimate:
 
 
 class _PlanningDriver:
-    """The estimate, and the route to the place where the evader is to be met."""
+    """Driver with an estimate, and the route to the predicted meeting point."""
 
     def __init__(self, policy: RecedingHorizon, quest: Quest) -> None:
         self._policy, self._quest = policy, quest

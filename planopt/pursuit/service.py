@@ -1,10 +1,10 @@
-"""A distance-sensitive snapshot service: a grid of motes that knows near objects better.
+"""Distance-sensitive snapshot service: a grid of motes with more accurate data on near objects.
 
-Motes stand on a square grid and hear their eight neighbours. Level-j cells are squares of 2^j by
-2^j motes. A round of level j samples the cells, gathers each cell's state at the cell's head, and
-floods it over the cell and the eight cells around it: a mote has fresh and exact reports of near
-objects, old and coarse reports of far ones. Time is counted in TDMA frames, in which each mote
-sends once: a hop takes a frame.
+Motes form a square grid and communicate with their eight neighbours. Level-j cells are squares of
+2^j by 2^j motes. A round of level j samples the cells, gathers each cell's state at the cell's
+head, and floods it over the cell and its eight neighbours. A mote thus has fresh, exact reports of
+near objects and old, coarse reports of far ones. Time is counted in TDMA frames, in which each mote
+sends once: one hop takes one frame.
 """
 
 from __future__ import annotations
@@ -19,32 +19,31 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 
 MAX_LEVELS = 12
-"""A grid of 4096 x 4096 motes; maps of what the motes of a larger one know exceed the memory."""
+"""Maximum number of levels (4096 x 4096 motes); maps of a larger grid exceed the memory."""
 
 HOPS_PER_ROUND = 3
 """Frames of a level-0 round: 2^j hops to the head and 2 * 2^j hops from it fit into 3 * 2^j."""
 
 SLOTS_PER_FRAME = 9
-"""Least number of slots of a frame: any 3 by 3 motes have different slots (distance-2 colouring),
-so that two neighbours of a mote never send at once."""
+"""Minimum number of slots per frame: any 3 by 3 motes need distinct ones (distance-2 colouring)."""
 
 ROUNDING = 1e-9
-"""Share of a round by which a time may miss the end of a round through rounding."""
+"""Rounding tolerance at the end of a round, as a share of the round."""
 
 
 @dataclass(frozen=True)
 class ServiceBounds:
-    """The bounds of a service on every record in use, at distance d of the object.
+    """Bounds of a service on every record in use, at distance d of the object.
 
     The age of a record is at most ``max(age_s_m * d, age_floor_s)``, its error at most
     ``max(relative_error * d, error_floor_m)``.
     """
 
-    age_s_m: float  # sigma: largest age a metre, latency and time since the last round together
-    relative_error: float  # kappa = 1/k: largest error a metre
+    age_s_m: float  # sigma: maximum age per metre, latency plus time since the last round
+    relative_error: float  # kappa = 1/k: maximum error per metre
     age_floor_s: float = 0.0  # The same bounds near the object
     error_floor_m: float = 0.0
-    # Time between rounds a metre, for services with nested rounds like :class:`SnapshotService`;
+    # Time between rounds per metre, for services with nested rounds like :class:`SnapshotService`;
     # None for others
     period_s_m: float | None = None
 
@@ -58,16 +57,16 @@ class ServiceBounds:
 class SnapshotService:
     """Snapshots on a grid of ``2^levels`` by ``2^levels`` motes."""
 
-    levels: int  # L: the one cell of level L is the whole grid
-    # Distance between neighbours; mote (0, 0) stands half of it from both edges
+    levels: int  # L: the single cell of level L is the whole grid
+    # Distance between neighbours; mote (0, 0) is half of it away from both edges
     mote_spacing_m: float
-    frame_s: float  # Duration of a TDMA frame: slots a frame times slot width
-    # c: reports give positions to 2^-c of the side of a cell, but no finer than one mote
+    frame_s: float  # Duration of a TDMA frame: slots per frame times slot width
+    # c: reports resolve 2^-c of the side of a cell, but no less than one mote
     bits_per_axis: int
     hops_per_round: int = HOPS_PER_ROUND  # Frames of a level-0 round
-    rate_divisor: int = 1  # r: rounds of a level start every r lengths of a round
-    # Whether the grid continues beyond its edges, for pursuits in open space: then cells of level
-    # L have neighbours too
+    rate_divisor: int = 1  # r: rounds of a level start every r round durations
+    # Whether the grid continues beyond its edges, for pursuits in open space: then cells of level L
+    # have neighbours as well
     endless: bool = False
 
     @property
@@ -77,17 +76,17 @@ class SnapshotService:
 
     @property
     def side_m(self) -> float:
-        """Return the side of the square from (0, 0) that the grid observes."""
+        """Return the side of the observed square, whose corner is (0, 0)."""
         return self.motes_per_side * self.mote_spacing_m
 
     @property
     def bounds(self) -> ServiceBounds:
-        """Return the bounds that hold for every mote at every time.
+        """Return the bounds that hold for every mote at all times.
 
-        Where a level j > 0 is used, the object was at least two cells of level j - 1 away at the
-        sample of that level, so that ``2^j < 2 d`` in mote spacings. A round of ``B 2^j`` frames
-        that starts every r lengths makes an age below ``(1 + r) B 2^j < 2 (1 + r) B d`` frames, 12
-        for B = 3 and r = 1, and half the diagonal of a sub-cell is ``2^(j - c) / sqrt 2``.
+        If a level j > 0 is used, the object was at least two cells of level j - 1 away when that
+        level sampled it, so that ``2^j < 2 d`` in mote spacings. A round of ``B 2^j`` frames that
+        starts every r lengths implies an age below ``(1 + r) B 2^j < 2 (1 + r) B d`` frames, 12 d
+        for B = 3 and r = 1. Half the diagonal of a sub-cell is ``2^(j - c) / sqrt 2``.
         """
         frame_s_m = 2.0 * self.hops_per_round * self.frame_s / self.mote_spacing_m
         return ServiceBounds(
@@ -100,25 +99,25 @@ class SnapshotService:
 
     @property
     def rounds_s(self) -> NDArray[np.float64]:
-        """``(L + 1,)`` length of a round of each level, from the sample to the last mote."""
+        """``(L + 1,)`` duration of a round of each level, from the sample to the last mote."""
         return self.hops_per_round * self.frame_s * np.exp2(np.arange(self.levels + 1))
 
     @property
     def periods_s(self) -> NDArray[np.float64]:
-        """``(L + 1,)`` time between the samples of each level."""
+        """``(L + 1,)`` time between samples of each level."""
         return self.rate_divisor * self.rounds_s
 
     def sample_numbers(self, time_s: float) -> NDArray[np.int64]:
-        """Return the number of the last round of each level that ended by `time_s`; ``(L + 1,)``.
+        """Return the numbers (L + 1,) of the last round of each level that ended by `time_s`.
 
-        Round k of a level samples at k of its periods. The network has always been running:
-        numbers may be negative.
+        Round k of a level samples at k periods. Numbers may be negative because the network has
+        always been running.
         """
         ended = (time_s - self.rounds_s) / self.periods_s
         return np.floor(ended + ROUNDING).astype(np.int64)
 
     def cells(self, positions_m: NDArray[np.float64], level: int) -> NDArray[np.int64]:
-        """Return the level-j cell (column, row) of each position (..., 2), as ``(..., 2)``."""
+        """Return the level-j cells (..., 2) as (column, row) of positions (..., 2)."""
         finest = np.floor(positions_m / self.mote_spacing_m).astype(np.int64)
         if not self.endless:
             # The far edges belong to the last motes.
@@ -126,7 +125,7 @@ class SnapshotService:
         return finest >> level
 
     def reported_m(self, positions_m: NDArray[np.float64], level: int) -> NDArray[np.float64]:
-        """Return the centre of the sub-cell that a level-j report gives for positions (..., 2)."""
+        """Return the centres of the sub-cells reported at level j for positions (..., 2)."""
         fine = max(0, level - self.bits_per_axis)
         side_m = self.mote_spacing_m * (1 << fine)
         return np.asarray((self.cells(positions_m, fine) + 0.5) * side_m, dtype=np.float64)
@@ -138,33 +137,33 @@ class SnapshotService:
 
 
 def relative_error(bits_per_axis: float) -> float:
-    """Return kappa = sqrt 2 * 2^-c: the largest error a metre of distance, above the floor."""
+    """Return kappa = sqrt 2 * 2^-c: the maximum error per metre of distance, above the floor."""
     return math.sqrt(2.0) * 2.0**-bits_per_axis
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The track of an object: straight and even between the times, at rest before and after."""
+    """Track of an object: straight at constant speed between times, at rest before and after."""
 
-    times_s: NDArray[np.float64]  # (n,) ascending
+    times_s: NDArray[np.float64]  # (n,) in ascending order
     positions_m: NDArray[np.float64]  # (n, 2)
 
     def at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the position at each time (...); ``(..., 2)``."""
+        """Return the positions (..., 2) at times (...)."""
         along = [np.interp(times_s, self.times_s, self.positions_m[:, axis]) for axis in (0, 1)]
         return np.asarray(np.stack(along, axis=-1), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """The last completed round of each level, for one object."""
+    """Last completed round of each level, for one object."""
 
     service: SnapshotService
-    time_s: float  # Of the snapshot
-    sampled_s: NDArray[np.float64]  # (L + 1,) when each level sampled
-    sampled_m: NDArray[np.float64]  # (L + 1, 2) position of the object then
+    time_s: float  # Time of the snapshot
+    sampled_s: NDArray[np.float64]  # (L + 1,) sample time of each level
+    sampled_m: NDArray[np.float64]  # (L + 1, 2) position of the object at that time
     reported_m: NDArray[np.float64]  # (L + 1, 2) reported position
-    cells: NDArray[np.int64]  # (L + 1, 2) the object's cell of each level then, column and row
+    cells: NDArray[np.int64]  # (L + 1, 2) cell of each level at that time, (column, row)
 
     @property
     def ages_s(self) -> NDArray[np.float64]:
@@ -172,17 +171,17 @@ class Snapshot:
         return self.time_s - self.sampled_s
 
     def shown_at(self, mote: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which levels show the object to a mote (2,), column and row; ``(L + 1,)``.
+        """Return flags (L + 1,) of the levels that show the object to a mote (column, row).
 
-        A mote takes the report of the finest of them, which is never older than the others.
+        A mote uses the report of the finest of them, which is never older than the others.
         """
         own = mote >> np.arange(self.service.levels + 1)[:, None]
         return np.asarray((np.abs(own - self.cells) <= 1).all(axis=1), dtype=np.bool_)
 
     def level_map(self) -> NDArray[np.int8]:
-        """Return the level that every mote takes its report from; ``(n, n)``, rows being y.
+        """Return the level (n, n) from which each mote takes its report; rows are y.
 
-        It is -1 where no level shows the object, which only happens on endless grids.
+        It is -1 if no level shows the object, which happens only on endless grids.
         """
         side = self.service.motes_per_side
         found = np.full((side, side), -1, dtype=np.int8)
@@ -218,22 +217,22 @@ def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
 
 
 def mote_centres_m(service: SnapshotService) -> NDArray[np.float64]:
-    """Return the position of every mote, ``(n, n, 2)``, rows being y."""
+    """Return the position of every mote, ``(n, n, 2)``; rows are y."""
     along = (np.arange(service.motes_per_side) + 0.5) * service.mote_spacing_m
     return np.asarray(np.stack(np.meshgrid(along, along), axis=-1), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The record of an evader."""
+    """Record of an evader."""
 
-    sampled_s: float  # When the evader was sensed
+    sampled_s: float  # Sample time
     reported_m: NDArray[np.float64]  # (2,)
-    error_m: float  # Largest error of the reported position
+    error_m: float  # Maximum error of the reported position
 
 
 class RecordSource(Protocol):
-    """The source of a pursuer's records."""
+    """Source of a pursuer's records."""
 
     def record(
         self,
@@ -242,20 +241,20 @@ class RecordSource(Protocol):
         time_s: float,
         last: Record | None,
     ) -> Record | None:
-        """Return the record at a position and time of the evader on `track`; None if there is none.
+        """Return the record at a position and time of the evader on `track`, or None.
 
-        `last` is the record in use. The track ends now.
+        `last` is the record in use. The track ends at the current time.
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class SnapshotRecords:
-    """Records of the mote where the pursuer is, from the finest level that shows the evader."""
+    """Records of the pursuer's local mote, from the finest level that shows the evader."""
 
     service: SnapshotService
-    # (L + 1, k) rounds of each level that lost the report of the evader; round n is column n
-    # modulo k. None if no report is lost
+    # (L + 1, k) lost reports of the evader by level and round; round n is column n modulo k. None
+    # if no report is lost
     lost: NDArray[np.bool_] | None = None
 
     def record(
@@ -265,7 +264,7 @@ class SnapshotRecords:
         time_s: float,
         last: Record | None,
     ) -> Record | None:
-        """Return the report of the finest level that shows the evader to the mote here."""
+        """Return the report of the finest level that shows the evader to the local mote."""
         now = snapshot(self.service, track, time_s)
         shown = now.shown_at(self.service.cells(place_m, 0))
         if self.lost is not None:

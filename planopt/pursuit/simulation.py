@@ -1,4 +1,4 @@
-"""Simulated pursuits: all move in the same steps, and captures are found within them."""
+"""Simulation of pursuits in common time steps, with captures detected within a step."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from planopt.pursuit.service import Record, RecordSource, Track
 from planopt.pursuit.theorems import Distances
 
 STEP_PIECES = 4
-"""Straight pieces of a pursuer's step on which captures are found."""
+"""Number of straight segments of a pursuer's step on which captures are detected."""
 
 UNKNOWN_M = 1e12
-"""Distance to an evader without a record: the largest, but finite for the assignment."""
+"""Distance assigned to an evader without a record; the assignment needs finite values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,12 @@ class Evader:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A pursuit before its start."""
+    """Initial data of a pursuit."""
 
-    pursuers: tuple[Pursuer, ...]  # At least one of each
+    pursuers: tuple[Pursuer, ...]  # At least one pursuer and one evader
     evaders: tuple[Evader, ...]
-    source: RecordSource  # Of the pursuers
-    capture_radius_m: float  # An evader is captured once a pursuer is so near
+    source: RecordSource  # Source of the pursuers' records
+    capture_radius_m: float  # Distance at which a pursuer captures an evader
     step_s: float
     max_steps: int
     arena: Arena = field(default_factory=Arena)
@@ -61,12 +61,12 @@ class Scene:
 class Use:
     """A record that a pursuer began to use."""
 
-    pursuer: int  # Numbers
+    pursuer: int  # Index
     evader: int
     time_s: float
-    place_m: NDArray[np.float64]  # (2,) position of the pursuer then
+    place_m: NDArray[np.float64]  # (2,) position of the pursuer at that time
     record: Record
-    sampled_m: NDArray[np.float64]  # (2,) true position of the evader when it was sampled
+    sampled_m: NDArray[np.float64]  # (2,) true position of the evader at the sample time
 
     @property
     def age_s(self) -> float:
@@ -75,33 +75,33 @@ class Use:
 
     @property
     def distance_m(self) -> float:
-        """Return d: the distance to the evader's position when it was sampled."""
+        """Return d: the distance to the evader's position at the sample time."""
         return float(np.linalg.norm(self.place_m - self.sampled_m))
 
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """The course of a pursuit with p pursuers, e evaders and n steps."""
+    """Course of a pursuit with p pursuers, e evaders and n steps."""
 
     scene: Scene
     times_s: NDArray[np.float64]  # (n + 1,)
-    pursuers: tuple[NDArray[np.float64], ...]  # For each, its states (n + 1, s)
+    pursuers: tuple[NDArray[np.float64], ...]  # States (n + 1, s) of each pursuer
     evaders_m: NDArray[np.float64]  # (e, n + 1, 2); captured evaders stay at rest
-    chased: NDArray[np.int64]  # (p, n) evader that each pursuer chased
+    chased: NDArray[np.int64]  # (p, n) index of the evader that each pursuer chased
     aims_m: NDArray[np.float64]  # (p, n, 2) point that each pursuer drove to
     capture_s: NDArray[np.float64]  # (e,) infinite if never captured
     captors: NDArray[np.int64]  # (e,) -1 if never captured
-    uses: tuple[Use, ...]  # Records in the order in which pursuers began to use them
+    uses: tuple[Use, ...]  # Records in the order of first use
 
     @property
     def outcome(self) -> str:
-        """Return ``captured`` if all evaders were, else ``step_limit``."""
+        """Return ``captured`` if all evaders were captured, else ``step_limit``."""
         return "captured" if np.isfinite(self.capture_s).all() else "step_limit"
 
     def bounds_m(
         self, pursuer: int, evader: int, distances: Distances = Distances.STRAIGHT
     ) -> NDArray[np.float64]:
-        """Return W at the start of each stage of a pursuer after an evader, ``(k,)``."""
+        """Return W (k,) at the start of each stage of a pursuer chasing an evader."""
         speed = self.scene.evaders[evader].speed_max_m_s
         own = [use for use in self.uses if (use.pursuer, use.evader) == (pursuer, evader)]
         return np.array([self.away_m(use, distances) + speed * use.age_s for use in own])
@@ -114,37 +114,36 @@ class Pursuit:
 
     @property
     def capture_time_s(self) -> float:
-        """Return the time of the last capture; infinite if one evader was not captured."""
+        """Return the time of the last capture; infinite if any evader was not captured."""
         return float(self.capture_s.max())
 
 
 Reports = Callable[[int, int, Record | None], Record | None]
-"""Return the current record of an evader, from the numbers of pursuer and evader and the record in
-use."""
+"""Function from pursuer index, evader index and the record in use to the current record."""
 
 
 @dataclass(frozen=True, eq=False)
 class PursuitStep:
-    """The decisions of pursuers in one step."""
+    """Decisions of all pursuers in one step."""
 
-    chased: NDArray[np.int64]  # (p,) number of the evader that each pursues; -1 for none
-    aims_m: NDArray[np.float64]  # (p, 2) point that each drives to
-    # Pursuer and evader of each record that was taken into use, and the record
+    chased: NDArray[np.int64]  # (p,) index of the chased evader; -1 for none
+    aims_m: NDArray[np.float64]  # (p, 2) point to drive to
+    # Pursuer index, evader index and record, for each record newly taken into use
     records: tuple[tuple[int, int, Record], ...]
 
 
 class PursuitController:
-    """The decisions of pursuers, step by step: a simulation's, or those of a user's loop.
+    """Step-by-step decisions of pursuers, in a simulation or in a user's own loop.
 
-    Each pursuer pursues one evader until that is captured: first the pairs that are together the
-    least apart by their first records, then a free pursuer takes the nearest evader that no other
-    pursues, or the nearest at all. Each call of :meth:`step` is one step of ``scene.step_s``
-    seconds.
+    Each pursuer chases one evader until it is captured. Initially pairs are assigned to minimise
+    the total distance according to the first records; later, a free pursuer takes the nearest
+    evader that no other chases, or else the nearest one. Each call of :meth:`step` is one step of
+    ``scene.step_s`` seconds.
 
     Parameters
     ----------
     scene
-        Pursuers, with how they move and decide, and the arena.
+        Arena and pursuers, with their motion and behaviour.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -164,16 +163,16 @@ class PursuitController:
         Parameters
         ----------
         states
-            State of each pursuer: x and y in metres, and the heading of one that must turn.
+            State of each pursuer: x and y in metres, and the heading of a unicycle.
         reports
-            Records by the numbers of pursuer and evader, or a function that gives them.
+            Records by pursuer and evader index, or a function that returns them.
         captured
-            Numbers of the evaders that have been captured.
+            Indices of captured evaders.
 
         Raises
         ------
         InputError
-            There is not one finite state for each pursuer, or all evaders are captured.
+            The states are not one finite state per pursuer, or all evaders are captured.
         """
         pursuers = self.scene.pursuers
         sizes = [len(each.motion.start(each.start_m)) for each in pursuers]
@@ -198,9 +197,9 @@ class PursuitController:
         self,
         states: Sequence[NDArray[np.float64]],
         reports: Reports,
-        left: NDArray[np.intp],  # Evaders that are not captured
+        left: NDArray[np.intp],  # Evaders not yet captured
     ) -> PursuitStep:
-        """Return the points that pursuers drive to in the next step, from checked arguments."""
+        """Return the points that pursuers drive to in the next step, from validated arguments."""
         self._assign(states, reports, left)
         step_s, aims = self.scene.step_s, list[NDArray[np.float64]]()
         taken = list[tuple[int, int, Record]]()
@@ -255,7 +254,7 @@ class PursuitController:
 def simulate_pursuit(
     scene: Scene, generator: np.random.Generator, on_step: Callable[[], None] = lambda: None
 ) -> Pursuit:
-    """Simulate a pursuit until all evaders are captured or `max_steps` are over."""
+    """Simulate a pursuit until all evaders are captured or `max_steps` is reached."""
     steps, step_s, count = scene.max_steps, scene.step_s, len(scene.evaders)
     times_s = np.linspace(0.0, steps * step_s, steps + 1)
     states = [np.tile(each.motion.start(each.start_m), (steps + 1, 1)) for each in scene.pursuers]
@@ -332,7 +331,7 @@ def _captured_after(
     begin_m: NDArray[np.float64],
     end_m: NDArray[np.float64],
 ) -> float:
-    """Return the share of a step after which an evader is captured; infinite if it is not."""
+    """Return the fraction of a step at which an evader is captured; infinite if it is not."""
     radius_m, step_s = scene.capture_radius_m, scene.step_s
     reach_m = radius_m + motion.speed_max_m_s * step_s + np.linalg.norm(end_m - begin_m)
     if np.linalg.norm(state[:2] - begin_m) > reach_m:
@@ -347,10 +346,10 @@ def _captured_after(
 def first_within(
     starts_m: NDArray[np.float64], ends_m: NDArray[np.float64], radius_m: float
 ) -> NDArray[np.float64]:
-    """Return the shares of segments (k, 2) after which the origin is within a radius; ``(k,)``.
+    """Return the fractions (k,) of segments (k, 2) at which the origin comes within a radius.
 
-    A share is the smaller root t of ``|start + t move| = radius``, 0 if the segment begins within
-    the radius, and infinite if it never comes so near.
+    A fraction is the smaller root t of ``|start + t move| = radius``, 0 if the segment starts
+    within the radius, and infinite if it never comes that close.
     """
     moves_m = ends_m - starts_m
     square = (moves_m * moves_m).sum(axis=1)

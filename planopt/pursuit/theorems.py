@@ -1,4 +1,4 @@
-"""Theorems about capture, and the inequalities that they rest on: plain data for all of pursuit."""
+"""Theorems about capture and their inequalities, as plain data for the whole package."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from enum import Enum
 
 
 class Distances(Enum):
-    """The distances that a guarantee is about."""
+    """Distances to which a guarantee refers."""
 
     STRAIGHT = "straight"
     PATHS = "paths"
 
 
 class Theorem(Enum):
-    """The theorem that a guarantee rests on."""
+    """Theorem on which a guarantee is based."""
 
     LEMMA = "lemma"
     ANY_INSTANT = "any_instant"
@@ -26,7 +26,7 @@ class Theorem(Enum):
 class Inequality:
     """``left < right``."""
 
-    words: str  # What is compared
+    words: str  # Description of the inequality
     left: float  # Both sides, in `unit` ("" for ratios)
     right: float
     unit: str = ""
@@ -38,7 +38,7 @@ class Inequality:
 
     @property
     def margin(self) -> float:
-        """Return the right side less the left side; negative if the inequality fails."""
+        """Return the right side minus the left side; negative if the inequality fails."""
         return self.right - self.left
 
     def __str__(self) -> str:

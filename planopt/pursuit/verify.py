@@ -1,7 +1,7 @@
-"""Verify a logged pursuit against its problem, without code of the simulator.
+"""Verification of a logged pursuit against its problem, without code of the simulator.
 
-Motions are reconstructed from the states at both ends of a step: a single integrator drives
-straight, a unicycle turns on the spot and drives straight, or drives an arc, as fast as its limits
+Motions are reconstructed from the states at both ends of a step. A single integrator drives
+straight; a unicycle turns on the spot and drives straight, or drives an arc, as fast as its limits
 allow. Reports are compared with the rounds of the service, captures with distances along the steps.
 """
 
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 PLACE_M, TIME_S = 1e-6, 1e-6
-"""Tolerances of positions and times for rounding."""
+"""Rounding tolerances of positions and times."""
 
 ARC_PIECES = 16
-"""Chords of an arc, a driven arc of less than half a turn in a step."""
+"""Number of chords that approximate an arc, which turns by less than half a turn per step."""
 
 CAPTURE_PIECES = 4
-"""Equal parts of a step whose chords resolve captures."""
+"""Number of equal parts of a step in which captures are resolved."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Robot:
     start_m: tuple[float, float]
     start_radius_m: float
     speed_max_m_s: float
-    turn_rate_max_rad_s: float | None = None  # None: a single integrator
+    turn_rate_max_rad_s: float | None = None  # None for a single integrator
 
 
 @dataclass(frozen=True)
 class Service:
-    """The snapshot service of a grid of motes, as in the table ``[network]``."""
+    """Snapshot service of a grid of motes, as in the table ``[network]``."""
 
     levels: int
     mote_spacing_m: float
@@ -54,7 +54,7 @@ class Service:
 
 @dataclass(frozen=True, eq=False)
 class PursuitData:
-    """The problem that a logged pursuit must keep to."""
+    """Problem with which a logged pursuit must comply."""
 
     pursuers: tuple[Robot, ...]
     evaders: tuple[Robot, ...]
@@ -70,18 +70,18 @@ class PursuitData:
 
 @dataclass(frozen=True, eq=False)
 class Reports:
-    """Reports in the order in which pursuers began to use them."""
+    """Reports in the order of first use."""
 
-    pursuer: NDArray[np.intp]  # (k,) indices of the pair
+    pursuer: NDArray[np.intp]  # (k,) indices of pursuer and evader
     evader: NDArray[np.intp]
-    time_s: Floats  # (k,) when the report was received
-    sampled_s: Floats  # (k,) when the evader was sensed
+    time_s: Floats  # (k,) time of receipt
+    sampled_s: Floats  # (k,) sample time
     reported_m: Floats  # (k, 2)
-    error_m: Floats  # (k,) claimed bound on its error
+    error_m: Floats  # (k,) claimed error bound
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """Return pursuer and evader of each report."""
+        """Return (pursuer, evader) of each report."""
         pursuers: list[int] = self.pursuer.tolist()
         return list(zip(pursuers, self.evader.tolist(), strict=True))
 
@@ -91,22 +91,22 @@ class PursuitLog:
     """A logged pursuit of n steps."""
 
     times_s: Floats  # (n + 1,)
-    states: tuple[Floats, ...]  # For each pursuer (n + 1, 2), or (n + 1, 3) with the heading
-    aims_m: Floats  # (p, n, 2) where each pursuer drives to
-    chased: NDArray[np.intp]  # (p, n) the evader that each pursuer chases
+    states: tuple[Floats, ...]  # (n + 1, 2) per pursuer, or (n + 1, 3) with the heading
+    aims_m: Floats  # (p, n, 2) point that each pursuer drives to
+    chased: NDArray[np.intp]  # (p, n) evader that each pursuer chases
     evaders_m: Floats  # (e, n + 1, 2)
     capture_s: Floats  # (e,) infinite if never captured
     captors: NDArray[np.intp]  # (e,) -1 if never captured
     reports: Reports
 
     def evader_at(self, evader: int, times_s: Floats) -> Floats:
-        """Return positions (k, 2) of an evader, which was at its start before the first time."""
+        """Return positions (k, 2) of an evader, which is at its start before the first time."""
         return _interpolated(times_s, self.times_s, self.evaders_m[evader])
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A reason to reject a logged pursuit."""
+    """Reason to reject a logged pursuit."""
 
     # time, start, motion, speed, aim, bounds, clearance, report, order, chase, capture, end,
     # guarantee or stages
@@ -142,9 +142,9 @@ def verify_pursuit(data: PursuitData, log: PursuitLog) -> list[Violation]:
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """The steps of a pursuer as straight pieces between k knots."""
+    """Steps of a pursuer as straight segments between k knots."""
 
-    shares: Floats  # (n, k) of a step, ascending from 0 to 1
+    shares: Floats  # (n, k) fraction of the step, ascending from 0 to 1
     places_m: Floats  # (n, k, 2)
     bent: NDArray[np.bool_]  # (n,) whether the step has a kink or an arc
 
@@ -152,7 +152,7 @@ class Drives:
 def _reconstructed(
     robot: Robot, states: Floats, aims_m: Floats, step_s: float, found: list[Violation]
 ) -> Drives:
-    """Return the drives of a pursuer between logged states; add their violations to `found`."""
+    """Return the reconstructed motion between logged states; add violations to `found`."""
     here, there = states[:-1, :2], states[1:, :2]
     move = there - here
     length = np.linalg.norm(move, axis=1)
@@ -163,7 +163,7 @@ def _reconstructed(
     if robot.turn_rate_max_rad_s is not None:
         rate, heading = robot.turn_rate_max_rad_s, states[:, 2]
         turn = _wrapped(np.diff(heading))
-        # A chord of an arc is halfway between the headings at its ends.
+        # The direction of an arc's chord is the mean of the headings at its ends.
         on_spot, along = _is_along(heading[1:], move), _is_along(heading[:-1] + 0.5 * turn, move)
         spot_s = np.abs(turn) / rate
         on_time = on_spot & (spot_s + drive_s <= step_s + TIME_S)
@@ -180,7 +180,7 @@ def _reconstructed(
     else:
         bearing = np.arctan2(*(aims_m - here).T[::-1]) - states[:-1, 2]
         bearing = np.where(away_m > PLACE_M, _wrapped(bearing), 0.0)
-        # On the spot the rest of the turn must be left; on an arc the aim lies on its circle.
+        # A turn on the spot must not overshoot; on an arc, the aim must lie on the circle.
         unturned = np.abs(_wrapped(bearing - turn)) + np.abs(turn) - np.abs(bearing)
         sine = np.sin(bearing)
         circle_m = away_m * np.divide(np.sin(0.5 * turn), sine, out=0.0 * sine, where=sine != 0.0)
@@ -202,7 +202,7 @@ def _drives(
     spot: Floats,
     drive: Floats,
 ) -> Drives:
-    """Return steps that stand for a share `spot`, drive for a share `drive`, and stand again."""
+    """Return steps that rest for a fraction `spot`, drive for `drive`, and rest again."""
     part = np.linspace(0.0, 1.0, ARC_PIECES + 1 if arc.any() else 2)
     driven = np.broadcast_to(part[:, None], (len(here), len(part), 1)) * move[:, None]
     if arc.any():
@@ -243,14 +243,14 @@ def _off_segment_m(starts: Floats, ends: Floats, places: Floats) -> Floats:
 
 
 def _worst(found: list[Violation], kind: str, name: str, words: str, off_m: Floats) -> None:
-    """Add the step with the largest value above the tolerance, if there is one."""
+    """Add a violation for the step with the largest value above the tolerance, if any."""
     if len(off_m) and not off_m.max() <= PLACE_M:
         step = int(off_m.argmax())
         found.append(Violation(kind, f"{name} {words} {off_m[step]:.4g} m at step {step}"))
 
 
 def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Iterator[Violation]:
-    """Yield a start elsewhere, positions out of bounds, and a path too near an obstacle."""
+    """Yield a wrong start, positions out of bounds, and violated obstacle clearance."""
     if math.dist(places_m[0], robot.start_m) > robot.start_radius_m + PLACE_M:
         yield Violation("start", f"{robot.name} does not start at start_m")
     if data.bounds_m is not None:
@@ -269,7 +269,7 @@ def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Itera
 
 
 def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield reports that no mote could have given, or that rule R forbids."""
+    """Yield reports that no mote could have sent, or that violate rule R."""
     service, reports = data.service, log.reports
     if not len(reports.time_s):
         return
@@ -309,15 +309,15 @@ def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
 
 
 def _mote(service: Service, places_m: Floats) -> NDArray[np.int64]:
-    """Return column and row of the mote whose square contains each position (..., 2)."""
+    """Return (column, row) of the mote whose square contains each position (..., 2)."""
     found = np.floor(places_m / service.mote_spacing_m).astype(np.int64)
     return found if service.endless else np.clip(found, 0, 2**service.levels - 1)
 
 
 def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield aims that are neither the position in the last report nor the pursuer's own.
+    """Yield aims that are neither the last reported position nor the pursuer's own.
 
-    Among obstacles aims are corners of paths, and a predicting pursuer chooses its own.
+    Among obstacles aims are path vertices, and a predicting pursuer chooses its own.
     """
     if data.obstacles or data.planner not in ("drive", "retarget"):
         return
@@ -341,7 +341,7 @@ def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
 def _capture_faults(
     data: PursuitData, log: PursuitLog, drives: tuple[Drives, ...]
 ) -> Iterator[Violation]:
-    """Yield captures that are claimed too early, too late or by a pursuer that is too far away."""
+    """Yield captures that are too early, too late, or by a pursuer that is too far away."""
     steps, radius_m = len(log.times_s) - 1, data.capture_radius_m
     for pursuer, robot in enumerate(data.pursuers):
         if steps and not np.isin(log.chased[pursuer], np.arange(len(data.evaders))).all():
@@ -361,7 +361,7 @@ def _capture_faults(
         if not 0.0 <= caught_s <= log.times_s[-1] + TIME_S and math.isfinite(caught_s):
             yield Violation("capture", f"{robot.name} is captured after the end")
             continue
-        # The step in which it is captured, and the share of this step until then.
+        # Step of the capture, and fraction of this step until the capture.
         step, share = steps, 0.0
         if captor >= 0:
             step = max(0, min(math.ceil(caught_s / data.step_s - 1e-9), steps) - 1)
@@ -370,8 +370,8 @@ def _capture_faults(
         if step < steps and np.ptp(places_m[step + 1 :], axis=0).max() > PLACE_M:
             yield Violation("capture", f"{robot.name} moves after it is captured")
         for pursuer, each in enumerate(drives):
-            # Captures are looked for on chords: at a kink these are off by at most a quarter of
-            # the distance driven in a piece.
+            # Captures are detected on chords, whose error at a kink is at most a quarter of the
+            # distance driven in a part.
             chord_m = 0.25 * data.pursuers[pursuer].speed_max_m_s * data.step_s / CAPTURE_PIECES
             slack_m = PLACE_M + chord_m * each.bent
             least_m = _least_distances_m(each, slice(0, step), places_m[: step + 1])
@@ -402,13 +402,13 @@ def _capture_faults(
 
 
 def _interpolated(at: Floats, knots: Floats, places_m: Floats) -> Floats:
-    """Return positions (m, 2) between those at knots (k,)."""
+    """Return positions (m, 2), interpolated between those at knots (k,)."""
     x, y = places_m[:, 0], places_m[:, 1]
     return np.stack([np.interp(at, knots, x), np.interp(at, knots, y)], axis=1)
 
 
 def _least_distances_m(drives: Drives, steps: slice, places_m: Floats) -> Floats:
-    """Return least distances (n,) of a pursuer and an evader that moves evenly, in steps."""
+    """Return minimum distances (n,) of a pursuer and a uniformly moving evader, by step."""
     shares, own_m = drives.shares[steps], drives.places_m[steps]
     if not len(shares):
         return np.zeros(0)

@@ -69,29 +69,29 @@ def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
 
 
 class MoteNetwork(Table):
-    """``[network]``: motes and their radios; costs are those of motes far from the edges."""
+    """``[network]``: motes and their radios; costs apply to motes far from the edges."""
 
     levels: int = Field(ge=1, le=MAX_LEVELS)
-    """L: there are 4^L motes."""
+    """Number of levels L; there are 4^L motes."""
     mote_spacing_m: Length
-    """Metres between neighbours."""
+    """Distance between neighbouring motes, in metres."""
     bit_rate_bit_s: float = Field(ge=SMALLEST, le=1e15)
-    """Bits that a slot carries, in bit/s."""
+    """Bit rate within a slot, in bit/s."""
     header_bits: float = Field(ge=0, le=1e9)
-    """Bits of a frame in addition to its blocks."""
+    """Bits of a frame header, in addition to the blocks."""
     record_bits: float = Field(ge=0, le=1e9)
-    """Bits of a block in addition to the position."""
+    """Bits of a block, in addition to the position."""
     energy_j_per_bit: float = Field(ge=1e-15, le=1e6)
-    """Energy of a sent bit, with its receivers, in J."""
+    """Energy per transmitted bit, including reception, in J."""
     idle_w: float = Field(default=0.0, ge=0, le=1e6)
-    """Power of a mote all the time, in W."""
+    """Constant power of a mote, in W."""
     slots_per_frame: int = Field(default=SLOTS_PER_FRAME, ge=SLOTS_PER_FRAME, le=10_000)
-    """Slots of a TDMA frame."""
+    """Number of slots per TDMA frame."""
     slot_blocks: int = Field(default=6, ge=1, le=10_000)
-    """Blocks that a slot must carry: 6 for the mean load, with which rounds are late, more for the
-    peak."""
+    """Slot capacity in blocks: 6 for the mean load, with some late rounds; more for the peak load.
+    """
     border_relays: bool = True
-    """Whether motes at the border of nine cells send records on."""
+    """Whether motes at the border of the nine cells relay records."""
 
     @property
     def motes(self) -> int:

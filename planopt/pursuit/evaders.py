@@ -58,11 +58,11 @@ class Static(Table):
 
 
 class Wandering(Table):
-    """An evader at full speed whose heading turns at random."""
+    """An evader at full speed with a random walk of its heading."""
 
     kind: Literal["wandering"] = "wandering"
     turn_std_rad: float = Field(default=0.3, ge=0, le=100)
-    """Standard deviation of its turn over a second, in rad."""
+    """Standard deviation of the heading change within a second, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return a random walk; if a step is blocked, the next free heading is used."""
@@ -83,11 +83,11 @@ class Wandering(Table):
 
 
 class Fleeing(Table):
-    """An evader whose step leads farthest from the nearest pursuer, around obstacles."""
+    """An evader that greedily maximises its distance from the nearest pursuer, around obstacles."""
 
     kind: Literal["fleeing"] = "fleeing"
     from_aims: bool = False
-    """Whether it flees from where they drive to."""
+    """Whether it flees from the pursuers' aims instead of their positions."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the greedy decision function."""
@@ -104,13 +104,13 @@ class Fleeing(Table):
 
 
 class Zigzag(Table):
-    """An evader that flees from the aims of its pursuers and turns from side to side."""
+    """An evader that flees from the aims of its pursuers in a zigzag."""
 
     kind: Literal["zigzag"] = "zigzag"
     period_s: float = Field(ge=SMALLEST, le=1e6)
-    """Seconds between turns."""
+    """Time between turns, in seconds."""
     angle_rad: float = Field(default=1.0, ge=0, le=math.pi)
-    """To either side, in rad."""
+    """Deviation to either side, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the zigzag, with a random initial phase."""
@@ -129,16 +129,16 @@ class Zigzag(Table):
 
 
 class Foresighted(Table):
-    """An evader that plans two legs, farthest from pursuers that drive straight at it.
+    """An evader that plans two legs to maximise its distance from directly chasing pursuers.
 
     It does not avoid obstacles.
     """
 
     kind: Literal["foresighted"] = "foresighted"
     horizon: int = Field(ge=1, le=100)
-    """Steps that it plans."""
+    """Planning horizon in plan steps."""
     plan_step_s: float = Field(ge=SMALLEST, le=1e4)
-    """Length of one of them in seconds."""
+    """Duration of a plan step in seconds."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the first step of a newly computed plan."""

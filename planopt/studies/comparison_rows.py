@@ -18,7 +18,7 @@ from planopt.problems.planner_kinds import OWN
 CONFIDENCE = 0.95
 
 SettingKey = tuple[str, str, str | None, str, int]
-"""Problem, sweep in words, cost-to-go, planner and horizon."""
+"""Problem, sweep as text, cost-to-go, planner and horizon."""
 
 
 @dataclass(frozen=True)

@@ -178,7 +178,7 @@ def true_serving_dbm(
 ) -> NDArray[np.float64]:
     """Return the serving station's true power (n,) at positions (n, 2), for the first threshold.
 
-    A robot is connected if it is at least ``problem.stations[0].true_threshold_dbm``.
+    A robot is connected if this power reaches ``problem.stations[0].true_threshold_dbm``.
     """
     powers = np.stack([true_power_dbm(truth, positions_m) for truth in truths])
     return serving_power_dbm(powers, [radio.true_threshold_dbm for radio in problem.stations])

@@ -1,7 +1,7 @@
-"""Exact distances to the obstacles as they are: what the verifier trusts.
+"""Exact distances to obstacles, on which the verifier relies.
 
-Distances come from GEOS, footprints are taken whole (not convex, with holes), and nothing here
-knows of plans or solvers. Robots may not enter obstacles, but a hole (a courtyard) is free.
+GEOS computes distances to the exact footprints, which may be non-convex and have holes. This module
+is independent of plans and solvers. Obstacles are forbidden, but a hole (a courtyard) is free.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from planopt.world.workspace import Obstacle, Workspace
 class ObstacleIndex:
     """Obstacles with a spatial index over them."""
 
-    obstacles: tuple[Obstacle, ...]  # As in the workspace
-    polygons: NDArray[np.object_]  # (k,) their polygons, for vectorised calls
-    tree: shapely.STRtree  # Spatial index; its numbers count into `obstacles`
+    obstacles: tuple[Obstacle, ...]  # Obstacles of the workspace
+    polygons: NDArray[np.object_]  # (k,) polygons, for vectorised calls
+    tree: shapely.STRtree  # Spatial index with indices into `obstacles`
 
 
 def index_obstacles(workspace: Workspace) -> ObstacleIndex:
-    """Index the obstacles of `workspace` once, for many queries."""
+    """Build the spatial index of the obstacles of `workspace`."""
     polygons = np.array([obstacle.polygon for obstacle in workspace.obstacles], dtype=np.object_)
     return ObstacleIndex(workspace.obstacles, polygons, shapely.STRtree(polygons))
 
@@ -35,7 +35,7 @@ def segment_lines(
 ) -> NDArray[np.object_]:
     """Return the segments between the rows of two ``(n, 2)`` arrays as ``(n,)`` geometries.
 
-    A segment too short for its length to be squared becomes a point: GEOS would divide by zero.
+    A segment whose squared length underflows becomes a point; GEOS would divide by zero.
     """
     delta = ends_m - starts_m
     lines = np.asarray(shapely.linestrings(np.stack((starts_m, ends_m), axis=1)), np.object_)
@@ -46,7 +46,7 @@ def segment_lines(
 
 
 def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Return the distances between two arrays of geometries (n,), 0 where they meet; (n,)."""
+    """Return the distances between two arrays of geometries (n,), 0 if they touch; (n,)."""
     # Shapely types the keyword arguments of this one as unknown.
     return shapely.distance(shapes, polygons)  # pyright: ignore[reportUnknownMemberType]
 
@@ -54,16 +54,15 @@ def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> N
 def is_clear(
     distance_m: NDArray[np.float64], required_m: float, tolerance_m: float = 0.0
 ) -> NDArray[np.bool_]:
-    """Return whether distances from obstacles (n,) are enough; (n,).
+    """Return which distances from obstacles (n,) are sufficient; (n,).
 
-    A distance of 0 is contact, and a segment may then lead right through: it is never enough, also
-    where no clearance is required.
+    A distance of 0 means contact or intersection: a collision even if `required_m` is 0.
     """
     return (distance_m > 0.0) & (distance_m >= required_m - tolerance_m)
 
 
 def clearance_m(index: ObstacleIndex, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of every position (n, 2) to the nearest obstacle; (n,)."""
+    """Return the distance of each position (n, 2) to the nearest obstacle; (n,)."""
     finite = np.asarray(np.isfinite(positions_m).all(axis=1))
     points = np.asarray(shapely.points(positions_m[finite]), np.object_)
     return _spread(_nearest_m(index, points), finite)
@@ -77,7 +76,7 @@ def swept_clearance_m(index: ObstacleIndex, path_m: NDArray[np.float64]) -> NDAr
 def segment_clearance_m(
     index: ObstacleIndex, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the same for segments between the rows of two (n, 2) arrays; (n,)."""
+    """Return the exact distance of each segment (n, 2) to the nearest obstacle; (n,)."""
     finite = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     return _spread(_nearest_m(index, segment_lines(starts_m[finite], ends_m[finite])), finite)
 
@@ -89,14 +88,14 @@ def segments_clear(
     required_m: float,
     tolerance_m: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Return whether straight segments keep a clearance, faster than by their distances.
+    """Return which straight segments keep a clearance, without computing distances.
 
-    The result is that of :func:`is_clear` of :func:`segment_clearance_m`.
+    The result equals :func:`is_clear` of :func:`segment_clearance_m`.
     """
     clear = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     rows = np.flatnonzero(clear)
     if index.obstacles and rows.size:
-        # Obstacles at exactly the required distance do not count, unless it is 0.
+        # Obstacles at exactly the required distance are allowed, unless it is 0.
         near_m = max(float(np.nextafter(required_m - tolerance_m, -np.inf)), 0.0)
         lines = segment_lines(starts_m[rows], ends_m[rows])
         hits = index.tree.query(lines, predicate="dwithin", distance=near_m)
@@ -105,21 +104,21 @@ def segments_clear(
 
 
 def inside_bounds(workspace: Workspace, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether every position (n, 2) is within the bounds, the border included; (n,)."""
+    """Return which positions (n, 2) are within the closed bounds; (n,)."""
     x_min, y_min, x_max, y_max = workspace.bounds_m
     x, y = positions_m[:, 0], positions_m[:, 1]
     return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
 
 
 def containing_obstacle(index: ObstacleIndex, position_m: NDArray[np.float64]) -> Obstacle | None:
-    """Return the first obstacle that a position (2,) is in or on the border of, or None."""
+    """Return the first obstacle that contains or touches a position (2,), or None."""
     x, y = position_m
     hits = index.tree.query(shapely.Point(x, y), predicate="intersects")
     return index.obstacles[int(hits.min())] if hits.size else None
 
 
 def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Return the distance of every geometry (n,) to the nearest obstacle; (n,)."""
+    """Return the distance of each geometry (n,) to the nearest obstacle; (n,)."""
     nearest = np.full(shapes.shape, np.inf)
     if index.obstacles and shapes.size:
         (which, _), distance = index.tree.query_nearest(
@@ -130,7 +129,7 @@ def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> NDArray[np.
 
 
 def _spread(values: NDArray[np.float64], where: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Put `values` at the true places of `where` (n,), NaN elsewhere; (n,)."""
+    """Scatter `values` to the true entries of `where` (n,), NaN elsewhere; (n,)."""
     spread = np.full(where.shape, np.nan)
     spread[where] = values
     return spread

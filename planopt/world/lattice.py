@@ -1,10 +1,10 @@
-"""The lattice of the global search: its free nodes, the moves between them, and shortest paths.
+"""Lattice of the global search: free nodes, moves between them, and shortest paths.
 
-The spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's, is one full step.
-Nodes and moves keep the clearance by the exact distances that the verifier uses. The distance to
-an obstacle changes by at most one metre a metre, so a segment of length l between positions at
-distances d_a and d_b from an obstacle stays ``(d_a + d_b - l) / 2`` or more away from it; GEOS
-computes only the distances of segments that this bound leaves open.
+The spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's move, is a full step.
+Nodes and moves keep the clearance by the verifier's exact distances. The distance to an obstacle is
+Lipschitz with constant 1. A segment of length l whose ends are at distances d_a and d_b from an
+obstacle is therefore at least ``(d_a + d_b - l) / 2`` away from it. GEOS computes distances only
+for segments that this bound does not decide.
 """
 
 from __future__ import annotations
@@ -35,33 +35,33 @@ _DOUBLED = ((1, 0), (0, 1))
 _FORWARD = (*_TESTED, *((2 * dx, 2 * dy) for dx, dy in _DOUBLED))
 
 MOVES: NDArray[np.int64] = np.array([(0, 0), *_FORWARD, *((-dx, -dy) for dx, dy in _FORWARD)])
-"""(21, 2) the moves (dx, dy) with dx^2 + dy^2 <= 5; move k + 10 undoes move k, k = 1 to 10."""
+"""(21, 2) moves (dx, dy) with dx^2 + dy^2 <= 5; move k + 10 reverses move k, k = 1 to 10."""
 MOVES.flags.writeable = False
 
 
 MAX_NODES = 10_000_000
-"""The 21 moves of this many nodes take 210 MB; more is a mistake in the step or the bounds."""
+"""Maximum number of nodes, whose 21 moves take 210 MB; more suggests wrong step or bounds."""
 
 REACH_TOLERANCE_M = 1e-9
-"""A node at exactly the reach stays within it after rounding."""
+"""Tolerance in metres for nodes at exactly the reach."""
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """A square lattice over the workspace."""
+    """Square lattice over the workspace."""
 
     origin_m: NDArray[np.float64]  # (2,) position of node [0, 0]
-    spacing_m: float  # Distance of neighbours
+    spacing_m: float  # Distance between neighbours
     shape: tuple[int, int]  # (ny, nx)
-    free: NDArray[np.bool_]  # (ny, nx) whether the node keeps the clearance
-    # (21, ny, nx) whether MOVES[k] from the node ends on a node and keeps the clearance
+    free: NDArray[np.bool_]  # (ny, nx) True for nodes that keep the clearance
+    # (21, ny, nx) True if MOVES[k] from the node ends on a node and keeps the clearance
     open_moves: NDArray[np.bool_]
 
 
 def build_lattice(
     workspace: Workspace, anchor_m: NDArray[np.float64], step_m: float, clearance_m: float
 ) -> Lattice:
-    """Lay the lattice through `anchor_m` (2,) over the inside of the bounds."""
+    """Build the lattice through `anchor_m` (2,) inside the bounds."""
     spacing = step_m / LONGEST_MOVE
     x_0, nx = _axis(workspace, anchor_m, spacing, 0)
     y_0, ny = _axis(workspace, anchor_m, spacing, 1)
@@ -87,7 +87,7 @@ def node_positions(lattice: Lattice) -> NDArray[np.float64]:
 
 
 def nearest_node(lattice: Lattice, position_m: NDArray[np.float64]) -> tuple[int, int]:
-    """Return the ``(iy, ix)`` of the node nearest to `position_m` (2,), free or not."""
+    """Return the index ``(iy, ix)`` of the node nearest to `position_m` (2,), free or not."""
     ny, nx = lattice.shape
     ix, iy = np.rint((position_m - lattice.origin_m) / lattice.spacing_m)
     return int(min(max(iy, 0), ny - 1)), int(min(max(ix, 0), nx - 1))
@@ -96,11 +96,11 @@ def nearest_node(lattice: Lattice, position_m: NDArray[np.float64]) -> tuple[int
 def moves_from(
     index: ObstacleIndex,
     lattice: Lattice,
-    position_m: NDArray[np.float64],  # (2,) where the robot is
+    position_m: NDArray[np.float64],  # (2,) position of the robot
     reach_m: float,
     clearance_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the nodes (iy, ix) within reach of a position, and whether paths to them are open."""
+    """Return the nodes (iy, ix) within `reach_m`, and which straight paths to them are free."""
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
     reach = (reach_m + REACH_TOLERANCE_M) / lattice.spacing_m
@@ -122,7 +122,7 @@ def moves_from(
 def _axis(
     workspace: Workspace, anchor_m: NDArray[np.float64], spacing_m: float, dimension: int
 ) -> tuple[float, int]:
-    """Return the first coordinate and the number of nodes strictly between the bounds."""
+    """Return the first coordinate and the node count strictly inside the bounds."""
     low, high = workspace.bounds_m[dimension], workspace.bounds_m[dimension + 2]
     anchor = float(anchor_m[dimension])
     first = math.floor((low - anchor) / spacing_m) + 1
@@ -140,11 +140,11 @@ def _positions(
 
 @dataclass(frozen=True)
 class NearPairs:
-    """Pairs of a node and an obstacle near it."""
+    """Pairs of a node and a nearby obstacle."""
 
-    node: NDArray[np.int64]  # (p,) numbers into the positions
-    obstacle: NDArray[np.int64]  # (p,) numbers into the index
-    distance_m: NDArray[np.float64]  # (p,) their distance, exact
+    node: NDArray[np.int64]  # (p,) indices into the positions
+    obstacle: NDArray[np.int64]  # (p,) indices into the obstacle index
+    distance_m: NDArray[np.float64]  # (p,) exact distances
 
 
 def near_pairs(index: ObstacleIndex, positions_m: NDArray[np.float64], reach_m: float) -> NearPairs:
@@ -161,7 +161,7 @@ def open_moves(
     near: NearPairs,
     clearance_m: float,
 ) -> NDArray[np.bool_]:
-    """Return whether the moves of every node end on a node and keep the clearance."""
+    """Return which moves of each node end on a node and keep the clearance."""
     result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
     result[0] = free
     places = positions_m.reshape(-1, 2)
@@ -188,7 +188,7 @@ def open_moves(
 def _ends(
     shape: tuple[int, ...], dx: int, dy: int
 ) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the nodes that the move (dx, dy) can start from, and those where it then ends."""
+    """Return the slices of start nodes and end nodes of the move (dx, dy)."""
     ny, nx = shape
     start = (slice(max(-dy, 0), max(ny - dy, 0)), slice(max(-dx, 0), max(nx - dx, 0)))
     end = (slice(max(dy, 0), max(ny + dy, 0)), slice(max(dx, 0), max(nx + dx, 0)))
@@ -196,7 +196,7 @@ def _ends(
 
 
 def _of_free_nodes(near: NearPairs, free: NDArray[np.bool_]) -> NearPairs:
-    """Return the pairs whose node is free, sorted by node and then obstacle."""
+    """Return the pairs with a free node, sorted by node, then obstacle."""
     order = np.lexsort((near.obstacle, near.node))
     order = order[free.reshape(-1)[near.node[order]]]
     return NearPairs(near.node[order], near.obstacle[order], near.distance_m[order])
@@ -210,10 +210,10 @@ def _unsure(
     clearance_m: float,
     obstacles: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return start node and obstacle of the moves that the Lipschitz bound does not clear.
+    """Return start node and obstacle of the moves that the Lipschitz bound does not decide.
 
-    A move is unsure only if both of its ends are among the pairs: an end that is not is at least
-    the clearance and the length of the move away, and the other end at least the clearance.
+    A move is undecided only if both ends are among the pairs. An end outside the pairs is farther
+    away than clearance plus move length, and the other end keeps the clearance.
     """
     from_open = np.flatnonzero(moves[near.node])
     start = near.node[from_open]
@@ -228,17 +228,17 @@ def _unsure(
 
 @dataclass(frozen=True)
 class RoadMap:
-    """The free nodes of a lattice, in reading order, and the moves between them as a graph."""
+    """Graph of the free lattice nodes, in row-major order, and the moves between them."""
 
-    lattice: Lattice  # The lattice it was built from
+    lattice: Lattice  # Lattice of the nodes
     nodes_m: NDArray[np.float64]  # (n, 2) positions
-    rows: NDArray[np.intp]  # (n,) their lattice indices iy, ix
+    rows: NDArray[np.intp]  # (n,) lattice indices iy, ix
     columns: NDArray[np.intp]
-    number: NDArray[np.intp]  # (ny, nx) node number on the lattice, -1 where not free
-    # (n, 21) the node from which each of `MOVES` arrives here; n where that move is closed
+    number: NDArray[np.intp]  # (ny, nx) node number, -1 if not free
+    # (n, 21) node from which each of `MOVES` arrives here; n if the move is blocked
     sources: NDArray[np.intp]
     lengths_m: NDArray[np.float64]  # (21,) lengths of the moves
-    edge_from: NDArray[np.int32]  # The moves but "stay", sorted by `edge_from`, in compressed rows
+    edge_from: NDArray[np.int32]  # Moves except "stay" in compressed sparse rows
     edge_to: NDArray[np.int32]
     edge_length_m: NDArray[np.float64]
     edge_start: NDArray[np.int32]
@@ -246,22 +246,22 @@ class RoadMap:
 
 @dataclass(frozen=True)
 class CostToGo:
-    """Cheapest paths from every node to a goal."""
+    """Cheapest paths from each node to a goal."""
 
-    # (n,) weighted length of the path; infinite where there is none, or beyond the limit
+    # (n,) weighted path length; infinite without a path or beyond the limit
     cost_m: NDArray[np.float64]
-    # (n,) the next node on it; negative at the goal and where there is no path
+    # (n,) next node on the path; negative at the goal and without a path
     next_node: NDArray[np.int32]
 
 
 def build_road_map(lattice: Lattice) -> RoadMap:
-    """Number the free nodes and tabulate the open moves between them."""
+    """Number the free nodes and tabulate the free moves between them."""
     rows, columns = np.nonzero(lattice.free)
     count = len(rows)
     number = np.full(lattice.shape, -1, dtype=np.intp)
     number[rows, columns] = np.arange(count)
     moves = np.asarray(MOVES)
-    # A move closed at its start leads to `count`, a node that does not exist and costs infinity.
+    # A blocked move leads to the dummy node `count`, which has infinite cost.
     targets = np.full((count, len(moves)), count, dtype=np.intp)
     sources = np.full((count, len(moves)), count, dtype=np.intp)
     for k, (dx, dy) in enumerate(moves):
@@ -295,10 +295,10 @@ def lattice_paths(
     *,
     limit_m: float = math.inf,
 ) -> CostToGo:
-    """Return the cheapest paths to a goal, each metre weighted by the mean factor of both ends."""
+    """Return the cheapest paths to a goal; edges are weighted by the mean of node factors."""
     weights = road_map.edge_length_m
     if node_factor is not None:
-        # Twice as fast as as finding both ends: edges are sorted by their first end.
+        # Edges are sorted by first end, so repeating is twice as fast as indexing both ends.
         ends = np.repeat(node_factor, np.diff(road_map.edge_start))
         ends += node_factor.take(road_map.edge_to)
         ends *= weights
@@ -314,7 +314,7 @@ def cheapest_paths(
     *,
     limit_m: float = math.inf,
 ) -> CostToGo:
-    """Return the cheapest paths to a goal by the costs (e,) of edges, equal in both directions."""
+    """Return the cheapest paths to a goal for symmetric edge costs (e,)."""
     count = len(road_map.nodes_m)
     graph = csr_matrix((edge_cost_m, road_map.edge_to, road_map.edge_start), shape=(count, count))
     cost, following = cast(
@@ -327,7 +327,7 @@ def cheapest_paths(
 def route_from(
     road_map: RoadMap, cost_to_go: CostToGo, node: int, length_m: float
 ) -> NDArray[np.intp]:
-    """Return the node numbers of the first `length_m` of the cheapest path from `node`."""
+    """Return the node numbers along the first `length_m` of the cheapest path from `node`."""
     nodes = [node]
     travelled = 0.0
     while travelled < length_m:

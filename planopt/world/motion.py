@@ -1,9 +1,8 @@
-"""Curves and motions of robots: distances to obstacles, and of two motions at equal times.
+"""Curves and motions of robots: clearance from obstacles, and separation of two motions in time.
 
-A curve is the path of one step, a motion that of several. Within a step times are shares of it. A
-curve bounds its second derivative, ``|p''| <= c`` by share, so that between two times that are d
-apart the position is nowhere farther than ``c d^2 / 8`` from even motion on the straight line
-between the positions at both.
+A curve is the path of one step, a motion that of several steps. Time within a step is a share of it
+from 0 to 1. A curve has a bound ``|p''| <= c`` on its second derivative by share. Between two times
+d apart, the position is therefore within ``c d^2 / 8`` of uniform motion on the chord.
 """
 
 from __future__ import annotations
@@ -19,41 +18,41 @@ from numpy.typing import NDArray
 from planopt.world.clearance import ObstacleIndex, clearance_m, containing_obstacle
 
 WHOLE_STEP = np.array([0.0, 1.0])
-"""Times at which a curve begins and ends."""
+"""Start and end time of a curve."""
 
 
 class TimedCurve(Protocol):
-    """The path of one step as a function of time."""
+    """Path of one step as a function of time."""
 
     @property
     def breaks(self) -> NDArray[np.float64]:
-        """Return times (k,) from 0 to 1 between which it is smooth."""
+        """Times (k,) from 0 to 1 between which the curve is smooth."""
         ...
 
     @property
     def curving_m(self) -> float:
-        """Return a bound on the second derivative of :meth:`at` between them."""
+        """Bound on the second derivative of :meth:`at` between the breaks."""
         ...
 
     @property
     def within_m(self) -> float:
-        """Return the largest distance of the robot from :meth:`at`."""
+        """Largest distance of the robot from :meth:`at`."""
         ...
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places (k, 2) at times (k,)."""
+        """Return positions (k, 2) at times (k,)."""
         ...
 
 
 SAG_M = 5e-7
-"""Largest distance of a curve from the lines between the points that stand for it."""
+"""Maximum distance in metres between a curve and the polyline that approximates it."""
 
 
 class Curve(Protocol):
-    """The path of one step."""
+    """Path of one step as a point set."""
 
     def points_m(self) -> tuple[NDArray[np.float64], float]:
-        """Return points (k, 2) in order, and the distance of the curve from the lines between."""
+        """Return a polyline (k, 2), and the largest distance of the curve from it."""
         ...
 
     def clearance_m(self, index: ObstacleIndex) -> float:
@@ -62,42 +61,42 @@ class Curve(Protocol):
 
 
 class StepCurve(Curve, TimedCurve, Protocol):
-    """The path of one step of a robot, as a place and in time."""
+    """Path of one step of a robot, both as a point set and as a function of time."""
 
 
 @dataclass(frozen=True, eq=False)
 class PointCurve:
-    """A curve given by points, with a bound on the distance of the robot from the lines between."""
+    """Polyline curve with a bound on the robot's distance from it."""
 
-    # (k, 2), k at least 1; of a timed curve at equal times, from begin to end
+    # (k, 2) points, k >= 1; evenly spaced in time for a timed curve
     places_m: NDArray[np.float64]
-    # Largest distance from the straight lines between them; of a timed curve, from even motion
+    # Largest distance from the polyline; for a timed curve, from uniform motion on it
     within_m: float
 
-    curving_m = 0.0  # It is straight between its points
+    curving_m = 0.0  # Straight between the points
 
     @property
     def breaks(self) -> NDArray[np.float64]:
-        """Return the times of its points."""
+        """Times of the points."""
         return np.linspace(0.0, 1.0, len(self.places_m))
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places on the lines between them."""
+        """Return interpolated positions at times `share` (k,)."""
         x, y = (np.interp(share, self.breaks, self.places_m[:, axis]) for axis in (0, 1))
         return np.stack([x, y], axis=1)
 
     def points_m(self) -> tuple[NDArray[np.float64], float]:
-        """Return its points."""
+        """Return the polyline and its bound."""
         return self.places_m, self.within_m
 
     def clearance_m(self, index: ObstacleIndex) -> float:
-        """Return a lower bound."""
+        """Return a lower bound of the distance to the nearest obstacle."""
         return max(0.0, _polyline_m(index, self.places_m) - self.within_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Parabola:
-    """p(t) = start + t along + t^2 bend for t from 0 to 1."""
+    """Parabola p(t) = start + t along + t^2 bend for t from 0 to 1."""
 
     start_m: NDArray[np.float64]  # (2,) each
     along_m: NDArray[np.float64]
@@ -108,38 +107,38 @@ class Parabola:
 
     @property
     def curving_m(self) -> float:
-        """Return its second derivative, which is constant."""
+        """Magnitude of the constant second derivative."""
         return 2.0 * float(np.hypot(*self.bend_m))
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places by the formula."""
+        """Return the positions p(t) at times `share` (k,)."""
         t = share[:, None]
         return self.start_m + t * self.along_m + t * t * self.bend_m
 
     def points_m(self) -> tuple[NDArray[np.float64], float]:
-        """Return points whose lines are off by at most |bend| / (4 n^2)."""
+        """Return a polyline of n pieces whose error is at most |bend| / (4 n^2)."""
         bend = float(np.hypot(*self.bend_m))
         count = max(1, math.ceil(math.sqrt(bend / (4.0 * SAG_M))))
         return self.at(np.linspace(0.0, 1.0, count + 1)), bend / (4.0 * count * count)
 
     def clearance_m(self, index: ObstacleIndex) -> float:
-        """Return a lower bound, less than a micrometre off."""
+        """Return a lower bound of the clearance, tight to a micrometre."""
         places, within = self.points_m()
         return max(0.0, _polyline_m(index, places) - within)
 
 
 def even_motion(ends_m: NDArray[np.float64]) -> Parabola:
-    """Return even motion on the straight line between two places (2, 2)."""
+    """Return uniform motion along the segment between two positions (2, 2)."""
     return Parabola(ends_m[0], ends_m[1] - ends_m[0], np.zeros(2))
 
 
 @dataclass(frozen=True, eq=False)
 class Arc:
-    """A circular arc, a straight line where it does not turn."""
+    """Circular arc driven at constant speed; a straight segment if `turn_rad` is 0."""
 
     start_m: NDArray[np.float64]  # (2,)
     heading_rad: float  # Direction of the tangent at the start
-    length_m: float  # Negative where it is driven backward
+    length_m: float  # Negative in reverse
     turn_rad: float  # Turn of the tangent from start to end
 
     breaks = WHOLE_STEP
@@ -147,21 +146,21 @@ class Arc:
 
     @property
     def bulge_m(self) -> float:
-        """Return about how far the middle is from the chord, a bound above."""
+        """Upper bound of the distance between the arc's middle and the chord."""
         return self.curving_m / 8.0
 
     @property
     def curving_m(self) -> float:
-        """Return its second derivative, towards the centre: speed is constant."""
+        """Magnitude of the second derivative, which points to the centre."""
         return abs(self.length_m * self.turn_rad)
 
     def points_m(self) -> tuple[NDArray[np.float64], float]:
-        """Return points whose lines are off by at most length turn / (8 n^2)."""
+        """Return a polyline of n pieces whose error is at most |length turn| / (8 n^2)."""
         count = max(1, math.ceil(math.sqrt(self.bulge_m / SAG_M)))
         return self.at(np.linspace(0.0, 1.0, count + 1)), self.bulge_m / (count * count)
 
     def clearance_m(self, index: ObstacleIndex) -> float:
-        """Return the exact distance, but for arcs as straight as round-off."""
+        """Return the exact clearance; a lower bound for arcs straight to rounding error."""
         ends = self.at(np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
         if self.bulge_m <= 1e-9:
             return max(0.0, _polyline_m(index, ends[[0, -1]]) - self.bulge_m)
@@ -170,7 +169,7 @@ class Arc:
         if containing_obstacle(index, self.start_m) is not None:
             return 0.0
         at_most = float(clearance_m(index, ends).min())
-        # The nearest obstacle is no farther from the lines between these than this.
+        # The nearest obstacle is within this distance of the polyline through `ends`.
         reach = at_most + 2.0 * self.bulge_m
         near = index.tree.query(shapely.LineString(ends), predicate="dwithin", distance=reach)
         edges = [_edges(polygon) for polygon in index.polygons[near]]
@@ -181,9 +180,9 @@ class Arc:
         return float(distances.min())
 
     def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return places (k, 2) at shares (k,) of the arc."""
+        """Return positions (k, 2) at times `share` (k,)."""
         half = 0.5 * share * self.turn_rad
-        # NumPy's sinc is that of pi times its argument.
+        # numpy.sinc(x) is sin(pi x) / (pi x).
         chord = share * self.length_m * np.sinc(half / math.pi)
         direction = self.heading_rad + half
         offsets = np.column_stack([chord * np.cos(direction), chord * np.sin(direction)])
@@ -191,7 +190,7 @@ class Arc:
 
 
 def _polyline_m(index: ObstacleIndex, places_m: NDArray[np.float64]) -> float:
-    """Return the distance of the lines through places (k, 2) to the nearest obstacle."""
+    """Return the distance of a polyline (k, 2) to the nearest obstacle."""
     if not index.obstacles:
         return math.inf
     moved = np.concatenate([[True], (np.diff(places_m, axis=0) ** 2).sum(axis=1) > 0.0])
@@ -202,7 +201,7 @@ def _polyline_m(index: ObstacleIndex, places_m: NDArray[np.float64]) -> float:
 
 
 def _edges(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the starts and ends of all edges, those of holes included."""
+    """Return the start and end points of all edges, including those of holes."""
     rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon)]
     return (
         np.concatenate([ring[:-1] for ring in rings]),
@@ -211,17 +210,17 @@ def _edges(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def arc_segment_distances_m(
-    start_m: NDArray[np.float64],  # (2,) where the arc begins
+    start_m: NDArray[np.float64],  # (2,) start of the arc
     heading_rad: float,
     length_m: float,
     turn_rad: float,
     from_m: NDArray[np.float64],
     to_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the distance of an arc from each of n segments; (n,).
+    """Return the distance of an arc to each of n segments; (n,).
 
-    The nearest two points of an arc and a segment are a crossing, or an end of either, or where the
-    segment's foot from the centre is seen along a ray that meets the arc.
+    The nearest points are a crossing, an end of the arc or the segment, or the foot of the
+    perpendicular from the centre to the segment, if the ray through it meets the arc.
     """
     # Shapes: from_m, to_m (n, 2).
     signed = length_m / turn_rad
@@ -230,7 +229,7 @@ def arc_segment_distances_m(
     first = math.atan2(start_m[1] - centre[1], start_m[0] - centre[0])
 
     def on_arc(angles: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether the arc passes through these directions from its centre."""
+        """Return whether the arc covers these directions from its centre."""
         gone = (angles - first) if turn_rad > 0.0 else (first - angles)
         return np.mod(gone, 2.0 * math.pi) <= abs(turn_rad)
 
@@ -240,13 +239,13 @@ def arc_segment_distances_m(
     square = np.maximum((along**2).sum(axis=1), np.finfo(np.float64).tiny)
 
     def foot(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the foot of a place on each segment's line, and its distance."""
+        """Return the foot parameter on each segment's line, and the distance to the segment."""
         t = ((place - from_m) * along).sum(axis=1) / square
         near = from_m + np.clip(t, 0.0, 1.0)[:, None] * along
         return t, np.linalg.norm(place - near, axis=1)
 
     def radial(places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distance to the arc along a ray from its centre; inf where that misses it."""
+        """Return the radial distance to the arc; inf if the ray from the centre misses it."""
         offset = places - centre
         away = np.abs(np.hypot(offset[:, 0], offset[:, 1]) - radius)
         return np.where(on_arc(np.arctan2(offset[:, 1], offset[:, 0])), away, math.inf)
@@ -256,7 +255,7 @@ def arc_segment_distances_m(
     inside = (t >= 0.0) & (t <= 1.0)
     best = np.minimum.reduce([foot(start_m)[1], foot(end)[1], radial(from_m), radial(to_m)])
     best = np.where(inside, np.minimum(best, radial(feet)), best)
-    # Crossings: at the feet, half a chord to either side.
+    # Crossings lie half a chord to either side of the feet.
     apart = ((feet - centre) ** 2).sum(axis=1)
     half = np.sqrt(np.maximum(radius * radius - apart, 0.0) / square)
     for side in (-half, half):
@@ -270,34 +269,34 @@ def arc_segment_distances_m(
 
 @dataclass(frozen=True, eq=False)
 class TimedMotion:
-    """A motion over n steps, after which it stands."""
+    """Motion over n steps, followed by rest."""
 
-    places_m: NDArray[np.float64]  # (n + 1, 2) now and at each step's end
-    curves: tuple[TimedCurve, ...] = ()  # Of each step; none where all are straight and even
+    places_m: NDArray[np.float64]  # (n + 1, 2) positions now and after each step
+    curves: tuple[TimedCurve, ...] = ()  # One per step; empty if all are straight and uniform
 
     @property
     def steps(self) -> int:
-        """Return the number of steps, n."""
+        """Number of steps n."""
         return len(self.places_m) - 1
 
     def curve(self, step: int) -> TimedCurve:
-        """Return the curve of step number `step`, 0 the first; standing after the last."""
+        """Return the curve of step `step`, counted from 0; at rest after the last step."""
         if step >= self.steps:
             return even_motion(self.places_m[-1:].repeat(2, axis=0))
         return self.curves[step] if self.curves else even_motion(self.places_m[step : step + 2])
 
     def lasting(self, steps: int) -> TimedMotion:
-        """Return the same motion over `steps` steps, standing where it has fewer."""
+        """Return the motion cut or extended to `steps` steps, at rest after its end."""
         places = self.places_m[np.minimum(np.arange(steps + 1), self.steps)]
         return TimedMotion(places, tuple(map(self.curve, range(steps))) if self.curves else ())
 
     def after(self, steps: int) -> TimedMotion:
-        """Return the rest of the motion after some steps, at most all."""
+        """Return the motion after the first `steps` steps."""
         return TimedMotion(self.places_m[steps:], self.curves[steps:])
 
     @property
     def bulges_m(self) -> NDArray[np.float64]:
-        """Return the largest distance from even motion on each step's line; ``(n,)``."""
+        """Bound on the distance from uniform motion on each step's chord; ``(n,)``."""
         if not self.curves:
             return np.zeros(self.steps)
         ends = zip(self.curves, self.places_m[:-1], self.places_m[1:], strict=True)
@@ -318,10 +317,10 @@ def closest_approach_m(
     second_starts_m: NDArray[np.float64],
     second_ends_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the least distance of two points that move straight and evenly over the same time.
+    """Return the minimum distance of two points in uniform straight motion over the same time.
 
-    Seen from the second point the first one moves straight, from r to r + d; it is nearest at the
-    share ``t = clip(-r . d / d . d, 0, 1)`` of the time, at the distance ``|r + t d|``.
+    Relative to the second point, the first moves straight from r to r + d. It is nearest at time
+    ``t = clip(-r . d / d . d, 0, 1)``, at distance ``|r + t d|``.
     """
     # Shapes: first_starts_m, first_ends_m, second_starts_m, second_ends_m (..., 2).
     return np.asarray(
@@ -340,7 +339,7 @@ def nearest_to_origin_m(
     square = (along * along).sum(axis=-1)
     share = -(starts_m * along).sum(axis=-1) / np.where(square > 0.0, square, 1.0)
     share = np.clip(np.where(square > 0.0, share, 0.0), 0.0, 1.0)
-    # Counted from the nearer end, so that an end comes out exactly.
+    # Measured from the nearer end, so that ends are reproduced exactly.
     late = share[..., None] > 0.5
     return np.where(
         late, ends_m - (1.0 - share[..., None]) * along, starts_m + share[..., None] * along
@@ -348,15 +347,15 @@ def nearest_to_origin_m(
 
 
 CLOSE_M = 1e-7
-"""Largest error below the least distance: a tenth of the verifier's tolerance. A smaller one would
-be expensive where two motions keep one distance throughout."""
+"""Tolerance in metres of computed minimum distances: a tenth of the verifier's. A smaller one would
+be expensive for motions at a constant distance."""
 
 CLOSE_SHARE = 1e-9
-"""The same as a share of the curvature, for curves of kilometres."""
+"""Relative tolerance as a share of the curvature bound, for curves of kilometres."""
 
 
 def curve_distance_m(first: TimedCurve, second: TimedCurve, at_most_m: float = math.inf) -> float:
-    """Return the least distance of two curves of one step at equal times, never too large."""
+    """Return a lower bound, tight to `CLOSE_M`, of two curves' distance at equal times."""
     unknown = first.within_m + second.within_m
     curving = first.curving_m + second.curving_m
     if not math.isfinite(curving + unknown):
@@ -379,9 +378,9 @@ def curve_distance_m(first: TimedCurve, second: TimedCurve, at_most_m: float = m
 
 
 def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> NDArray[np.float64]:
-    """Return the least distance during each of `steps` steps, never too large; ``(steps,)``.
+    """Return tight lower bounds of the distance during each of `steps` steps; ``(steps,)``.
 
-    Either stands after its own last step.
+    Each motion is at rest after its own last step.
     """
     one, other = first.lasting(steps), second.lasting(steps)
     if not one.curves and not other.curves:
@@ -390,7 +389,7 @@ def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> NDA
 
 
 def chord_distances_m(first: TimedMotion, second: TimedMotion) -> NDArray[np.float64]:
-    """Return the least distance as if both moved straight and evenly; ``(n,)``."""
+    """Return the minimum distances for uniform motion on the chords; ``(n,)``."""
     a, b = first.places_m, second.places_m
     return closest_approach_m(a[:-1], a[1:], b[:-1], b[1:])
 
@@ -398,9 +397,9 @@ def chord_distances_m(first: TimedMotion, second: TimedMotion) -> NDArray[np.flo
 def least_gap(
     first: TimedMotion, second: TimedMotion, taken_m: NDArray[np.float64]
 ) -> tuple[float, int]:
-    """Return the least of distance less `taken_m` (n,) over n steps, and the step that has it.
+    """Return the minimum of distance minus `taken_m` (n,) over n steps, and its step.
 
-    Steps are computed in the order of their lower bounds.
+    Steps are evaluated in the order of their lower bounds.
     """
     steps = len(taken_m)
     one, other = first.lasting(steps), second.lasting(steps)

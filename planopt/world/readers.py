@@ -1,6 +1,6 @@
-"""Obstacles from files (GeoJSON, WKT, buildings of a ray-traced scene, grids) and from objects.
+"""Readers of obstacles from files (GeoJSON, WKT, ray-tracing scenes, grids) and from objects.
 
-Coordinates are metres in the frame of the problem, also in GeoJSON: nothing is projected.
+Coordinates are metres in the frame of the problem, also in GeoJSON; there is no projection.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from planopt.world.occupancy import OccupancyGrid, UnknownCells, grid_obstacles,
 from planopt.world.workspace import Obstacle, footprint
 
 DEEPEST = 32
-"""Limit of the nesting of geometries: recursive parsers run out of stack."""
+"""Maximum nesting depth of geometries, which protects the stack of recursive parsers."""
 
 SURELY_DEGREES = 20.0
-"""Coordinates within 180 and 90 whose distance from zero is more than this multiple of their extent
-are degrees: in metres the map would be tiny and far from its origin."""
+"""Ratio of distance from the origin to extent above which coordinates within 180 and 90 are taken
+for degrees: in metres the map would be tiny and far from its origin."""
 
 _GEOJSON = "give GeoJSON of Polygon or MultiPolygon features, or buildings with an exterior"
 
@@ -34,7 +34,7 @@ _Part = TypeVar("_Part")
 
 
 def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obstacle, ...]:
-    """Read the obstacles of a file, by its ending."""
+    """Read the obstacles of a file with the reader for its extension."""
     ending = path.suffix.lower()
     try:
         if is_grid(path):
@@ -53,7 +53,7 @@ def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obst
 
 
 def obstacle_from_wkt(name: str, text: str) -> Obstacle:
-    """Make an obstacle of a WKT polygon in metres."""
+    """Create an obstacle from a WKT polygon in metres."""
     obstacles = list(obstacles_of_geometry(name, _parsed_wkt(name, text)))
     if len(obstacles) != 1:
         raise InputError(
@@ -64,7 +64,7 @@ def obstacle_from_wkt(name: str, text: str) -> Obstacle:
 
 
 def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
-    """Yield the obstacles of a file with one geometry, or with one in each line."""
+    """Yield the obstacles of a WKT file with one geometry, or one per line."""
     whole = _tolerant_wkt(text)
     if whole is not None:
         yield from obstacles_of_geometry(stem, whole)
@@ -81,7 +81,7 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
 
 
 def _tolerant_wkt(text: str) -> shapely.Geometry | None:
-    """Return the geometry of `text`, with its rings closed, or None."""
+    """Return the geometry of a WKT text with closed rings; None if it is invalid."""
     letters = np.frombuffer(text.encode(), dtype=np.uint8)
     depth = np.cumsum((letters == ord("(")).astype(np.int64) - (letters == ord(")")))
     if depth.max(initial=0) > DEEPEST:
@@ -96,7 +96,7 @@ def _tolerant_wkt(text: str) -> shapely.Geometry | None:
 
 
 def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
-    """Return the geometry of `text`, or raise what is wrong with it."""
+    """Return the geometry of a WKT text, or raise an error with the reason."""
     geometry = _tolerant_wkt(text)
     if geometry is not None:
         return geometry
@@ -109,7 +109,7 @@ def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
 
 
 def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:
-    """Yield the obstacles of a polygon or collection of polygons, numbered if there are several."""
+    """Yield the obstacles of a polygon or a collection, numbered if there are several."""
     if isinstance(geometry, shapely.Polygon):
         exterior, *holes = (
             shapely.get_coordinates(ring).tolist()
@@ -125,7 +125,7 @@ def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obs
 
 
 def _from_json(stem: str, text: str) -> tuple[Obstacle, ...]:
-    """Return the obstacles of a building file or of GeoJSON."""
+    """Return the obstacles of a building file or a GeoJSON text."""
     try:
         data: Any = json.loads(text)
     except json.JSONDecodeError as error:
@@ -146,7 +146,7 @@ def _from_json(stem: str, text: str) -> tuple[Obstacle, ...]:
 
 
 def _areas(name: str, value: Any) -> Iterator[Obstacle]:
-    """Yield the obstacles of a building file or of a GeoJSON object (RFC 7946, in metres)."""
+    """Yield the obstacles of a building table or a GeoJSON object (RFC 7946, in metres)."""
     match value:
         case {"buildings": [*buildings]}:
             for number, building in enumerate(buildings, start=1):
@@ -170,7 +170,7 @@ def _areas(name: str, value: Any) -> Iterator[Obstacle]:
 
 
 def _building(name: str, value: Any) -> Obstacle:
-    """Return the obstacle of a building."""
+    """Return the obstacle of one building table."""
     match value:
         case {"exterior": exterior, "holes": [*holes]}:
             return footprint(str(value.get("name", name)), exterior, holes)
@@ -182,7 +182,7 @@ def _building(name: str, value: Any) -> Obstacle:
 
 
 def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
-    """Refuse GeoJSON in degrees, as RFC 7946 has it."""
+    """Reject GeoJSON in degrees, the unit of RFC 7946."""
     if not obstacles:
         return
     named = DEGREES.search(json.dumps(table.get("crs")))
@@ -199,11 +199,11 @@ def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None
 
 
 DEGREES = re.compile(r"CRS84|EPSG:+(\d*:)?(4326|4258|4269)\b", re.IGNORECASE)
-"""Names of reference systems in degrees."""
+"""Pattern of reference systems in degrees."""
 
 
 def _feature_name(feature: dict[str, Any], otherwise: str) -> str:
-    """Return the name of a feature: its property ``name``, else its id."""
+    """Return the name of a feature: its property ``name``, else its id, else `otherwise`."""
     match feature:
         case {"properties": {"name": name}} if name is not None:
             return str(name)
@@ -212,34 +212,34 @@ def _feature_name(feature: dict[str, Any], otherwise: str) -> str:
 
 
 def _named_parts(name: str, parts: list[_Part]) -> Iterator[tuple[str, _Part]]:
-    """Yield the parts with their names: the name itself if there is only one."""
+    """Yield names and parts; a single part keeps `name`, several are numbered."""
     for number, part in enumerate(parts, start=1):
         yield (name if len(parts) == 1 else f"{name} part {number}"), part
 
 
 def _short(value: object) -> str:
-    """Return `value` as JSON, shortened for a message."""
+    """Return `value` as JSON, truncated for a message."""
     text = json.dumps(value)
     return text if len(text) <= 40 else f"{text[:40]}..."
 
 
 def obstacles_from(source: Any, name: str = "obstacle") -> tuple[Obstacle, ...]:
-    """Return the obstacles of geometries, of a table of them, of corners or of a grid.
+    """Create obstacles from geometries, tables of geometries, corners or grids.
 
     Parameters
     ----------
     source
-        A shapely polygon or collection of polygons; a GeoDataFrame or GeoSeries, whose column
-        ``name`` names the obstacles if there is one; an array ``(n, 2)`` of the corners of one
-        obstacle; an :class:`planopt.problems.OccupancyGrid`; or a list of any of these, obstacles
-        included. Coordinates are metres in the frame of the problem.
+        Shapely polygon or collection of polygons; GeoDataFrame or GeoSeries, with names from the
+        column ``name`` if present; array ``(n, 2)`` of the corners of one obstacle;
+        :class:`planopt.problems.OccupancyGrid`; or a list of any of these, including obstacles.
+        Coordinates are metres in the frame of the problem.
     name
-        Name of obstacles that have none of their own; several are numbered.
+        Name of obstacles without their own name; several are numbered.
 
     Raises
     ------
     InputError
-        Something is no area, or a polygon is invalid.
+        An entry is not an area, or a polygon is invalid.
 
     Examples
     --------
@@ -285,14 +285,14 @@ def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
 
 
 def _column_of_names(table: Any, name: str, count: int) -> list[str]:
-    """Return the names of the rows of a table of geometries."""
+    """Return the obstacle names of the rows of a geometry table."""
     if "name" in getattr(table, "columns", ()):
         return [str(own) for own in table["name"]]
     return [name if count == 1 else f"{name} {number}" for number in range(1, count + 1)]
 
 
 def _is_ring(source: Any) -> bool:
-    """Return whether something is a list or an array of corners."""
+    """Return whether `source` is a list or an array of corners (n, 2)."""
     try:
         corners = np.asarray(source, dtype=np.float64)
     except (TypeError, ValueError):

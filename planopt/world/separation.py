@@ -295,8 +295,8 @@ def _best_lines(
 
     The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``. Its maximum over n is the
     distance of the convex sets, or minus their penetration depth. The maximiser is a normal of an
-    edge of the piece, a normal of the segment, or, if two vertices are nearest, the direction from
-    a corner to the segment end nearest to it.
+    edge of the piece, a normal of the segment, or, if two vertices are nearest, the direction to a
+    segment end from its nearest corner.
     """
     width = int(pieces.corners[piece].max(initial=1))
     # Coordinates relative to the segment's start keep their digits even near 3e6.

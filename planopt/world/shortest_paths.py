@@ -1,6 +1,6 @@
-"""Shortest paths round obstacles from one position, by a visibility graph built as needed.
+"""Shortest paths around obstacles from one position, by a lazily built visibility graph.
 
-Shortest paths lead straight from corner to corner of the grown obstacles.
+Shortest paths consist of straight segments between corners of the inflated obstacles.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from numpy.typing import NDArray
 from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines
 
 INNER_SHARE = 0.98
-"""Share of the clearance that obstacles are grown by for a bound below: GEOS is off by up to a
-hundredth."""
+"""Share of the clearance by which obstacles are inflated for lower bounds: the relative error of
+GEOS is up to a hundredth."""
 
 QUARTER_SEGMENTS = 2
-"""Straight pieces of a quarter turn about a corner, for paths that can be driven."""
+"""Number of segments per quarter circle around a corner, for drivable paths."""
 
 ROUND_SHARE = 1.0 / math.cos(0.25 * math.pi / QUARTER_SEGMENTS)
-"""Their ends are so much farther from the corner than their middles, which keep the clearance."""
+"""Ratio of the radii of segment ends and midpoints; the midpoints keep the clearance."""
 
 MAX_CORNERS = 600
-"""With more corners within the radius, air lines are returned, which are lower bounds."""
+"""Maximum number of corners; beyond it, straight-line distances serve as lower bounds."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShortestPaths:
-    """Shortest paths from one position, none longer than a radius."""
+    """Shortest paths from one position up to a maximum length."""
 
     start_m: NDArray[np.float64]  # (2,)
-    radius_m: float  # Their largest length
-    closed: shapely.STRtree  # The grown obstacles
-    # The connected part of free space; None where nothing is closed
+    radius_m: float  # Maximum path length
+    closed: shapely.STRtree  # Inflated obstacles
+    # Connected component of free space; None without obstacles
     joined: shapely.Geometry | None
-    # (n, 2) corners that they turn at, (n,) the lengths of the paths to them, ascending, and the
-    # corners before them, -1 for the start
+    # (n, 2) corners at which paths turn, (n,) path lengths to them, ascending, and (n,) indices of
+    # the previous corners, -1 for the start
     corners_m: NDArray[np.float64]
     length_m: NDArray[np.float64]
     before: NDArray[np.intp]
@@ -53,10 +53,10 @@ def shortest_paths(
     radius_m: float,
     inner: bool,
 ) -> ShortestPaths:
-    """Find the paths from `start_m` (2,) that keep the clearance, up to the radius (both in m).
+    """Find the shortest paths from `start_m` (2,) that keep `clearance`, up to `radius_m`.
 
-    With `inner` obstacles are grown by a little less, their corners cut: lengths are lower bounds,
-    and every reachable position is found.
+    With `inner`, obstacles are inflated slightly less and their corners are bevelled. Lengths are
+    then lower bounds, and every reachable position is found.
     """
     nothing = ShortestPaths(
         start_m,
@@ -73,7 +73,7 @@ def shortest_paths(
     own = float(clearance_m(index, start_m[None])[0])
     if not len(near) or own == 0.0:
         return nothing
-    # A robot nearer than the clearance may be so elsewhere, so that its paths stay open.
+    # A start closer than the clearance lowers the clearance, so that its paths stay open.
     by = min(clearance, own) * INNER_SHARE if inner else min(clearance * ROUND_SHARE, own)
     closed = grown(index.polygons[near], by, inner)
     low, high = np.array(bounds_m[:2]), np.array(bounds_m[2:])
@@ -93,7 +93,7 @@ def shortest_paths(
     tree = shapely.STRtree(closed)
     length, before = _lengths_to_corners(tree, start_m, corners, radius_m)
     order = np.argsort(length, kind="stable")[: int((length <= radius_m).sum())]
-    # The corner before is nearer, and therefore in the order too.
+    # The previous corner is nearer and therefore also in `order`.
     place = np.full(len(corners) + 1, -1, dtype=np.intp)
     place[order] = np.arange(len(order))
     return ShortestPaths(
@@ -104,7 +104,7 @@ def shortest_paths(
 def is_near_joined(
     paths: ShortestPaths, places_m: NDArray[np.float64], within_m: float
 ) -> NDArray[np.bool_]:
-    """Return whether positions (n, 2) are within a distance of the connected free space; (n,)."""
+    """Return which positions (n, 2) are within `within_m` of the connected free space; (n,)."""
     if paths.joined is None:
         return np.ones(len(places_m), dtype=np.bool_)
     points = shapely.points(places_m)
@@ -112,12 +112,12 @@ def is_near_joined(
 
 
 def path_lengths_m(paths: ShortestPaths, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the length of the path to each position (n, 2); (n,), infinite beyond the radius."""
+    """Return path lengths to positions (n, 2), infinite beyond the radius; ``(n,)``."""
     return _last_turns(paths, places_m)[0]
 
 
 def turns_m(paths: ShortestPaths, place_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the turns (k, 2) of the path to a position, which is the last; None without a path."""
+    """Return the turns (k, 2) of the path to `place_m`, the last point; None without a path."""
     length, last = _last_turns(paths, place_m[None])
     if not np.isfinite(length[0]):
         return None
@@ -131,7 +131,7 @@ def turns_m(paths: ShortestPaths, place_m: NDArray[np.float64]) -> NDArray[np.fl
 def _last_turns(
     paths: ShortestPaths, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return the length of the path to each position (n, 2), and its last corner, -1 for none."""
+    """Return the path length to each position (n, 2) and its last corner, -1 if none."""
     length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)
     open_ = np.flatnonzero(is_near_joined(paths, places_m, 0.0))
     for corner in range(-1, len(paths.corners_m)):
@@ -148,7 +148,7 @@ def _last_turns(
 
 
 def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np.object_]:
-    """Return polygons (n,) grown by so many metres; `inner` ones nowhere by more than that."""
+    """Return polygons (n,) inflated by `by_m`; with `inner`, nowhere by more than that."""
     if by_m <= 0.0:
         return polygons
     if inner:
@@ -159,9 +159,9 @@ def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np
 
 
 def corners_m(polygons: NDArray[np.object_], free: bool = False) -> NDArray[np.float64]:
-    """Return the corners (n, 2) at which shortest paths turn: they stand out into free space.
+    """Return the corners (n, 2) at which shortest paths turn, i.e. convex obstacle corners.
 
-    Polygons are obstacles, or free space itself.
+    The polygons are obstacles, or free space if `free` is set.
     """
     found = [np.zeros((0, 2))]
     for part in shapely.get_parts(polygons):
@@ -171,7 +171,7 @@ def corners_m(polygons: NDArray[np.object_], free: bool = False) -> NDArray[np.f
             before = places - np.roll(places, 1, axis=0)
             after = np.roll(before, -1, axis=0)
             turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-            # The outer ring comes first; what is free lies inside the others.
+            # The outer ring comes first; the other rings enclose holes.
             ahead = np.roll(here, -1, axis=0)
             area = float((here[:, 0] * ahead[:, 1] - here[:, 1] * ahead[:, 0]).sum())
             outward = (area > 0.0) == (number == 0)
@@ -185,7 +185,7 @@ def _lengths_to_corners(
     corners_m: NDArray[np.float64],
     radius_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Return lengths and corners before, by Dijkstra's algorithm with visibility on demand."""
+    """Return path lengths and previous corners, by Dijkstra's algorithm on a lazy graph."""
     length = np.full(len(corners_m), np.inf)
     before = np.full(len(corners_m), -1, dtype=np.intp)
     left = np.ones(len(corners_m), dtype=np.bool_)
@@ -206,7 +206,7 @@ def _lengths_to_corners(
 def _sees(
     closed: shapely.STRtree, place_m: NDArray[np.float64], others_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return whether segments from a position to others (n, 2) enter no grown obstacle; (n,)."""
+    """Return which segments from `place_m` to others (n, 2) avoid inflated obstacles; (n,)."""
     free = np.ones(len(others_m), dtype=np.bool_)
     if len(others_m) and len(closed.geometries):
         lines = segment_lines(np.broadcast_to(place_m, others_m.shape), others_m)

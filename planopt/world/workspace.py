@@ -1,7 +1,7 @@
-"""The workspace: a rectangle less the obstacles in it, each checked when its footprint is read.
+"""Workspace: a rectangle with obstacles, whose footprints are validated on input.
 
-No polygon that crosses itself reaches the distance computations, where it would give wrong results
-without an error.
+Self-intersecting polygons are rejected, because distance computations would silently return wrong
+results.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from planopt.short_repr import short_repr
 
 @dataclass(frozen=True)
 class Obstacle:
-    """One forbidden area.
+    """Static obstacle: a forbidden area, possibly for a limited time.
 
     Attributes
     ----------
     name
-        What messages call it.
+        Name of the obstacle in messages.
     polygon
-        A simple polygon in metres, holes allowed, convex or not.
+        Simple polygon in metres, convex or not; holes are allowed.
     known_from_s, until_s
-        Seconds from when on it stands there and is known, and from when on it is gone. Nobody
-        knows of either before.
+        Times in seconds at which the obstacle appears and disappears. Neither event is known in
+        advance.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Obstacle:
 
     @property
     def is_timed(self) -> bool:
-        """Return whether it comes or goes."""
+        """Return whether the obstacle appears or disappears."""
         return self.known_from_s > 0.0 or self.until_s < math.inf
 
     def __post_init__(self) -> None:
@@ -68,16 +68,16 @@ class Obstacle:
 
 
 class MotionKeys(Table):
-    """The motion of a disc: start_m and velocity_m_s, or times_s and positions_m."""
+    """Motion of a disc: start_m and velocity_m_s, or times_s and positions_m."""
 
     start_m: Pair | None = None
     """Centre [x, y] in metres at time 0, when planning begins."""
     velocity_m_s: Pair | None = None
-    """Velocity [x, y] in m/s, from start_m on or after the last of times_s; without it there, the
-    disc stands."""
+    """Velocity [x, y] in m/s from start_m on, or after the last of times_s; by default, the disc
+    then stops."""
     times_s: list[Annotated[float, Field(ge=0, le=1e7)]] | None = Field(default=None, min_length=1)
-    """Times in seconds, increasing, at which the centre is at positions_m; it stands before the
-    first."""
+    """Increasing times in seconds at which the centre is at positions_m; it is at rest before the
+    first one."""
     positions_m: list[Pair] | None = Field(default=None, min_length=1)
     """Centres [x, y] in metres at times_s."""
 
@@ -96,39 +96,39 @@ class MotionKeys(Table):
 
 @dataclass(frozen=True)
 class MovingObstacle(Part):
-    """A disc that moves as predicted: straight between known positions."""
+    """Moving disc with a predicted, piecewise straight motion."""
 
     at = "world.moving[]"
     Keys = MotionKeys
     not_keys = frozenset({"times_s", "positions_m", "velocity_m_s"})
 
     name: Name
-    """What messages and pictures call it."""
+    """Name of the obstacle in messages and figures."""
     radius_m: Annotated[float, Field(gt=0, le=1e4)]
-    """Radius of the disc in metres; constraints.clearance_m is kept from it."""
+    """Radius of the disc in metres; robots keep constraints.clearance_m from it."""
     times_s: tuple[float, ...]
-    """Increasing times in seconds at which the centre is at positions_m; it stands before the
-    first."""
+    """Increasing times in seconds at which the centre reaches positions_m; it is at rest before the
+    first one."""
     positions_m: tuple[tuple[float, float], ...]
     """Centres [x, y] in metres at times_s."""
     velocity_m_s: tuple[float, float] = (0.0, 0.0)
     """Velocity [x, y] in m/s after the last of times_s."""
     position_std_m: Annotated[float, Field(ge=0, le=1e4)] = 0.0
-    """Standard deviation in metres, along each axis, of the predicted centre."""
+    """Standard deviation of the predicted centre along each axis, in metres."""
     acceleration_std_m_s2: Annotated[float, Field(ge=0, le=1e3)] = 0.0
-    """Standard deviation in m/s^2, along each axis, of an acceleration that is not predicted; the
-    centre's error grows with the time ahead."""
+    """Standard deviation of the unpredicted acceleration along each axis, in m/s^2; the centre's
+    error grows with prediction time."""
     probability: Annotated[float, Field(gt=0, lt=1)] = 0.99
-    """Least probability, for each step, that the centre stays within the growth of the radius for
-    these deviations."""
+    """Minimum probability per step that the error of the centre stays within the growth of the
+    radius."""
 
     @property
     def is_uncertain(self) -> bool:
-        """Return whether its path is uncertain: only then does the probability matter."""
+        """Return whether the prediction is uncertain, so that `probability` matters."""
         return self.position_std_m > 0.0 or self.acceleration_std_m_s2 > 0.0
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys of its table."""
+        """Return the keys of the obstacle's table."""
         keys = super().to_keys() | {
             "times_s": list(self.times_s),
             "positions_m": list(self.positions_m),
@@ -140,7 +140,7 @@ class MovingObstacle(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields; a disc that moves straight has one position."""
+        """Return the fields from a table; start_m becomes a single position."""
         values = super().of_keys(table) | {
             "times_s": tuple(table.times_s or [0.0]),
             "positions_m": tuple(table.positions_m or [table.start_m]),
@@ -155,7 +155,7 @@ class MovingObstacle(Part):
         return values
 
     def fault(self) -> str | None:
-        """Return how times and positions do not fit."""
+        """Return why times and positions are inconsistent, or None."""
         if len(self.times_s) != len(self.positions_m):
             return (
                 f"has {len(self.times_s)} times_s and {len(self.positions_m)} positions_m: give a "
@@ -168,19 +168,19 @@ class MovingObstacle(Part):
 
 @dataclass(frozen=True, init=False)
 class Workspace:
-    """The rectangle that robots may be in, and its obstacles (W and O of [GM11]).
+    """Rectangle that bounds the robots, and its obstacles (W and O of [GM11]).
 
     Attributes
     ----------
     bounds_m
         ``(x_min, y_min, x_max, y_max)`` in metres.
     obstacles
-        The forbidden areas that are known now, at the start; first those that always stand there.
-        :func:`planopt.obstacles_from` makes them of whatever has them.
+        Static obstacles known at the start, permanent ones first. Create them by
+        :func:`planopt.obstacles_from`.
     moving
-        Obstacles that move as predicted.
+        Moving obstacles with predicted motion.
     timed
-        All obstacles that come or go. By default those of `obstacles`.
+        All obstacles that appear or disappear; by default those of `obstacles`.
 
     Examples
     --------
@@ -219,46 +219,46 @@ class Workspace:
         for name, value in given.items():
             object.__setattr__(self, name, value)
         if timed is None and self.timed:
-            # They are given together: what is not there yet is left out until it is.
+            # `obstacles` holds all of them; those that appear later are left out for now.
             object.__setattr__(self, "obstacles", self.known_at(0.0))
 
     @property
     def lasting(self) -> tuple[Obstacle, ...]:
-        """Return the obstacles that always stand there."""
+        """Permanent obstacles."""
         timed = {id(one) for one in self.timed}
         return tuple(one for one in self.obstacles if id(one) not in timed)
 
     def known_at(self, time_s: float) -> tuple[Obstacle, ...]:
-        """Return the obstacles that stand there at a time: first those that always do."""
-        # Times are sums of steps, which are rounded.
+        """Return the obstacles present at `time_s`, permanent ones first."""
+        # Times are sums of steps with rounding errors.
         later_s = time_s + 1e-9 * max(1.0, abs(time_s))
         there = [one for one in self.timed if one.known_from_s <= later_s < one.until_s]
         return (*self.lasting, *there)
 
 
 LONGEST_NAME = 200
-"""Characters in the name of an obstacle, which messages, tables and pictures repeat."""
+"""Maximum length of an obstacle's name, which messages, tables and figures repeat."""
 
 MEETING_SEGMENTS = 50
-"""An outline whose segments come near to more others than this is no outline: repairing it would
-take time and memory that grow with the square of its corners."""
+"""Maximum mean number of segments that meet a segment of an outline. Beyond it, repair would take
+time and memory quadratic in the number of corners."""
 
 SAMPLED_SEGMENTS = 200
 
 SAME_AREA = 1e-9
-"""A repair that changes the area by no more than this share has changed no area."""
+"""Relative tolerance within which a repair keeps the area."""
 
 _Ring = list[tuple[float, float]]
 
 
 def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obstacle:
-    """Check the rings of a footprint and make it an obstacle."""
+    """Validate the rings of a footprint and return its obstacle."""
     check_name(name)
     shell = _ring(name, exterior)
     polygon = shapely.Polygon(shell, [_ring(name, hole) for hole in holes])
     if polygon.is_valid and polygon.area > 0:
         return Obstacle(name, polygon)
-    # Spikes, rings that touch and the like: removing what has no area leaves one meaning only.
+    # Repair spikes and touching rings: without parts of zero area, the polygon is unambiguous.
     repaired = (
         shapely.make_valid(polygon, method="structure", keep_collapsed=False)
         if _is_nearly_simple(polygon)
@@ -280,7 +280,7 @@ def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obst
 
 
 def check_name(name: str) -> None:
-    """Refuse the name of an obstacle that cannot be written or shown."""
+    """Reject an obstacle name that is too long or not printable text."""
     if not isinstance(cast("object", name), str):
         raise InputError(
             f"is {name!r}, should be text",
@@ -299,7 +299,7 @@ def check_name(name: str) -> None:
 
 
 def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
-    """Return whether few segments of the outline meet others, by a sample of them."""
+    """Return whether few outline segments meet others, estimated from a sample."""
     corners = shapely.get_coordinates(polygon)
     segments = [shapely.LineString(ends) for ends in pairwise(corners)]
     sampled = segments[:: max(1, len(segments) // SAMPLED_SEGMENTS)]
@@ -308,7 +308,7 @@ def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
 
 
 def _ring(name: str, ring: object) -> _Ring:
-    """Return the corners of a ring, without heights."""
+    """Return the corners (x, y) of a ring; heights are dropped."""
     if isinstance(ring, (str, bytes)) or not isinstance(ring, Iterable):
         raise InputError(
             f"{name}: a ring must be a list of (x, y) corners, not {ring!r}",
@@ -325,7 +325,7 @@ def _ring(name: str, ring: object) -> _Ring:
 
 
 def _corner(name: str, corner: object) -> tuple[float, float]:
-    """Return x and y of a corner."""
+    """Return the validated x and y of a corner."""
     values = (
         list(cast("Iterable[object]", corner))
         if isinstance(corner, Iterable) and not isinstance(corner, (str, bytes))
@@ -338,7 +338,7 @@ def _corner(name: str, corner: object) -> tuple[float, float]:
             f"{name}: corner {corner!r} is not a pair of numbers", remedy="give [x, y] in metres"
         )
     x, y = (cast("float", value) for value in values[:2])
-    # Compared before they are made floats: a JSON integer may be too large for one.
+    # Compared before conversion, because a JSON integer may overflow a float.
     if not (abs(x) <= LARGEST_COORDINATE_M and abs(y) <= LARGEST_COORDINATE_M):
         raise InputError(
             f"{name}: corner ({x}, {y}) is not a place in metres",
@@ -348,11 +348,11 @@ def _corner(name: str, corner: object) -> tuple[float, float]:
 
 
 LONGEST_MOVE = math.sqrt(5.0)
-"""Length of the longest move in spacings."""
+"""Length of the longest lattice move, in spacings."""
 
 
 def node_estimate(workspace: Workspace, step_m: float) -> float:
-    """Return about how many nodes a lattice for steps of `step_m` has within the bounds."""
+    """Estimate the number of lattice nodes within the bounds for steps of `step_m`."""
     x_min, y_min, x_max, y_max = workspace.bounds_m
     spacing = step_m / LONGEST_MOVE
     return (x_max - x_min) / spacing * ((y_max - y_min) / spacing)

@@ -1,1 +1,1 @@
-"""The tasks of planopt, and what all tasks share: results, checks and calls."""
+"""Tasks of planopt, and the results, checks and functions common to all tasks."""

@@ -1,4 +1,4 @@
-"""The functions of the package ``planopt`` that work with problems of every task."""
+"""Public functions of ``planopt`` that accept problems of any task."""
 
 from __future__ import annotations
 
@@ -43,23 +43,23 @@ def solve(
     seed: int = 0,
     measurements: UserMeasurements | None = None,
 ) -> Solution | TaskResult:
-    """Plan once from the start: `horizon` steps for each robot, or a design or deployment.
+    """Plan once from the initial state: `horizon` steps for each robot, or a design or deployment.
 
-    The plans are those of the first step of a simulation with the same seed.
+    The plans equal those of the first step of a simulation with the same seed.
 
     Parameters
     ----------
     problem
         A problem from :func:`planopt.load` or built in Python.
     horizon, planner, cost_to_go
-        Override the planner settings of the problem. Only goals have a cost-to-go.
+        Overrides of the planner settings. Only problems with a goal have a cost-to-go.
     seed
         Seed of the simulated fading, the positions of the initial measurements, the initial
-        estimate of a target, and random planners.
+        estimate of a target, and randomised planners.
     measurements
-        Replace the initial measurements of the problem: :class:`planopt.Measurements` or a table
-        (dictionary or DataFrame) with ``x_m``, ``y_m`` in metres and ``power_dbm``. For several
-        stations give a sequence with one entry per station.
+        Initial measurements that replace those of the problem: :class:`planopt.Measurements` or a
+        table (dictionary or DataFrame) with ``x_m``, ``y_m`` in metres and ``power_dbm``; for
+        several stations a sequence with one entry per station.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def solve(
     InputError
         The task cannot be solved or lacks the setting, or a setting or file is invalid.
     NoPlanError
-        There is no plan, for instance because obstacles block the goal.
+        No plan exists, for instance because obstacles block the goal.
 
     Examples
     --------
@@ -128,15 +128,15 @@ def simulate(
     Parameters
     ----------
     problem
-        The problem. Motion planning needs a ground truth, ``channel.truth``.
+        Problem to simulate. Motion planning needs a ground truth, ``channel.truth``.
     horizon, planner, cost_to_go, measurements
-        As for :func:`planopt.solve`.
+        Parameters of :func:`planopt.solve`.
     seed
         Seed of the whole simulation.
     on_start
-        Called with the first plan of each robot before the first step; motion planning only.
+        Callback with the first plan of each robot before the first step; motion planning only.
     on_step
-        Called after every step with its number, for progress display.
+        Callback after every step with its number, for progress display.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def simulate(
         The task cannot be simulated or lacks the setting, a setting or file is invalid, or there
         is no ground truth.
     NoPlanError
-        There is no plan, for instance because obstacles block the goal.
+        No plan exists, for instance because obstacles block the goal.
 
     Examples
     --------
@@ -172,17 +172,17 @@ def simulate(
 
 
 def check(path: Path | str) -> CheckResult:
-    """Compute a saved result again from its files, verify it, and compare all values.
+    """Recompute a saved result from its files, verify it, and compare all values.
 
     Parameters
     ----------
     path
-        The folder, or its ``plan.json``, ``run.json`` or ``comparison.json``.
+        Folder of the result, or its ``plan.json``, ``run.json`` or ``comparison.json``.
 
     Raises
     ------
     InputError
-        A file is missing, truncated or not what it should be; with file, key or row.
+        A file is missing, truncated or invalid; the error names file, key or row.
     """
     from planopt.studies.comparison import comparison_reasons
 
@@ -200,28 +200,28 @@ def check(path: Path | str) -> CheckResult:
 
 
 def load_result(path: Path | str) -> Solution | Run | Comparison | TaskResult:
-    """Read a plan, run or comparison that a command or a result's ``save`` has saved.
+    """Read a plan, run or comparison that was saved by a command or a result's ``save``.
 
-    Predictions, certificates, metrics and tables of motion planning are computed again from what is
-    saved. :func:`planopt.check` finds contradictions between the files of a plan or run.
+    Predictions, certificates, metrics and tables of motion planning are recomputed from the files.
+    :func:`planopt.check` finds contradictions between the files of a plan or run.
 
     Parameters
     ----------
     path
-        The folder, or its ``plan.json``, ``run.json`` or ``comparison.json``.
+        Folder of the result, or its ``plan.json``, ``run.json`` or ``comparison.json``.
 
     Returns
     -------
     Solution | Run | Comparison | TaskResult
-        As what the folder holds. Files have no constraint multipliers, and of the plans of a run
-        neither wall times nor iterations: these are empty or zero.
+        Result of the type that was saved. Constraint multipliers, and wall times and iterations of
+        the plans of a run, are not saved; they are empty or zero.
 
     Raises
     ------
     InputError
-        A file is missing, damaged, or contradicts the others.
+        A file is missing, damaged or inconsistent with the others.
     NoPlanError
-        The folder says that there is no plan.
+        The saved result states that no plan exists.
 
     Examples
     --------

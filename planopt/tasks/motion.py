@@ -1,4 +1,4 @@
-"""Motion planning: robots in a channel that they learn, as an entry of the registry of tasks."""
+"""Task of motion planning: robots that estimate the radio channel while they move."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class MotionReport:
-    """A solution, a run or a refusal as the command line shows, saves and draws it."""
+    """Report of a solution, a run or a missing plan for the command line."""
 
     problem: Problem
     words: Sequence[str]
@@ -32,17 +32,17 @@ class MotionReport:
     make_data: Callable[[], Mapping[str, Any]]
     save: Callable[[Path], None]
     figures: Callable[[], Mapping[str, Figure]]
-    run: Run | None = None  # For an animation
+    run: Run | None = None  # Run to animate
 
     files = PLAN_OR_RUN
 
     @property
     def data(self) -> Mapping[str, Any]:
-        """Return the JSON object."""
+        """Return the JSON object of the result."""
         return self.make_data()
 
     def draw(self, folder: Path, *, animation: bool = False) -> None:
-        """Draw the figures that the problem asks for, and an animation on request."""
+        """Draw the figures selected by the problem, and optionally an animation."""
         from planopt.report import save_figure
 
         if self.problem.report.figures:
@@ -59,7 +59,7 @@ def _animate(run: Run, path: Path) -> None:
 
 
 def _figures(value: Solution | Run) -> Mapping[str, Figure]:
-    """Return the map and, for a goal, the belief and the time series of a single robot."""
+    """Return the map and, for a single robot with a goal, the belief and the time series."""
     from planopt.report import draw_belief, draw_run_series
 
     plan = isinstance(value, Solution)
@@ -73,7 +73,7 @@ def _figures(value: Solution | Run) -> Mapping[str, Figure]:
 
 
 def _blocked_figures(problem: Problem, seed: int, error: NoPlanError) -> Mapping[str, Figure]:
-    """Return the paths that a hard constraint forbids, if there are any."""
+    """Return a figure of the paths that violate a hard constraint, if there are any."""
     if not isinstance(error, BlockedError) or not error.blocked:
         return {}
     from planopt.planning.initial_data import prepare
@@ -84,33 +84,33 @@ def _blocked_figures(problem: Problem, seed: int, error: NoPlanError) -> Mapping
 
 
 class MotionTask(Task):
-    """The task of all problems of motion planning, whose results have types of their own."""
+    """Common task of all motion planning problems, with result types of its own."""
 
     says_ahead = True
 
     def problem_from(self, tables: object, *, folder: Path, file: Path | None) -> Problem:
-        """Return the problem in tables, or in parts, validated."""
+        """Build a validated problem from tables or from parts."""
         return problem_from_tables(tables, folder=folder, file=file)
 
     def tables(self, problem: Problem) -> dict[str, Any]:
-        """Return a problem in full."""
+        """Return the complete tables of a problem."""
         return problem_to_dict(problem)
 
     def words(self, problem: Problem) -> Sequence[str]:
-        """Return a problem in lines of text."""
+        """Return a text summary of a problem, line by line."""
         from planopt.report.motion_words import problem_in_words
 
         warnings = (f"  warning     {warning}" for warning in self.warnings(problem))
         return [*problem_in_words(problem), *warnings]
 
     def warnings(self, problem: Problem) -> Sequence[str]:
-        """Return implausible values of a problem."""
+        """Return warnings about implausible values of a problem."""
         from planopt.problems.plausibility import problem_warnings
 
         return list(problem_warnings(problem))
 
     def has_figures(self, problem: Problem) -> bool:
-        """Return whether a problem asks for figures."""
+        """Return whether a problem enables figures."""
         return problem.report.figures
 
     def validated(self, problem: Problem) -> dict[str, Any]:
@@ -140,15 +140,15 @@ class MotionTask(Task):
         return problem.planner.horizon, problem.planner.name, problem.cost_to_go
 
     def has_horizon(self, problem: Problem) -> bool:
-        """Return False for bounds, which foresee the whole run."""
+        """Return whether runs depend on the horizon; bounds foresee the whole run and do not."""
         return not planner_kind(problem.planner.name).foresees
 
     def compared_costs_to_go(self, problem: Problem) -> Sequence[str | None]:
-        """Return both costs-to-go where there is a goal."""
+        """Return both costs-to-go for problems with a goal."""
         return ("geodesic", "connected") if problem.task == "reach" else (None,)
 
     def shared(self, problem: Problem, seed: int) -> Any:
-        """Return ground truth, first belief, and the geometry of robots with a goal."""
+        """Return the initial data (ground truth and belief) and the geometry for goals."""
         from planopt.planning.initial_data import prepare
         from planopt.planning.scene import build_scenes
 
@@ -161,13 +161,13 @@ class MotionTask(Task):
         return summary_of(simulate(problem, seed=seed, **shared))
 
     def words_ahead(self, problem: Problem, plans: Any) -> Iterable[str]:
-        """Return the coverage holes that lie on the way to each goal."""
+        """Return text about the coverage holes on the route to each goal."""
         from planopt.report.motion_words import words_ahead
 
         return words_ahead(problem, plans)
 
     def report(self, result: Solution | Run) -> MotionReport:
-        """Explain a solution that is not verified or crosses coverage holes, and report it."""
+        """Report a result; explain a solution that is unverified or crosses coverage holes."""
         from planopt.planning.files.result_json import run_json, solution_json
         from planopt.report.motion_words import run_in_words, solution_in_words
 
@@ -186,7 +186,7 @@ class MotionTask(Task):
     def no_plan(
         self, action: Action, problem: Problem, seed: int, error: NoPlanError
     ) -> MotionReport:
-        """Report a refusal; where a plan was asked for, find changes that would help."""
+        """Report that no plan exists; for ``solve``, suggest changes that would help."""
         from planopt.planning.explain.explain import explain_no_plan
         from planopt.planning.files.result_json import no_plan_json, no_run_json
 

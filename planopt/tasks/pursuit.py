@@ -1,4 +1,4 @@
-"""The task pursuit: pursuers that know evaders by the reports of motes."""
+"""Task pursuit: pursuers observe evaders through the reports of a mote network."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ RECORD_COLUMNS = (
 )
 
 THEOREMS = (Theorem.ANY_INSTANT, Theorem.SNAPSHOTS)
-"""Theorems whose premises the snapshot service meets."""
+"""Theorems whose premises the snapshot service satisfies."""
 
 RATIO_ROUNDING = 1e-9
-"""Share by which a stage may exceed its bound through rounding."""
+"""Relative rounding tolerance of the bound of a stage."""
 
 
 def simulate(
     problem: PursuitProblem, *, seed: int, on_step: Callable[[], None] = lambda: None
 ) -> TaskResult:
-    """Simulate a pursuit; starts, evaders and lost reports come from the seed."""
+    """Simulate a pursuit; the seed determines starts, evaders and lost reports."""
     missed = _missed_guarantee(problem)
     if missed is not None:
         raise NoPlanError(f"capture is not guaranteed: {missed}")
@@ -105,12 +105,12 @@ def simulate(
 
 
 def _controller(problem: PursuitProblem, *, seed: int) -> PursuitController:
-    """Return the controller of the pursuers, whose starts come from a seed."""
+    """Return the controller of the pursuers with starts drawn with a seed."""
     return PursuitController(problem.scene(np.random.default_rng(seed)))
 
 
 def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
-    """Return the first inequality that fails of the required theorem; None if all hold."""
+    """Return the first violated inequality of the required theorem; None if all hold."""
     rules = problem.given.pursuit
     if rules.guarantee is None:
         return None
@@ -124,9 +124,9 @@ def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
 
 
 def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[Theorem, float]]:
-    """Yield the largest share of its bound of any stage, for every chase and valid theorem.
+    """Yield the largest ratio of stage distance to its bound for every chase and valid theorem.
 
-    The share of a chase with a single stage is 0. Theorems apply to pursuers that drive in stages.
+    A chase with a single stage yields 0. The theorems apply only to pursuers that drive in stages.
     """
     if problem.given.planner.name != "drive":
         return
@@ -143,9 +143,9 @@ def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[T
 def _guarantee_json(
     problem: PursuitProblem, pursuit: Pursuit, shares: Sequence[tuple[Theorem, float]]
 ) -> dict[str, Any]:
-    """Return the guarantee for the first pursuer and evader, and the largest shares of its bounds.
+    """Return the guarantee for the first pursuer and evader, and the largest ratios to its bounds.
 
-    The time to capture is bounded only if there are no others, which may be pursued before.
+    The capture time is bounded only for a single pursuer and evader; others may be pursued first.
     """
     radius_m, uses = problem.given.pursuit.capture_radius_m, pursuit.uses
     alone = len(problem.given.pursuers) == len(problem.given.evaders) == 1
@@ -185,7 +185,7 @@ def _inequality(inequality: Inequality) -> dict[str, Any]:
 
 
 def _faults(result: TaskResult) -> list[str]:
-    """Return the violations that the independent verifier finds."""
+    """Return the violations found by the independent verifier."""
     data, log = verifier_data(result)
     guarantee = result.data["guarantee"]
     found = verify_pursuit(data, log)
@@ -249,7 +249,7 @@ def verifier_data(result: TaskResult) -> tuple[PursuitData, PursuitLog]:
 
 
 def _tables(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Data]:
-    """Return ``steps.csv`` and ``records.csv``."""
+    """Return the tables ``steps.csv`` and ``records.csv``."""
     given, uses = problem.given, pursuit.uses
     pursuers, evaders = ([each.name for each in table] for table in (given.pursuers, given.evaders))
     count, rows = len(pursuers) + len(evaders), len(pursuit.times_s)
@@ -284,7 +284,7 @@ def _tables(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Data]:
 
 
 def _in_words(result: TaskResult) -> Sequence[str]:
-    """Return a pursuit in lines of text."""
+    """Return a text summary of a pursuit, line by line."""
     data, name = result.data, result.problem.name
     metrics, guarantee = data["metrics"], data["guarantee"]
     lines = [
@@ -354,7 +354,7 @@ def _length_m(places: NDArray[np.float64]) -> float:
 
 
 def _refusal(problem: PursuitProblem, error: NoPlanError) -> dict[str, Any]:
-    """Return the keys of a pursuit that did not begin."""
+    """Return the JSON keys of a pursuit that did not begin."""
     nothing = dict.fromkeys(("capture_time_s", "guarantee", "verified_rate", "step_s"))
     empty: dict[str, Any] = {"metrics": {}, "rungs": {}, "evaders": [], "robots": []}
     return {"reason": str(error), **nothing, **empty}

@@ -1,4 +1,4 @@
-"""The task pursuit_design: mote networks of least power or energy that serve a pursuit."""
+"""Task pursuit_design: mote networks of least power or energy that guarantee capture."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FRONT_DESIGNS = 25
-"""A quarter of the number of deadlines of the Pareto front."""
+"""Quarter of the number of deadlines tried for the Pareto front."""
 
 PICTURE = "design.png"
 
@@ -52,13 +52,13 @@ REQUIREMENTS = ("first_distance_m", "capture_radius_m", "deadline_s")
 
 @dataclass(frozen=True)
 class Method:
-    """A design method."""
+    """Design method."""
 
-    words: str  # Description
-    solver: Callable[[Theorem], Callable[[DesignTask], Design]]  # By theorem
-    needs: tuple[str, ...] = ()  # Keys of required and of optional requirements
+    words: str  # Description for people
+    solver: Callable[[Theorem], Callable[[DesignTask], Design]]  # Solver for a theorem
+    needs: tuple[str, ...] = ()  # Mandatory keys; `takes` has the optional ones
     takes: tuple[str, ...] = ()
-    of_energy: bool = False  # Whether it minimises energy per capture, else power
+    of_energy: bool = False  # Whether the objective is energy per capture; otherwise power
 
 
 METHODS: dict[MethodName, Method] = {
@@ -88,24 +88,24 @@ METHODS: dict[MethodName, Method] = {
 
 
 class ChaseTable(Table):
-    """``[pursuit]``: requirements of the pursuit."""
+    """Table ``[pursuit]``: requirements of the pursuit."""
 
     evader_speed_m_s: float = Field(ge=SMALLEST, le=1e4)
     """Largest speed of the evader in m/s."""
     pursuer_speed_m_s: float = Field(ge=SMALLEST, le=1e4)
     """Largest speed of the pursuer in m/s; above the evader's."""
     stage_delay_s: float = Field(default=0.0, ge=0, le=1e4)
-    """Seconds that a stage may take beyond driving straight: turning, one step."""
+    """Extra time of a stage in seconds beyond driving straight, such as turning and one step."""
     first_distance_m: Length | None = None
-    """From the pursuer to where the evader is sampled first."""
+    """Distance in metres from the pursuer to the first sampled position of the evader."""
     capture_radius_m: Length | None = None
-    """An evader so near is caught, for capture_in_time."""
+    """Distance in metres at which the evader is captured, for capture_in_time."""
     deadline_s: float | None = Field(default=None, ge=SMALLEST, le=1e9)
-    """Seconds by when it is to be caught, for capture_in_time and least_energy."""
+    """Deadline of the capture in seconds, for capture_in_time and least_energy."""
 
 
 class DesignTable(Table):
-    """``[design]``: objective and guarantee."""
+    """Table ``[design]``: objective and guarantee."""
 
     method: MethodName = "least_power"
     """least_power, least_power_rated, least_energy (all by the Lemma), or capture_in_time."""
@@ -113,13 +113,13 @@ class DesignTable(Table):
     """Theorem for capture_in_time: snapshots (the default), sampled_distance, any_instant or lemma.
     The other methods rest on the lemma."""
     margin: float = Field(default=0.01, ge=1e-12, lt=1)
-    """By how much a + x stays below 1 in the Lemma."""
+    """Margin of a + x below 1 in the Lemma."""
     bits_per_axis: int | None = Field(default=None, ge=1, le=MAX_BITS)
-    """Bits c of a position; left out: chosen."""
+    """Bits c per axis of a reported position; default: optimised."""
 
 
 class DesignFile(TaskFile):
-    """A planopt problem file (TOML) of the task pursuit_design."""
+    """Problem file (TOML) of the task pursuit_design."""
 
     pursuit: ChaseTable
     network: MoteNetwork
@@ -128,16 +128,16 @@ class DesignFile(TaskFile):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DesignProblem(TaskProblem):
-    """A network to design."""
+    """Problem of the task pursuit_design."""
 
     given: DesignFile
     design: DesignTask
     method: Method
-    theorem: Theorem  # Of the guarantee
+    theorem: Theorem  # Theorem of the guarantee
 
     @property
     def solver(self) -> Callable[[DesignTask], Design]:
-        """Return the solver of the design."""
+        """Return the solver of the design problem."""
         return self.method.solver(self.theorem)
 
     def objective(self, design: Design) -> float:
@@ -145,7 +145,7 @@ class DesignProblem(TaskProblem):
         return design.energy_per_capture_j if self.method.of_energy else design.cost_w
 
     def words(self) -> Sequence[str]:
-        """Return the problem in lines of text."""
+        """Return a text summary of the problem, line by line."""
         chase, network = self.design.chase, self.design.network
         side = 2**network.levels
         return (
@@ -159,7 +159,7 @@ class DesignProblem(TaskProblem):
 
 
 def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
-    """Return the problem in validated tables."""
+    """Build the problem from validated tables."""
     pursuit, method = given.pursuit, METHODS[given.design.method]
     name = given.design.method
     for key in REQUIREMENTS:
@@ -198,7 +198,7 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
 
 
 def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
-    """Return the network of least power or energy, its guarantee, and its binding limits."""
+    """Return the network of least power or energy, its guarantee and its active constraints."""
     design = problem.solver(problem.design)
     proof = _proof(problem, design)
     data = {
@@ -213,7 +213,7 @@ def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
 
 
 def _proof(problem: DesignProblem, design: Design) -> tuple[Requirement, ...]:
-    """Return the requirements of the independent verifier on a design."""
+    """Return the requirements on a design as evaluated by the independent verifier."""
     given = problem.given
     values = given.pursuit.model_dump() | given.network.model_dump()
     values["margin"] = given.design.margin
@@ -232,7 +232,7 @@ def _question(problem: DesignProblem) -> dict[str, Any]:
 
 
 def _refusal(problem: DesignProblem, error: NoPlanError) -> dict[str, Any]:
-    """Return the keys of ``solve`` where no network serves the pursuit."""
+    """Return the JSON keys of ``solve`` if no feasible network exists."""
     if not isinstance(error, NoDesignError):
         return _question(problem)
     nothing = dict.fromkeys(
@@ -291,7 +291,7 @@ def _design_json(
 
 
 def _bound_w(problem: DesignProblem) -> float | None:
-    """Return a lower bound on the power by the convex programme, where there is one."""
+    """Return a lower bound of the power from the convex programme; None if there is none."""
     rated = problem.method is METHODS["least_power_rated"]
     if not rated and problem.method is not METHODS["least_power"]:
         return None
@@ -303,7 +303,7 @@ def _bound_w(problem: DesignProblem) -> float | None:
 
 
 def _capture_time_s(problem: DesignProblem, design: Design) -> float | None:
-    """Return the bound on the time to capture; None without a first distance."""
+    """Return the upper bound of the capture time; None without a first distance."""
     first_m, radius_m = problem.design.first_distance_m, problem.design.capture_radius_m
     if first_m is None:
         return None
@@ -338,7 +338,7 @@ def _inequality_json(inequality: Inequality) -> dict[str, Any]:
 
 
 def _cost_curve(problem: DesignProblem) -> list[dict[str, Any]]:
-    """Return the best design at every number of bits, or the inequality that fails."""
+    """Return the best design for each number of bits, or the violated inequality."""
     rows: list[dict[str, Any]] = []
     for bits in problem.design.bits:
         row: dict[str, Any] = {"bits_per_axis": bits, "objective": None, "slot_width_s": None}
@@ -353,14 +353,14 @@ def _cost_curve(problem: DesignProblem) -> list[dict[str, Any]]:
 
 
 def _front(problem: DesignProblem) -> list[dict[str, Any]]:
-    """Return designs of least energy for deadlines up to that of least energy."""
+    """Return the Pareto front of energy per capture against deadline."""
     task = replace(problem.design, deadline_s=None, capture_radius_m=None)
     try:
         slowest_s = least_energy_design(task).capture_time_s
     except NoDesignError:
         return []
     assert task.first_distance_m is not None
-    # No pursuer captures sooner than by driving straight there.
+    # Driving straight to the first sampled position bounds the capture time from below.
     driving_s = task.first_distance_m / task.chase.pursuer_speed_m_s
     deadlines = np.geomspace(driving_s, slowest_s * (1.0 + 1e-9), FRONT_DESIGNS * 4)
     keys = "capture_time_s energy_per_capture_j cost_w slot_width_s bits_per_axis".split()
@@ -369,7 +369,7 @@ def _front(problem: DesignProblem) -> list[dict[str, Any]]:
 
 
 def in_words(result: TaskResult) -> Sequence[str]:
-    """Return a design in lines of text."""
+    """Return a text summary of a design, line by line."""
     problem, data = cast("DesignProblem", result.problem), result.data
     binding = " and ".join(data["binding"])
     lines = [

@@ -1,4 +1,4 @@
-"""Problem files of the task pursuit, and the scene that they describe."""
+"""Problem files of the task pursuit, and the scenes built from them."""
 
 from __future__ import annotations
 
@@ -42,108 +42,108 @@ from planopt.tasks.task import TaskFile
 from planopt.world.workspace import Obstacle, Workspace
 
 LOST_ROUNDS = 4096
-"""Number of rounds of each level with drawn losses; they repeat."""
+"""Number of rounds per level with drawn losses, repeated cyclically."""
 
 START_DRAWS = 1000
-"""Largest number of positions drawn for a start in free space."""
+"""Maximum number of positions drawn for a start in free space."""
 
 PlannerName = Literal["drive", "retarget", "receding"]
 
 
 class WorldTable(Table):
-    """``[world]``: bounds and obstacles; without it space is open."""
+    """Table ``[world]``: bounds and obstacles; without it the space is unbounded and free."""
 
     bounds_m: Quad
     """[x_min, y_min, x_max, y_max] in metres."""
     obstacles: list[ObstacleTable] = Field(default=[])
-    """The forbidden areas."""
+    """Forbidden areas."""
 
 
 class ServiceTable(Table):
-    """``[network]``: the motes and their snapshot service."""
+    """Table ``[network]``: mote grid and snapshot service."""
 
     levels: int = Field(ge=1, le=MAX_LEVELS)
-    """L: there are 2^L by 2^L motes."""
+    """Number of levels L; the grid has 2^L by 2^L motes."""
     mote_spacing_m: Length
-    """Metres between neighbours."""
+    """Distance between neighbouring motes in metres."""
     frame_s: float = Field(ge=SMALLEST, le=1e6)
-    """A TDMA frame: its slots times their width."""
+    """Duration of a TDMA frame in seconds: number of slots times slot width."""
     bits_per_axis: int = Field(ge=1, le=MAX_BITS)
-    """Bits c of a reported position."""
+    """Bits c per axis of a reported position."""
     hops_per_round: int = Field(default=HOPS_PER_ROUND, ge=HOPS_PER_ROUND, le=1000)
-    """Frames of a level-0 round."""
+    """Frames per level-0 round."""
     rate_divisor: int = Field(default=1, ge=1, le=1000)
-    """r: rounds start every r rounds' lengths."""
+    """Rate divisor r: rounds start at intervals of r round lengths."""
     endless: bool = False
-    """Whether motes go on beyond the grid; needed without [world]."""
+    """Whether the mote grid continues without bounds; required without [world]."""
     loss_probability: float = Field(default=0.0, ge=0, lt=1)
-    """Of a round's report of the evader, each on its own."""
+    """Probability that a round's report of the evader is lost, independently of the others."""
 
 
 class RulesTable(Table):
-    """``[pursuit]``: end of the pursuit, and its guarantee."""
+    """Table ``[pursuit]``: termination and required guarantee."""
 
     capture_radius_m: Length
-    """Metres at which an evader is captured."""
+    """Distance in metres at which an evader is captured."""
     step_s: float = Field(ge=SMALLEST, le=1e4)
-    """Seconds between the decisions of pursuers and evaders."""
+    """Time in seconds between decisions of pursuers and evaders."""
     max_steps: int = Field(default=5000, ge=1, le=100_000)
-    """Number of steps after which the pursuit ends."""
+    """Maximum number of steps of the pursuit."""
     clearance_m: Length = 1.0
-    """Distance of pursuers and evaders from obstacles in metres."""
+    """Distance in metres that pursuers and evaders keep from obstacles."""
     guarantee: Literal["any_instant", "snapshots"] | None = None
-    """A theorem that must promise capture, or there is no plan; left out: none."""
+    """Theorem that must guarantee capture, otherwise no plan is returned; default: none."""
 
 
 class EvaderTable(Table):
-    """``[[evaders]]``."""
+    """Table ``[[evaders]]``: an evader."""
 
     name: Name = "evader"
     """Name in outputs."""
     start_m: Pair
     """Start [x, y] in metres."""
     start_radius_m: Distance = 0.0
-    """The start is drawn within this distance of start_m."""
+    """Radius in metres around start_m within which the start is drawn."""
     speed_max_m_s: float = Field(ge=0, le=1e4)
     """Largest speed in m/s."""
     behaviour: Static | Wandering | Fleeing | Zigzag | Foresighted = Field(discriminator="kind")
-    """How it moves: a table with kind."""
+    """Behaviour of the evader: a table with kind."""
 
 
 class PursuerTable(Table):
-    """``[[pursuers]]``."""
+    """Table ``[[pursuers]]``: a pursuer."""
 
     name: Name = "pursuer"
     """Name in outputs."""
     start_m: Pair
     """Start [x, y] in metres."""
     start_radius_m: Distance = 0.0
-    """The start is drawn within this distance of start_m."""
+    """Radius in metres around start_m within which the start is drawn."""
     speed_max_m_s: float = Field(ge=SMALLEST, le=1e4)
     """Largest speed in m/s."""
     turn_rate_max_rad_s: float | None = Field(default=None, ge=SMALLEST, le=1e3)
-    """Of a unicycle, in rad/s; left out: turns at will. Open space only."""
+    """Turn rate limit of a unicycle in rad/s, in open space only; default: holonomic motion."""
 
     @property
     def motion(self) -> Motion:
-        """Return its motion."""
+        """Return the motion model of the pursuer."""
         if self.turn_rate_max_rad_s is None:
             return StraightMotion(self.speed_max_m_s)
         return UnicycleMotion(Unicycle(self.speed_max_m_s, self.turn_rate_max_rad_s))
 
 
 class PlannerTable(Table):
-    """``[planner]``: the decisions of pursuers."""
+    """Table ``[planner]``: policy of the pursuers."""
 
     name: PlannerName = "drive"
-    """drive (to the reported place, then to the next), retarget (to every fresher report at once)
-    or receding (predict, and plan to meet the evader)."""
+    """Policy: drive (to the reported position, then to the next), retarget (immediately to every
+    newer report) or receding (predict the evader and plan an interception)."""
     horizon: int = Field(default=10, ge=MIN_HORIZON, le=MAX_HORIZON)
-    """Plan steps ahead, for receding."""
+    """Horizon in plan steps, for receding."""
     plan_step_s: float = Field(default=2.0, ge=SMALLEST, le=1e4)
     """Length of a plan step in seconds, for receding."""
     manoeuvre_s: float = Field(default=60.0, ge=SMALLEST, le=1e6)
-    """An evader forgets its velocity within it."""
+    """Decorrelation time of an evader's velocity in seconds, for receding."""
 
     @property
     def policy(self) -> Policy:
@@ -154,21 +154,21 @@ class PlannerTable(Table):
 
 
 class PursuitFile(TaskFile):
-    """A planopt problem file (TOML) of the task pursuit."""
+    """Problem file (TOML) of the task pursuit."""
 
     world: WorldTable | None = None
     network: ServiceTable
     pursuit: RulesTable
     pursuers: list[PursuerTable] = Field(min_length=1, max_length=50)
-    """The pursuers."""
+    """List of pursuers."""
     evaders: list[EvaderTable] = Field(min_length=1, max_length=50)
-    """The evaders."""
+    """List of evaders."""
     planner: PlannerTable = Field(default_factory=PlannerTable)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PursuitProblem(TaskProblem):
-    """A pursuit to simulate."""
+    """Problem of the task pursuit."""
 
     given: PursuitFile
     service: SnapshotService
@@ -176,7 +176,7 @@ class PursuitProblem(TaskProblem):
     obstacles: tuple[Obstacle, ...]
 
     def scene(self, generator: np.random.Generator) -> Scene:
-        """Return the scene of one run: starts and lost rounds are drawn."""
+        """Return the scene of one run with drawn starts and lost rounds."""
         given, rules = self.given, self.given.pursuit
         starts, begins = (
             [
@@ -223,8 +223,8 @@ class PursuitProblem(TaskProblem):
     def guarantees(self, pursuer: int, evader: int) -> dict[Theorem, Guarantee]:
         """Return the guarantees of one pursuer after one evader.
 
-        A stage takes a step longer than driving straight, and a turn longer for a unicycle; so does
-        every corner of a path. Among obstacles the kind of distance with the lower floor counts.
+        A stage takes one step, and for a unicycle one turn, longer than straight driving; each
+        path corner adds the same delay. Among obstacles the distance with the lower floor counts.
         """
         motion = self.given.pursuers[pursuer].motion
         speed = max(self.given.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
@@ -239,14 +239,14 @@ class PursuitProblem(TaskProblem):
         }
 
     def tables(self) -> dict[str, Any]:
-        """Return the tables with every default, obstacles as polygons."""
+        """Return the complete tables, with defaults and obstacles as polygons."""
         found = super().tables()
         if self.given.world is not None:
             found["world"]["obstacles"] = [obstacle_table(each) for each in self.obstacles]
         return found
 
     def words(self) -> Sequence[str]:
-        """Return the problem in lines of text."""
+        """Return a text summary of the problem, line by line."""
         given, service = self.given, self.service
         side = service.motes_per_side
         lines = [
@@ -270,11 +270,11 @@ class PursuitProblem(TaskProblem):
 
 
 LEAST_SPEED_M_S = 1e-9
-"""Speed of a static evader in the theorems, which divide by it."""
+"""Speed assumed for a static evader, since the theorems divide by evader speed."""
 
 
 def build(given: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem:
-    """Return the problem in validated tables."""
+    """Build the problem from validated tables."""
     service = SnapshotService(**given.network.model_dump(exclude={"loss_probability"}))
     obstacles: tuple[Obstacle, ...] = ()
     arena = Arena()
@@ -326,7 +326,7 @@ def _require_speeds(given: PursuitFile) -> None:
 
 
 def _require_open(given: PursuitFile) -> None:
-    """Refuse arcs and foresighted evaders, which do not avoid obstacles."""
+    """Raise `InputError` for unicycles and foresighted evaders, which ignore obstacles."""
     for index, pursuer in enumerate(given.pursuers):
         if pursuer.turn_rate_max_rad_s is not None:
             raise InputError(

@@ -1,4 +1,4 @@
-"""The parts that all tasks share: results, their files, and how these are checked."""
+"""Base classes of all tasks: problem-file tables, actions, results and their checks."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 ANIMATION = "run.gif"
 
 NO_PLAN, NOT_VERIFIED = 4, 3
-"""Exit codes."""
+"""Exit codes of the command line."""
 
 Action = Literal["solve", "simulate"]
 
 
 class HeadTable(Table):
-    """``[problem]``: what the problem is called, and its task."""
+    """Table ``[problem]``: name and task of the problem."""
 
     schema_version: Literal[1] = Field(alias="schema")
     """Version of this schema; it is 1."""
@@ -45,18 +45,18 @@ class HeadTable(Table):
     task: Name
     """Name of the task."""
     description: str = ""
-    """One sentence for people."""
+    """Description in one sentence."""
 
 
 class ReportTable(Table):
-    """``[report]``: what is drawn."""
+    """Table ``[report]``: output settings."""
 
     figures: bool = ReportSettings().figures
-    """Draw figures (true or false)."""
+    """Whether figures are drawn (true or false)."""
 
 
 class TaskFile(Table):
-    """The tables that problem files of all tasks have; a task derives its own file from it."""
+    """Base class of problem files: the tables common to all tasks."""
 
     problem: HeadTable
     report: ReportTable = Field(default_factory=ReportTable)
@@ -64,50 +64,50 @@ class TaskFile(Table):
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A kind of problems: all that planopt knows about it.
+    """Task: a class of problems with its file format, actions and outputs.
 
     Attributes
     ----------
     model
         Model of the problem file, derived from :class:`planopt.extend.TaskFile`.
     build
-        Makes the problem, a :class:`planopt.problems.TaskProblem`, of validated tables, the folder
-        that relative file names start at, and the file (None if there is none). Raises an
-        InputError for faults that single tables do not show. By default a plain ``TaskProblem``.
+        Function that builds a :class:`planopt.problems.TaskProblem` from validated tables, the
+        folder of relative file names, and the file (or None). It raises an InputError for faults
+        across tables. The default builds a plain ``TaskProblem``.
     solve, simulate
-        Called with the problem, ``seed`` and further keyword arguments, ``simulate`` also with
-        ``on_step``, which it calls after every step; each returns a
-        :class:`planopt.extend.TaskResult` or raises a NoPlanError. None where the task has no such
-        action. Arguments of :func:`planopt.solve` that are among their parameters are passed on,
-        others go to `override`. With a parameter ``saved``, a check passes the saved tables: each
-        step can then start from the saved state. Like `controller`, each may also be
-        ``"module:name"``, imported when needed.
+        Functions of the problem, ``seed`` and keyword arguments that return a
+        :class:`planopt.extend.TaskResult` or raise a NoPlanError; None if the task has no such
+        action. ``simulate`` also takes ``on_step`` and calls it after every step. Arguments of
+        :func:`planopt.solve` that match their parameters are passed on, others go to `override`.
+        For a parameter ``saved``, a check passes the saved tables, so that each step can start from
+        the saved state. Like `controller`, each may be a string ``"module:name"``, imported on
+        demand.
     override
-        Called with the problem and keyword arguments such as ``horizon`` and ``planner``; returns
-        the problem with these settings. None if there are none.
+        Function of the problem and keyword arguments such as ``horizon`` and ``planner`` that
+        returns the problem with these settings; None if there are no such settings.
     controller
-        Called with the problem, ``seed`` and keyword arguments as for `override`; returns what
-        :class:`planopt.Planner` is for problems of the task. None if nothing is planned by steps.
+        Function of the problem, ``seed`` and the keyword arguments of `override` that returns the
+        task's counterpart of :class:`planopt.Planner`; None if the task does not plan stepwise.
     verify
-        Returns the faults of a simulated result, found by a verifier that does not rely on the
-        simulator. Called for every simulation, and by :func:`planopt.check`.
+        Function that returns the faults of a simulated result, found independently of the
+        simulator. It is called for every simulation and by :func:`planopt.check`.
     reached
-        Values of ``outcome`` of successful runs.
+        Values of ``outcome`` that mark a successful run.
     summary
-        Returns a result, of which ``value`` may be None, in lines of text.
+        Function that returns a text summary of a result, whose ``value`` may be None.
     refusal
-        Returns further keys of the JSON object where an action raised a NoPlanError, from the
-        problem and the error.
+        Function of the problem and a NoPlanError that returns additional keys of the JSON
+        object.
     columns
-        Columns of each table of a result, by file name.
+        Columns of each table of a result by file name.
     figures
-        Returns figures of a result by file name, the most important one first.
+        Function that returns the figures of a result by file name, most important first.
     animate
-        Writes an animation of a simulated result to a path; None if there is none.
+        Function that writes an animation of a simulated result to a path, or None.
     pictures
-        All file names of `figures`.
+        File names that `figures` may return.
     steps
-        Returns how many steps a run takes at most, for progress display.
+        Function that returns the maximum number of steps of a run, for progress display.
     """
 
     model: type[Table]
@@ -128,43 +128,43 @@ class Task:
     pictures: tuple[str, ...] = ()
     steps: Callable[[Any], int | None] = lambda problem: None
 
-    says_ahead: ClassVar[bool] = False  # Whether `words_ahead` has anything to say
+    says_ahead: ClassVar[bool] = False  # Whether `words_ahead` may return text
 
     def problem_from(self, tables: object, *, folder: Path, file: Path | None) -> Any:
-        """Return the problem in tables, validated."""
+        """Build a validated problem from tables."""
         with located(self.model, file):
             return self.build(self.model.model_validate(tables), folder, file)
 
     def tables(self, problem: Any) -> dict[str, Any]:
-        """Return a problem in full, as tables that can be read without other files."""
+        """Return the complete tables of a problem, which refer to no other files."""
         return problem.tables()
 
     def words(self, problem: Any) -> Sequence[str]:
-        """Return a problem in lines of text."""
+        """Return a text summary of a problem, line by line."""
         return problem.words()
 
     def warnings(self, problem: Any) -> Sequence[str]:
-        """Return implausible values of a problem."""
+        """Return warnings about implausible values of a problem."""
         return ()
 
     def validated(self, problem: Any) -> dict[str, Any]:
-        """Return further keys of ``planopt validate``."""
+        """Return additional JSON keys of ``planopt validate``."""
         return {}
 
     def has_figures(self, problem: Any) -> bool:
-        """Return whether a problem asks for figures."""
+        """Return whether a problem enables figures."""
         return problem.has_figures
 
     def words_ahead(self, problem: Any, plans: Any) -> Iterable[str]:
-        """Return lines of text before the first step of a run."""
+        """Return text to print before the first step of a run."""
         return ()
 
     def report(self, result: Any) -> Any:
-        """Return a result as the command line shows it, with the members of a TaskResult."""
+        """Return the report of a result for the command line; it has the members of TaskResult."""
         return result
 
     def no_plan(self, action: Action, problem: Any, seed: int, error: NoPlanError) -> Any:
-        """Return the report of an action that found no plan."""
+        """Return the report of an action without a plan."""
         planner = getattr(problem.given, "planner", None)
         data: dict[str, Any] = {
             "problem": problem.name,
@@ -179,7 +179,7 @@ class Task:
         return TaskResult(problem, {**data, **more})
 
     def function(self, name: str) -> Callable[..., Any] | None:
-        """Return ``solve``, ``simulate`` or ``controller``, imported if need be."""
+        """Return ``solve``, ``simulate`` or ``controller``, imported if given by name."""
         found = getattr(self, name)
         if isinstance(found, str):
             module, _, attribute = found.partition(":")
@@ -187,7 +187,7 @@ class Task:
         return found
 
     def labels(self, problem: Any) -> tuple[int, str, str | None]:
-        """Return horizon, planner and cost-to-go, by which comparisons name a setting."""
+        """Return horizon, planner and cost-to-go, which label a setting in comparisons."""
         table = getattr(problem.given, "planner", None)
         return getattr(table, "horizon", 1), getattr(table, "name", ""), None
 
@@ -196,11 +196,11 @@ class Task:
         return True
 
     def compared_costs_to_go(self, problem: Any) -> Sequence[str | None]:
-        """Return the costs-to-go that are compared by default; None keeps the problem's own."""
+        """Return the costs-to-go compared by default; None stands for the problem's own."""
         return (None,)
 
     def shared(self, problem: Any, seed: int) -> Any:
-        """Return the data that runs of one seed share, whatever their settings."""
+        """Return the data common to all runs with one seed, independent of their settings."""
         return None
 
     def run_summary(self, problem: Any, seed: int, shared: Any) -> RunSummary:
@@ -218,7 +218,7 @@ class Task:
         )
 
     def act(self, action: Action, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
-        """Return the result of an action under settings; those that are None are left out."""
+        """Perform an action with settings, ignoring those that are None."""
         function = self.function(action)
         if function is None:
             known = [name for name in ("solve", "simulate") if getattr(self, name) is not None]
@@ -234,7 +234,7 @@ class Task:
         return function(problem, seed=seed, **{k: v for k, v in given.items() if k in known})
 
     def control(self, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
-        """Return the controller of a problem under settings; those that are None are left out."""
+        """Return the controller of a problem with settings, ignoring those that are None."""
         function = self.function("controller")
         if function is None:
             raise InputError(
@@ -246,7 +246,7 @@ class Task:
         return function(self.overridden(problem, **settings), seed=seed)
 
     def overridden(self, problem: Any, **settings: Any) -> Any:
-        """Return a problem under other settings; those that are None are left out."""
+        """Return a problem with changed settings, ignoring those that are None."""
         given = {name: value for name, value in settings.items() if value is not None}
         known = () if self.override is None else signature(self.override).parameters
         for name in given:
@@ -258,7 +258,7 @@ class Task:
 
 
 def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Return metrics as numbers; names of nested tables are joined by an underscore."""
+    """Flatten metrics to numbers; names of nested tables are joined by an underscore."""
     found: dict[str, float] = {}
     for name, value in metrics.items():
         if isinstance(value, Mapping):
@@ -276,16 +276,16 @@ class TaskResult:
     Attributes
     ----------
     problem
-        As solved or simulated (other settings applied).
+        Problem as solved or simulated, with changed settings applied.
     data
-        The JSON object. It has a ``verdict`` (``verified``, ``violated`` or ``none``) if the
-        problem was solved, an ``outcome`` if it was simulated.
+        JSON object, with a ``verdict`` (``verified``, ``violated`` or ``none``) of ``solve`` or an
+        ``outcome`` of ``simulate``.
     tables
-        Columns by file name and column, as the task declares them.
+        Arrays by file name and column, as declared by the task.
     value
-        An object of the task's own; None for a result that was read.
+        Task-specific result object; None for a result read from files.
     step_s
-        Wall time of each step of a simulation.
+        Wall time of each simulation step in seconds.
     """
 
     problem: TaskProblem
@@ -295,7 +295,7 @@ class TaskResult:
     step_s: Sequence[float] = ()
 
     def __repr__(self) -> str:
-        """Return the result in lines of text."""
+        """Return a text summary of the result, line by line."""
         return "\n".join(self.words)
 
     @property
@@ -305,7 +305,7 @@ class TaskResult:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """Return the result in lines of text."""
+        """Return a text summary of the result, line by line."""
         name, end = self.problem.name, self.data.get("outcome", self.data.get("verdict"))
         if self.exit_code == NO_PLAN and end in ("none", "no_plan"):
             return (f"{name}: no plan: {self.data.get('message') or self.data.get('reason')}",)
@@ -315,7 +315,7 @@ class TaskResult:
 
     @property
     def exit_code(self) -> int:
-        """Return 0 if verified, 3 if not, 4 if there is no plan or a run did not do its task."""
+        """Return 0 if verified, 3 if not, 4 if no plan exists or a run failed its task."""
         if "verdict" in self.data:
             return {"verified": 0, "none": NO_PLAN}.get(self.data["verdict"], NOT_VERIFIED)
         if self.data.get("outcome") not in self.task.reached:
@@ -324,21 +324,21 @@ class TaskResult:
 
     @property
     def files(self) -> Patterns:
-        """Return the names of all files that results of the task, or of motion planning, have."""
+        """Return the file name patterns of results of the task and of motion planning."""
         return (*PLAN_OR_RUN, *self.task.columns, *self.task.pictures)
 
     def save(self, folder: Path | str) -> None:
-        """Save the result as a folder that :func:`planopt.check` and ``load_result`` read.
+        """Save the result to a folder that :func:`planopt.check` and ``load_result`` can read.
 
         Parameters
         ----------
         folder
-            Made if it is missing; a result that it had is replaced.
+            Output folder; it is created if missing, and a previous result in it is replaced.
 
         Raises
         ------
         OutputError
-            The folder cannot be written; what it had is still there.
+            The folder cannot be written; its contents are unchanged.
         """
         file = RUN_FILE if "outcome" in self.data else PLAN_FILE
         columns = self.task.columns
@@ -353,7 +353,7 @@ class TaskResult:
         Raises
         ------
         InputError
-            There is no such table, or pandas is not installed.
+            The table does not exist, or pandas is not installed.
         """
         if table not in self.tables:
             known = ", ".join(self.tables) or "no table"
@@ -361,7 +361,7 @@ class TaskResult:
         return dataframe(self.task.columns[table], self.tables[table])
 
     def plot(self) -> Figure:
-        """Draw the result; no window is opened.
+        """Return the main figure of the result without opening a window.
 
         Raises
         ------
@@ -374,7 +374,7 @@ class TaskResult:
         return next(iter(figures(self).values()))
 
     def draw(self, folder: Path, *, animation: bool = False) -> None:
-        """Draw the figures that the problem asks for, and an animation on request."""
+        """Draw the figures selected by the problem, and optionally an animation."""
         from planopt.report import save_figure
 
         task = self.task
@@ -395,7 +395,7 @@ def perform(
     on_step: Callable[..., object] | None = None,
     **settings: Any,
 ) -> Any:
-    """Solve or simulate a problem of any task; results of other tasks are timed and verified."""
+    """Solve or simulate a problem of any task; time and verify results other than motion plans."""
     task = task_of(problem)
     ends_s = [time.perf_counter()]
 
@@ -423,7 +423,7 @@ def perform(
 
 
 def read_result(file: Path, data: Mapping[str, Any]) -> TaskResult:
-    """Return a saved result, of which the JSON object has been read."""
+    """Read a saved result whose JSON object is already loaded."""
     problem = problem_from(data.get("problem_file"), folder=file.absolute().parent, file=file)
     columns = task_of(problem).columns
     names = [name for name in columns if (file.parent / name).is_file()]
@@ -433,9 +433,9 @@ def read_result(file: Path, data: Mapping[str, Any]) -> TaskResult:
 
 
 def reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with a saved result: it is computed again, verified, and compared.
+    """Recompute and verify a saved result; return its differences and faults.
 
-    A task whose verifier does not trust its simulator has ``verify`` called on the new result.
+    If the task has an independent verifier, ``verify`` is called on the new result.
     """
     saved = read_result(file, data)
     seed = whole_number(file, data, "seed")

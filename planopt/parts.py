@@ -86,7 +86,7 @@ class Registry:
         self.registered[require_name(name, self.of, self.own, key=key)] = part
 
     def find(self, name: object) -> Any:
-        """Return the part with a name and import it if necessary."""
+        """Return the part registered under `name`, imported if necessary."""
         if not isinstance(name, str) or name not in self.names():
             remedy = f"use one of {', '.join(self.names())}"
             raise InputError(f"is {name!r}", key=self.key, remedy=remedy)

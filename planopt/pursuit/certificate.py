@@ -95,11 +95,11 @@ class Case:
         return replace(self, age_s_m=share * self.age_s_m, error=share * self.error)
 
     def start_m(self, distance_m: float) -> float:
-        """Return W for the first record of an evader sampled at this distance."""
+        """Return the distance bound W for a first record sampled at this evader distance."""
         return distance_m + self.evader_m_s * max(self.age_s_m * distance_m, self.least_age_s)
 
     def least_distance_m(self, bound_m: Floats) -> Floats:
-        """Return the smallest sampled distance with this W; the inverse of :meth:`start_m`."""
+        """Return the smallest sampled distance with bound W; the inverse of :meth:`start_m`."""
         moved_m = self.evader_m_s * self.least_age_s
         return np.maximum(0.0, np.minimum(bound_m / (1.0 + self.moved), bound_m - moved_m))
 
@@ -155,7 +155,7 @@ def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
 
 
 def floor_m(theorem: Theorem, case: Case) -> float:
-    """Return the largest W that a stage may fail to reduce; infinite if a premise fails."""
+    """Return the largest bound W that a stage may fail to reduce; infinite if a premise fails."""
     if not all(each.holds for each in premises(theorem, case)):
         return math.inf
     grid: Floats = np.geomspace(1e-9, 1e15, 2001)

@@ -133,7 +133,7 @@ class MoteNetwork(Table):
         )
 
     def staleness_per_slot(self, evader_speed_m_s: float) -> float:
-        """Return x / s_w at r = 1 in 1/s, that is ``12 eta_s v_e`` per mote spacing."""
+        """Return staleness x per slot width at r = 1 in 1/s, ``12 eta_s v_e`` per mote spacing."""
         frames = 4.0 * HOPS_PER_ROUND * self.slots_per_frame
         return frames * evader_speed_m_s / self.mote_spacing_m
 
@@ -157,7 +157,7 @@ class DesignTask:
 
     @property
     def staleness_per_slot(self) -> float:
-        """Ratio x / s_w at r = 1, in 1/s."""
+        """Staleness x per slot width s_w at r = 1, in 1/s."""
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:
@@ -419,7 +419,7 @@ def _widest_s(task: DesignTask, bits: int) -> float | _Failed:
 
 
 def _left(task: DesignTask, bits: int) -> float:
-    """Return 1 - a."""
+    """Return 1 - a with the contraction a."""
     return task.room(bits) + task.margin
 
 

@@ -78,7 +78,7 @@ def simulate_flooding(
 
 
 class _Round:
-    """One round of a level: records in nine cells, ``(m, m, 3 s, 3 s)`` for s motes per side."""
+    """One round of a level, with arrays ``(m, m, 3 s, 3 s)`` over m by m cells of s by s motes."""
 
     def __init__(
         self,

@@ -35,7 +35,7 @@ from planopt.pursuit.theorems import Distances, Inequality, Theorem
 Floats = NDArray[np.float64]
 
 Stage = Callable[[Floats], tuple[Floats, Floats]]
-"""Function from W at the start of a stage to the bound of W at its end and a duration.
+"""Function from distance bound W at the start of a stage to its bound at the end and a duration.
 
 A stage takes at most (decrease of W) x duration / (decrease of W to the bound).
 """
@@ -76,7 +76,7 @@ class Chase:
 
     @property
     def speed_ratio(self) -> float:
-        """Return alpha."""
+        """Return alpha, the ratio of pursuer speed to evader speed."""
         return self.pursuer_speed_m_s / self.evader_speed_m_s
 
 
@@ -99,14 +99,14 @@ class Guarantee:
 
     @cached_property
     def floor_m(self) -> float:
-        """Largest W that may fail to decrease; infinite unless all inequalities hold."""
+        """Largest distance bound W that may fail to decrease; infinite if an inequality fails."""
         floor_m = _floor_m(self.stages) if self.holds else math.inf
         if self.theorem is Theorem.LEMMA and math.isfinite(floor_m):
             return _start_m(self.chase, self.bounds, floor_m)
         return floor_m
 
     def next_bound_m(self, bound_m: Floats) -> Floats:
-        """Return the bound of W at the end of stages that start with W, of the same shape."""
+        """Return the distance bound W at the end of stages that start with W, of the same shape."""
         return np.max([stage(bound_m)[0] for stage in self.stages], axis=0)
 
     def captures(self, capture_radius_m: float) -> Inequality:
@@ -286,13 +286,13 @@ def _error_m(bounds: ServiceBounds, distance_m: Floats) -> Floats:
 
 
 def _start_m(chase: Chase, bounds: ServiceBounds, sampled_m: float) -> float:
-    """Return W for the first record of an evader sampled at this distance."""
+    """Return the distance bound W for the first record of an evader sampled at this distance."""
     age_s = max(bounds.age_s_m * sampled_m, bounds.age_floor_s)
     return sampled_m + chase.evader_speed_m_s * age_s
 
 
 def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> Floats:
-    """Return the smallest sampled distance with W (...), the inverse of :func:`_start_m`."""
+    """Return the smallest sampled distance with bound W (...), the inverse of :func:`_start_m`."""
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
     return np.maximum(
         0.0, np.minimum(bound_m / (1.0 + staleness(chase, bounds)), bound_m - moved_m)

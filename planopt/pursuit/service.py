@@ -55,7 +55,7 @@ class ServiceBounds:
 
 @dataclass(frozen=True)
 class SnapshotService:
-    """Snapshots on a grid of ``2^levels`` by ``2^levels`` motes."""
+    """Snapshot service on a grid of ``2^levels`` by ``2^levels`` motes."""
 
     levels: int  # L: the single cell of level L is the whole grid
     # Distance between neighbours; mote (0, 0) is half of it away from both edges

@@ -101,13 +101,13 @@ class Pursuit:
     def bounds_m(
         self, pursuer: int, evader: int, distances: Distances = Distances.STRAIGHT
     ) -> NDArray[np.float64]:
-        """Return W (k,) at the start of each stage of a pursuer chasing an evader."""
+        """Return the distance bound W (k,) at the start of each stage of a chase."""
         speed = self.scene.evaders[evader].speed_max_m_s
         own = [use for use in self.uses if (use.pursuer, use.evader) == (pursuer, evader)]
         return np.array([self.away_m(use, distances) + speed * use.age_s for use in own])
 
     def away_m(self, use: Use, distances: Distances) -> float:
-        """Return d of a record, straight or along the shortest path."""
+        """Return the distance d of a record, straight or along the shortest path."""
         if distances is Distances.STRAIGHT:
             return use.distance_m
         return float(self.scene.arena.distances_m(use.place_m, use.sampled_m[None])[0])

@@ -229,7 +229,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def no_comparison_json(name: str, message: str) -> dict[str, Any]:
-    """Return the same object for a comparison without plan; `message` is the reason."""
+    """Return the JSON object of ``compare`` if there is no plan; `message` is the reason."""
     return {
         "problem": name,
         "outcome": "no_plan",

@@ -154,7 +154,7 @@ def _objections(saved: Saved, result: Solution | Run) -> list[str]:
 
 
 def _different(saved: Saved, found: Contents) -> list[str]:
-    """Return the differences of all files from those of the replay."""
+    """Return the differences between all saved files and those of the replay."""
     # The problem is excluded because library_remarks compares it.
     data = {**found.data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
     reasons = in_words(found.name, differences(saved.data, data))
@@ -167,7 +167,7 @@ def _different(saved: Saved, found: Contents) -> list[str]:
 
 
 def _no_plan_reasons(saved: Saved) -> list[str]:
-    """Return that there is no plan, and the differences from the file of such a result."""
+    """Return the message that there is no plan, and differences from the recomputed file."""
     message, record = str(saved.data["message"]), saved.record
     found: dict[str, Any]
     if saved.file.name == PLAN_FILE and isinstance(record, NoPlanRecord):

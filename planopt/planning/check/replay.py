@@ -245,7 +245,7 @@ def _planning(saved: Saved) -> Planning:
 def _no_plan(
     saved: Saved, owns: Sequence[Problem], states: Sequence[NDArray[np.float64]]
 ) -> BlockedError:
-    """Return the saved reason why a run ended if it is proven, else an error that says it is not.
+    """Return the error that ended a run, with the saved reason if that can be proven.
 
     Proofs are obstacles that cut off a goal, and a forbidden path that starts at a robot.
     """

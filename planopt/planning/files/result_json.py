@@ -208,7 +208,7 @@ class Asked(NamedTuple):
 
 
 class Question(Record):
-    """Settings of a result."""
+    """Settings for which a result was computed."""
 
     problem: Annotated[Computed, Source(lambda of: of.problem.name)]
     horizon: Annotated[Computed, Source(lambda of: of.problem.planner.horizon)]
@@ -301,7 +301,7 @@ def no_plan_json(
     explanation: Iterable[Relaxation] = (),
     blocked: Iterable[BlockedWay] = (),
 ) -> dict[str, Any]:
-    """Return the same object for a problem that provably has no plan; `message` is the reason."""
+    """Return the JSON object of ``solve`` if there provably is no plan; `message` is the reason."""
     return {
         **dict.fromkeys(PlanRecord.model_fields),
         **Question.written(Asked(problem, seed)),

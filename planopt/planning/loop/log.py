@@ -262,7 +262,7 @@ def target_log(
 
 
 def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
-    """Return nu' S^-1 nu of each robot's filter for the measurements of one step."""
+    """Return the normalised innovation squared nu' S^-1 nu of each robot's filter for one step."""
     sent, found = after.sent[-1], list[float]()
     for state, measured, place, seen in zip(
         before.robots, sent.measured_m, sent.positions_m, sent.seen, strict=True
@@ -276,5 +276,5 @@ def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
 
 
 def _squared(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
-    """Return e' P^-1 e."""
+    """Return the squared Mahalanobis distance e' P^-1 e."""
     return float(error @ np.linalg.solve(covariance, error))

@@ -176,7 +176,7 @@ def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_
 def true_serving_dbm(
     problem: Problem, truths: Sequence[Truth], positions_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the serving station's true power (n,) at positions (n, 2), for the first threshold.
+    """Return the true serving power (n,) at positions (n, 2), on the scale of the first station.
 
     A robot is connected if this power reaches ``problem.stations[0].true_threshold_dbm``.
     """

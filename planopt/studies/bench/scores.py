@@ -129,7 +129,7 @@ class Profile:
     """Performance profile (Dolan and More, 2002)."""
 
     planners: tuple[str, ...]  # Names of the planners
-    ratios: NDArray[np.float64]  # (k,) sorted ratios, from 1 on, to the best time of a question
+    ratios: NDArray[np.float64]  # (k,) sorted ratios to the best time of a question, at least 1
     # (planners, k) share of questions solved by each planner within each ratio
     shares: NDArray[np.float64]
 

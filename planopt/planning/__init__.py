@@ -1,1 +1,1 @@
-"""Planning: plans are found, refined and verified."""
+"""Planning: initial guesses, refinement, verification and fallbacks."""

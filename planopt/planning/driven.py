@@ -1,8 +1,8 @@
 """Initial guesses and refinement tasks of a robot with dynamics.
 
-The search finds paths of a single integrator. Inputs that follow such a path give an initial guess,
-which may come too near to obstacles at corners. The remainder of the previous plan, then braking,
-can always be driven.
+The search finds paths for a single integrator. Inputs that follow such a path give an initial
+guess, which may violate clearance at corners. The remainder of the previous plan, then braking, is
+always feasible.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
 def driven_starts(
     judge: Judge, context: StepContext, starts: list[Guess], warm: Plan | None
 ) -> list[Guess]:
-    """Return guesses that the robot can drive, best first; those that are not clear come last."""
+    """Return drivable guesses, best first, followed by those that violate clearance."""
     problem = judge.problem
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     found: list[Guess] = []
@@ -52,7 +52,7 @@ def driven_starts(
 
 
 def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Return the remainder of a verified previous plan, then braking; None without one."""
+    """Return the remainder of a verified previous plan, then braking; None if there is none."""
     shifted = shifted_drive(problem, warm)
     if shifted is None or warm is None or warm.verdict is not Verdict.VERIFIED:
         return None
@@ -78,7 +78,7 @@ def motion_task(
     drive: Drive,
     still: SeparatingLines | None,
 ) -> MotionTask:
-    """Return the motion of a refinement; `still` are separating lines at standstill."""
+    """Return the motion data of a refinement; `still` are separating lines at rest."""
     last = drive.states[-1]
     end = standstill_m(problem, last)[None]
     reach = LINE_REACH_STEPS * problem.step_length_m
@@ -88,7 +88,7 @@ def motion_task(
 
 
 def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the resting position (2,) after braking from `state` (s,), or a little beyond."""
+    """Return a resting position (2,) reached by braking from `state` (s,), or slightly beyond."""
     points = problem.robots[0].dynamics.stop_points(tuple(state), problem.planner.step_s)
     return np.array(points[-1] if points else state[:2], dtype=np.float64)
 

@@ -1,4 +1,4 @@
-"""Entries of an explanation: keys that prevent a verified plan, and coverage holes crossed."""
+"""Entries of an explanation: keys that prevent a verified plan, and crossed coverage holes."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from dataclasses import dataclass
 from planopt.planning.certificate import SHORTEST_IN_WORDS_M, Hole
 
 LIMITS = ("robots[", "planner.", "world.")
-"""Prefixes of keys that state means rather than requirements."""
+"""Prefixes of keys that describe means rather than requirements."""
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """A key of the problem file that prevents a verified plan, and the value that would suffice.
+    """Key of the problem file that prevents a verified plan, and a value that would suffice.
 
-    Each relaxation that is `verified` suffices by itself.
+    Each relaxation with `verified` suffices by itself.
 
     Attributes
     ----------
     constraint
-        The key, such as ``constraints.p_min``.
+        Problem file key, such as ``constraints.p_min``.
     unit
-        Of `value` and `relaxed_value`; empty for a probability or a count.
+        Unit of `value` and `relaxed_value`; empty for a probability or a count.
     value
         The required value; None for an obstacle.
     stages
-        Steps (1 is the first) that violate it; empty if it does not belong to steps.
+        Steps (1 is the first) that violate it; empty if it is not a constraint on steps.
     shortfall, shortfall_unit
-        Largest violation of these steps; None without a number.
+        Largest violation over these steps; None if it has no numerical value.
     relaxed_value
-        The value nearest to `value` that was found to suffice; None for an obstacle, which has to
-        be removed.
+        Sufficient value found nearest to `value`; None for an obstacle, which has to be
+        removed.
     verified
-        Whether the problem solved again with it has a verified plan.
+        Whether the problem solved with this relaxation has a verified plan.
     robot
         The robot of the plan.
     """
@@ -49,7 +49,7 @@ class Relaxation:
     robot: str
 
     def __str__(self) -> str:
-        """One sentence for people."""
+        """Return a one-sentence description."""
         key = self.constraint
         if self.value is not None:
             key += f" = {_shown(self.value, self.unit)}"
@@ -68,24 +68,24 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class Crossing:
-    """The coverage holes that a path to a goal crosses, and the path with the best connection.
+    """Coverage holes on a path to a goal, and the path that stays connected longest.
 
     Attributes
     ----------
     robot
         The robot of the path.
     holes
-        In the order of the path.
+        Coverage holes in path order.
     cost_m
         Cost of the cheapest lattice path, in metres at `outage_price`.
     outage_price
-        ``objective.outage_price``.
+        Value of ``objective.outage_price``.
     kept_m
-        Length of the path that is out of contact for the fewest metres.
+        Length of the path with the shortest distance out of contact.
     outside_m
-        These metres: zero if a path satisfies the chance constraint throughout.
+        That distance: zero if a path satisfies the chance constraint throughout.
     p_min
-        The required probability of connection.
+        Required probability of connection.
     """
 
     robot: str
@@ -98,7 +98,7 @@ class Crossing:
 
     @property
     def at_goal(self) -> bool:
-        """Return whether the goal itself is below the bound."""
+        """Return whether the goal itself violates the bound."""
         return bool(self.holes) and self.holes[-1].to_end
 
     @property
@@ -116,19 +116,19 @@ class Crossing:
         )
 
     def __str__(self) -> str:
-        """Return where the holes are, how long, and why they are crossed."""
+        """Return where the holes are, their lengths, and why they are crossed."""
         where = "; ".join(hole.words for hole in self.holes)
         goal = ", also at the goal itself" if self.at_goal else ""
         return f"crosses {where}: P(connected) is below {self.p_min:g} there{goal}; {self.why}"
 
 
 class Explanation(tuple[Relaxation | Crossing, ...]):
-    """Relaxations and crossings with a summary.
+    """Relaxations and crossings, with a summary.
 
     Attributes
     ----------
     summary
-        Whether all plans are verified, and if not, whether any change that was tried helps.
+        Whether all plans are verified; otherwise, whether any tested change helps.
     """
 
     summary: str
@@ -149,7 +149,7 @@ def _shown(value: float, unit: str) -> str:
 
 
 def _ranges(stages: tuple[int, ...]) -> str:
-    """Steps as ``1-3, 5``."""
+    """Format steps as ``1-3, 5``."""
     parts: list[list[int]] = []
     for stage in stages:
         if parts and stage == parts[-1][-1] + 1:

@@ -1,11 +1,10 @@
-"""Bounds on tracking: paths for a whole run of robots that know the future.
+"""Bounds on tracking performance: paths for a whole run planned with knowledge of the future.
 
-The clairvoyant knows the power of every place, multipath included, and the path of the target. The
-oracle knows path loss, shadowing and the target's path, but not the multipath, and is the bound
-that a planner can approach. Either maximises the information that arrives, or (``_log``) the
-expected logarithm of one plus that information times the variance of the first estimate. A dynamic
-programme over (step, node) maximises the sum over the run; several robots take turns until no path
-changes.
+The clairvoyant planner knows the power at every position, multipath included, and the target's
+path. The oracle knows path loss, shadowing and the target's path, but not the multipath; it is the
+bound that a planner can approach. Both maximise the received information or (``_log``) the expected
+logarithm of one plus that information times the initial variance. Dynamic programming over
+(step, node) maximises the sum over the run; several robots plan in turn until no path changes.
 """
 
 from __future__ import annotations
@@ -33,20 +32,20 @@ ROUNDS = 5
 
 
 class FollowingPlanner:
-    """Follows a path for the whole run."""
+    """Planner that follows a given path for the whole run."""
 
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         self._path_m = path_m
 
     def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
-        """Return the plan of the next steps; `warm` is not used."""
+        """Return the plan of the next steps; `warm` is unused."""
         begun, first = perf_counter(), context.history.steps
         ahead = self._path_m[first : first + context.problem.planner.horizon]
         return released(judge, held(context, list(ahead)), begun)
 
 
 def require_foreseeable(problem: Problem) -> None:
-    """Raise an InputError if bounds are not defined for a problem."""
+    """Raise an InputError if the bounds are undefined for a problem."""
     several = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
     if (
         not any(term.sensor for term in problem.terms)
@@ -80,15 +79,15 @@ def _paths(
     unknown = float(np.std(truth.raster.values - truth.mean_dbm))
 
     def arriving(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return P(packet arrives) at places (n, 2)."""
+        """Return P(packet delivered) from positions (n, 2)."""
         if knows_multipath or unknown == 0.0:
             return (true_power_dbm(truth, places_m) >= threshold).astype(np.float64)
         return score_probability((mean_power_dbm(truth, places_m) - threshold) / unknown)
 
     def informing(places_m: NDArray[np.float64], step: int) -> NDArray[np.float64]:
-        """Return the information of a packet from places (n, 2), in units of the first one."""
+        """Return the information of a packet from positions (n, 2), relative to the initial one."""
         sensed = sensing_information(sensor, places_m, ahead[step])
-        # For one coordinate, so that it adds to the inverse of the first variance.
+        # Per coordinate, so that it adds to the inverse of the initial variance.
         return 0.5 * problem.targets[0].position_std_m ** 2 * sensed
 
     roads: list[tuple[RoadMap, int, NDArray[np.float64]]] = []
@@ -104,8 +103,8 @@ def _paths(
         for number, (road_map, first, chance) in enumerate(roads):
             others = gained.sum(axis=0) - gained[number]
             packets = np.array([informing(road_map.nodes_m, step) for step in range(len(ahead))])
-            # The expected logarithm given the expectation of the others: a packet that is likely
-            # to be lost has a small reward, however near it is sent.
+            # Expected logarithm given the others' expected information: a packet that is likely
+            # to be lost has a small reward, however close to the target it is sent.
             reward = np.log1p(packets / (1.0 + others[:, None])) if saturates else packets
             nodes = best_nodes(road_map, first, chance * reward)
             paths[number] = road_map.nodes_m[nodes]
@@ -122,7 +121,7 @@ clairvoyant_log_paths = partial(_paths, knows_multipath=True, saturates=True)
 
 
 def best_nodes(road_map: RoadMap, first: int, rewards: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the nodes after each step of the walk of the largest sum of rewards; ``(T,)``."""
+    """Return the node after each step of the walk with the largest sum of rewards; ``(T,)``."""
     # Shapes: rewards (T, n).
     rows, columns, lattice = road_map.rows, road_map.columns, road_map.lattice
 

@@ -1,4 +1,4 @@
-"""Free space: the lattice graph, whether start and goal are joined, and paths out of obstacles."""
+"""Free space: lattice graph, connectivity of start and goal, and paths out of obstacles."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def build_roads(problem: Problem, anchor_m: NDArray[np.float64]) -> RoadMap:
 
 
 def node_at(road_map: RoadMap, place_m: NDArray[np.float64]) -> int:
-    """Return the number of the node nearest to `place_m` (2,); negative if that is not free."""
+    """Return the index of the node nearest to `place_m` (2,); negative if that node is blocked."""
     row, column = nearest_node(road_map.lattice, place_m)
     return int(road_map.number[row, column])
 
@@ -51,7 +51,7 @@ def node_at(road_map: RoadMap, place_m: NDArray[np.float64]) -> int:
 def nodes_in_reach(
     road_map: RoadMap, index: ObstacleIndex, problem: Problem, position_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the nodes within one step of a position off the lattice, and their distances."""
+    """Return the nodes within one step of an off-lattice position, and their distances."""
     rows, columns, clear = moves_from(
         index,
         road_map.lattice,
@@ -65,16 +65,16 @@ def nodes_in_reach(
 
 
 BISECTIONS = 16
-"""Bisections of the widest clearance."""
+"""Number of bisections for the widest clearance."""
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
-    """Return whether a path from start to goal keeps a clearance."""
+    """Return whether a path from start to goal with this clearance exists."""
     polygons = [each.polygon for each in problem.workspace.obstacles if each is not without]
     covered = shapely.union_all(shapely.buffer(polygons, clearance_m))
     free = shapely.box(*problem.workspace.bounds_m).difference(covered)
     start, goal = shapely.Point(problem.robots[0].start_m), shapely.Point(problem.goal_m)
-    # Both may lie on the border of free space.
+    # Both may lie on the boundary of free space.
     return any(
         part.distance(start) <= CLEARANCE_PAD_M and part.distance(goal) <= CLEARANCE_PAD_M
         for part in shapely.get_parts(free)
@@ -87,7 +87,7 @@ def widest_clearance_m(
 ) -> float | None:
     """Return the largest clearance below the problem's that leaves a path to the goal.
 
-    Bisection ends early once `is_over`. Return None if there is no path at all.
+    Bisection ends early if `is_over` returns True. Return None if there is no path at all.
     """
     if not is_joined(problem, 0.0):
         return None
@@ -106,7 +106,7 @@ def widest_clearance_m(
 def obstacles_met(
     problem: Problem, index: ObstacleIndex, path_m: NDArray[np.float64], first: int = 0
 ) -> list[str]:
-    """Return a reason for every position and segment of a path (n, 2) that is not clear.
+    """Return a reason for every position and segment of a path (n, 2) that violates clearance.
 
     The path begins after step `first`.
     """
@@ -135,10 +135,10 @@ def obstacles_met(
 
 
 DIRECTIONS, LENGTHS = 48, 8
-"""Candidate moves: directions, and lengths up to the longest step."""
+"""Numbers of directions and of lengths, up to the longest step, of the candidate moves."""
 
 NEARER_M = 1e-9
-"""Tolerance of the distance that a move must keep."""
+"""Tolerance of the distances that a move must not reduce."""
 
 
 def leaving_path(
@@ -146,8 +146,8 @@ def leaving_path(
 ) -> NDArray[np.float64] | None:
     """Return the path (N, 2) of one step out of violated clearances, bounds or separations.
 
-    Drift or a new obstacle may bring a robot to a place from which no plan is sound. Of the moves
-    that come no nearer to anything, the shortest with the least violation at its end is taken; it
+    Drift or a new obstacle may bring a robot to a position without a sound plan. Among moves that
+    approach nothing, the one with the least violation at its end, then the shortest, is chosen; it
     may lead through obstacles that contain the robot. None if nothing is violated or improved.
     """
     # Shapes: position_m (2,).
@@ -173,7 +173,7 @@ def leaving_path(
     allowed &= gap >= min(float(gap[0]), 0.0) - NEARER_M
     allowed[0] = True
     rows = np.flatnonzero(allowed)
-    # Rows are in order of length.
+    # Rows are sorted by length.
     best = int(rows[np.argmin(np.round(lacks[rows], 6))])
     return None if best == 0 else paths[best, 1:]
 
@@ -181,9 +181,9 @@ def leaving_path(
 def _inside_m(
     index: ObstacleIndex, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], ObstacleIndex]:
-    """Return the depth of places (n, 2) in the obstacles of the first one, and other obstacles.
+    """Return the depth of positions (n, 2) in the first one's obstacles, and the other obstacles.
 
-    Obstacles that intersect these count to them.
+    Obstacles that intersect the first position's obstacles are included.
     """
     points = np.asarray(shapely.points(places_m), np.object_)
     about = index.tree.query(points[0], predicate="within")
@@ -200,7 +200,7 @@ def _inside_m(
 
 
 def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> float:
-    """Return by how much a position (2,) is too near to moving discs before the first step."""
+    """Return the separation shortfall of a position (2,) to moving discs before the first step."""
     if not len(moving):
         return 0.0
     away = np.linalg.norm(position_m - moving.centres_m[:, 0], axis=-1)
@@ -208,7 +208,7 @@ def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> flo
 
 
 def _too_near_m(moving: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by how much paths (c, N + 1, 2) are too near to discs after the first step; (c,)."""
+    """Return the separation shortfall of paths (c, N + 1, 2) after the first step; (c,)."""
     if not len(moving):
         return np.zeros(len(paths_m))
     places = int(paths_m.shape[1])
@@ -218,7 +218,7 @@ def _too_near_m(moving: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np
 
 
 def _outside_m(workspace: Workspace, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of each place (n, 2) from the bounds; (n,)."""
+    """Return the distance of each position (n, 2) outside the bounds; (n,)."""
     bounds = np.reshape(workspace.bounds_m, (2, 2))
     beyond = np.maximum(np.maximum(bounds[0] - places_m, places_m - bounds[1]), 0.0)
     return np.linalg.norm(beyond, axis=1)

@@ -1,4 +1,4 @@
-"""The history of a run before a plan: rules over the whole run count it."""
+"""History of a run before a plan, for rules over the whole run."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ class History:
 
     steps: int = 0
     connected_steps: int = 0
-    # Since the last connected step, or the start
+    # Steps since the last connected step, or since the start
     outage_steps: int = 0
     outage_m: float = 0.0
     delivered_mbit: float = 0.0  # Data delivered before the deadline, if data are required
-    # Whether the robot once stayed `CIRCLING_STEPS` steps about one place, without moving obstacles
+    # Whether the robot once circled for `CIRCLING_STEPS` steps; False with moving obstacles
     has_circled: bool = False
-    # On the way to a goal: cost of driven steps that miss p_min, and its excess over the cheapest
+    # For a goal: cost of the driven steps that violate p_min, and its excess over the cheapest
     # paths
     crossing_cost_m: float = 0.0
     crossing_excess_m: float = 0.0
-    # (n, 2) ends of earlier steps without connection
+    # (n, 2) end positions of earlier steps without connection
     missed_m: NDArray[np.float64] = field(
         default_factory=lambda: np.zeros((0, 2)), repr=False, compare=False
     )
 
 
 CIRCLING_STEPS = 15
-"""Number of steps within one longest step of a place that count as standing or circling."""
+"""Number of steps within one longest step of a position that count as waiting or circling."""
 
 BEGINNING = History()
 """History at the start of a run."""
@@ -43,8 +43,8 @@ BEGINNING = History()
 
 def history_of(
     problem: Problem,
-    track_m: NDArray[np.float64],  # (n + 1, 2) the start first
-    connected: NDArray[np.bool_],  # (n,) whether it was connected after each step
+    track_m: NDArray[np.float64],  # (n + 1, 2) start position first
+    connected: NDArray[np.bool_],  # (n,) true connection after each step
     certificates: Iterable[Certificate] = (),
     *,
     gave_way: Sequence[bool] = (),
@@ -70,7 +70,7 @@ def history_of(
 
 
 def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Sequence[bool]) -> bool:
-    """Return whether a track (n + 1, 2) once stayed about one place without giving way."""
+    """Return whether a track (n + 1, 2) once stayed near one position without giving way."""
     if len(track_m) <= CIRCLING_STEPS:
         return False
     windows = np.lib.stride_tricks.sliding_window_view(track_m, CIRCLING_STEPS + 1, axis=0)

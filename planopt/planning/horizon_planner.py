@@ -1,8 +1,8 @@
-"""One receding-horizon step for a sum of terms: initial guesses, and the fallbacks over them.
+"""One receding-horizon step for a sum of terms: initial guesses, and the fallback cascade.
 
-Initial guesses are refined in turn, the best first, until a candidate is verified; further guesses
-follow only if they may lead to a better one. Without a verified candidate the remainder of the
-previous plan or stopping is released.
+Initial guesses are refined in turn, best first, until a candidate is verified. Further guesses
+follow only if they may lead to a better candidate. Without a verified candidate the remainder of
+the previous plan or stopping is released.
 """
 
 from __future__ import annotations
@@ -28,37 +28,37 @@ from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.problems.problem import Problem
 
 CLOSE_SHARE = 0.01
-"""A guess optimised in batch that is worse by more than this share seldom becomes the best."""
+"""A batch-optimised guess that is worse by more than this fraction rarely becomes the best."""
 
 MERGED_STEPS = 2.0
-"""Guesses within this many longest steps of a refined path lead to it."""
+"""A guess within this many longest steps of a refined path is assumed to converge to it."""
 
 
 def is_worth_following(
     start: Guess, best: Guess, refined_m: Sequence[NDArray[np.float64]], longest_m: float
 ) -> bool:
-    """Return whether a guess optimised in batch may lead to a better plan."""
+    """Return whether a batch-optimised guess may lead to a better plan."""
     if start.value < best.value - CLOSE_SHARE * abs(best.value):
         return False
     return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in refined_m)
 
 
 DRIVEN_ROUNDS = 12
-"""Maximum number of further refinements of the best drive, with separating lines about itself."""
+"""Maximum number of further refinements of the best drive, each with new separating lines."""
 
 SETTLED_SHARE = 3e-3
-"""Relative gain below which there is no further refinement."""
+"""Relative gain below which refinement ends."""
 
 
 class FallbackCascade:
-    """Chooses a candidate from initial guesses; keeps the solvers that refine them."""
+    """Selection of a candidate from guesses and fallbacks; caches the refinement solvers."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
         coupled = bends_guesses(problem) and problem.planner.horizon > 1
         self._followed = COUPLED_GUESSES if coupled else 1
         self._driven = not problem.robots[0].moves_freely
-        # To a goal a further gain is lost again with the next pivot.
+        # For goal tasks a further gain is lost again with the next pivot.
         again = self._driven and problem.task != "reach"
         self._rounds = DRIVEN_ROUNDS if again else 0
         refines = problem.planner.name in METHODS and problem.can_be_polished
@@ -120,12 +120,12 @@ class FallbackCascade:
         return best_of(judge, tried, warm)
 
     def _is_settled(self, starts: list[Guess], number: int, verified: list[Candidate]) -> bool:
-        """Return whether guess `number` need not be refined, given verified candidates."""
+        """Return whether guess `number` needs no refinement, given the verified candidates."""
         if self._driven:
             return False
         if number >= min(self._followed, len(starts)):
             return True
-        # Only values of guesses optimised in batch predict those of their refinements.
+        # Only batch-optimised guesses have values that predict those of their refinements.
         refined = [candidate.path_m for candidate in verified]
         longest = self._problem.step_length_m
         return can_climb(self._problem) and not is_worth_following(
@@ -135,7 +135,7 @@ class FallbackCascade:
     def _by_way_to_good_place(
         self, context: StepContext, judge: Judge, tried: list[Candidate], budget: Budget
     ) -> list[Candidate]:
-        """Return candidates that go straight to a place within reach that keeps the constraint."""
+        """Return candidates that lead straight to a reachable position that meets the bound."""
         found: list[Candidate] = []
         for path in paths_to_good_place(judge, tried):
             way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
@@ -156,7 +156,7 @@ class FallbackCascade:
         verified: list[Candidate],
         budget: Budget,
     ) -> list[Candidate]:
-        """Refine the best candidate again, from the measurements and lines nearest to it."""
+        """Refine the best candidate again, with the measurements and lines nearest to it."""
         if self.refinement is None:
             return []
         best = max(verified, key=judge.worth)
@@ -166,7 +166,7 @@ class FallbackCascade:
 
 
 class HorizonPlanner:
-    """Plans for one robot of a problem whose objective is a sum of terms."""
+    """Planner for one robot of a problem whose objective is a sum of terms."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self.problem = problem
@@ -184,7 +184,7 @@ class HorizonPlanner:
         if way is not None:
             out = Guess(way, judge.objective(way), rule_missing(context, way))
             if context.measuring.takes(way).any():
-                # It measures something after all: what that is worth is for all to compare.
+                # The path yields a measurement, so that it competes with the other guesses.
                 starts = sorted([*starts, out], key=lambda start: -start.value)
             elif (plan := self._released(context, judge, out, warm, begun)) is not None:
                 return plan
@@ -194,9 +194,9 @@ class HorizonPlanner:
         return judge.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _way_out(self, context: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
-        """Return the path (N, 2) to the nearest unmeasured place if no guess measures anything.
+        """Return the path (N, 2) to the nearest unmeasured position if no guess measures anything.
 
-        None for terms that are not about measurements, or if no unmeasured place is left.
+        None if no term uses measurements, or if no unmeasured position is left.
         """
         terms = self.problem.terms
         if not any(term.is_measured for term in terms) or not all(

@@ -1,10 +1,10 @@
 """Reservations that robots keep clear of while others plan, and distances between robots.
 
-The *reservation* of a robot is the remainder of its last released plan, then braking and standing;
-before the first plan it is braking from the start. Each plan, its braking included, keeps the
-separation from the plans made in this step and from the reservations of the robots that plan later.
-So every robot can follow its reservation in place of a plan, and the reservations of the next step
-keep apart if those of this step do. Loading a problem checks that the starts keep apart.
+The *reservation* of a robot is the remainder of its last released plan, then braking and waiting.
+Before the first plan it is braking from the start. Each plan, including its braking, keeps the
+separation from the plans made in this step and from the reservations of robots that plan later.
+Every robot can therefore follow its reservation instead of a plan, and separated reservations stay
+separated in the next step. Loading a problem checks the separation of the starts.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planopt.world.moving_discs import MovingDiscs, joined_discs, predicted_disc
 
 
 def has_separation(problem: Problem) -> bool:
-    """Return whether a problem's robots must keep apart."""
+    """Return whether a problem's robots must keep a separation."""
     return len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
 
 
@@ -53,12 +53,12 @@ def reserved_motion(
 
 
 def planned_motion(problem: Problem, plan: Plan) -> TimedMotion:
-    """Return the motion of a plan, and of braking after it."""
+    """Return the motion of a plan, including braking after it."""
     return braked_motion(plan.positions_m, plan.drive, problem.planner.step_s)
 
 
 def beside(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> MovingDiscs:
-    """Return the discs to keep clear of: moving obstacles, and other robots if these keep apart."""
+    """Return the discs to avoid: moving obstacles, and other robots if a separation is required."""
     obstacles = obstacles_ahead(problem, driven)
     if not others or problem.constraints.separation_m == 0.0:
         return obstacles
@@ -76,12 +76,12 @@ def beside(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> 
 
 
 def others_of(motions: Sequence[TimedMotion], number: int) -> dict[int, TimedMotion]:
-    """Return the motions of all robots but one, by number."""
+    """Return the motions of all robots except one, by number."""
     return {other: motion for other, motion in enumerate(motions) if other != number}
 
 
 def beside_each_other(problem: Problem, driven: int, plans: Sequence[Plan]) -> list[Plan]:
-    """Return the plans of one step with the separation that they keep from each other."""
+    """Return the plans of one step with their mutual separations added."""
     motions = [planned_motion(problem, plan) for plan in plans]
     found: list[Plan] = []
     for number, plan in enumerate(plans):
@@ -93,7 +93,7 @@ def beside_each_other(problem: Problem, driven: int, plans: Sequence[Plan]) -> l
 
 
 def least_separations_m(motions: Sequence[TimedMotion]) -> NDArray[np.float64]:
-    """Return the least distance of any two robots during each step; ``(n,)``."""
+    """Return the minimum distance of any two robots during each step; ``(n,)``."""
     steps = motions[0].steps
     return np.min([step_distances_m(a, b, steps) for a, b in combinations(motions, 2)], axis=0)
 
@@ -101,7 +101,7 @@ def least_separations_m(motions: Sequence[TimedMotion]) -> NDArray[np.float64]:
 def least_moving_clearances_m(
     problem: Problem, motions: Sequence[TimedMotion]
 ) -> NDArray[np.float64]:
-    """Return the least true distance of any robot from a moving obstacle in each step; ``(n,)``."""
+    """Return the minimum true distance of robots to moving obstacles in each step; ``(n,)``."""
     steps, clearance = motions[0].steps, problem.constraints.clearance_m
     obstacles = problem.workspace.moving
     discs = predicted_discs(obstacles, 0.0, problem.planner.step_s, steps, clearance)

@@ -1,7 +1,7 @@
-"""Bounds of the rule of connectivity in a refinement, corrected by the local model's error.
+"""Bounds of the connectivity rule in a refinement, corrected by the local model's error.
 
 The required margins and sums are corrected by the error at the initial guess, and again at a
-returned path that misses the bound.
+returned path that violates the bound.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ LOCAL_PAD_DB = 0.04
 neighbours, 1,000 measurements, xi 4, beta 20 m)."""
 
 GIVEN_UP_DB = 1e-3
-"""Smaller slacks are the solver's tolerance."""
+"""Slack up to this value counts as solver tolerance."""
 
 MISSING_DB_COST = 100.0
-"""Cost of a missing dB in the solver if the bound cannot be kept."""
+"""Cost per dB of slack in the solver if the bound cannot be met."""
 
 
 def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
-    """Return the task with bounds that the guess keeps, and the least missing dB elsewhere.
+    """Return the task with bounds that the guess meets; elsewhere with the least shortfall.
 
     The initial guess stays feasible. Bounded slack is available to all steps at its price.
     """
@@ -56,10 +56,10 @@ def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
 def lacks(
     context: StepContext, rows: RuleRows, point: RefinedPath, *, firmly: bool = False
 ) -> bool:
-    """Return whether a returned path misses a bound that it keeps by the local model.
+    """Return whether a returned path violates a bound that it meets by the local model.
 
-    With `firmly` a margin within the error of the search's predictions counts as missed, since its
-    verification may be expensive.
+    With `firmly` a margin below the error of the search's predictions counts as a violation, since
+    its verification may be expensive.
     """
     if not len(point.slack_db) or not np.isfinite(point.path_m).all():
         return False
@@ -74,7 +74,7 @@ def lacks(
 
 
 def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: RefinedPath) -> PathTask:
-    """Return the task about a returned path, corrected by the error there."""
+    """Return the task corrected by the local model's error at a returned path."""
     task = moved(task, context, rows, point.path_m)
     if rows.weight is not None:
         return replace(task, total_bound=_wanted_total(task, context, rows)[0])
@@ -85,7 +85,7 @@ def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: Refin
 def moved(
     task: PathTask, context: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
 ) -> PathTask:
-    """Return the task about another path (N, 2), with the channel near it."""
+    """Return the task for another path (N, 2), with the local channel near it."""
     return replace(task, path_m=path_m, evaluate=local_value(context, path_m, rows))
 
 
@@ -106,9 +106,9 @@ def _with_total(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
 def _slack(
     context: StepContext, scale: float, missing_db: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """Return the limit of each row's slack, and its cost per dB in the solver.
+    """Return the limit of each row's slack, and the slack's cost per dB in the solver.
 
-    Rows that the guess misses by more than is allowed have no limit, and slack a high cost.
+    The limit is infinite for rows that the guess violates beyond the slack; slack then costs more.
     """
     rule = context.problem.constraints.rule
     allowed = rule.slack_max_db or 0.0
@@ -121,9 +121,9 @@ def _slack(
 def _wanted(
     task: PathTask, context: StepContext, rows: RuleRows
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the required local margins, and the local and exact ones of the guess.
+    """Return the required local margins, and the guess's local and exact margins.
 
-    The local model's error at the guess is added to the requirement.
+    The requirement includes the local model's error at the guess.
     """
     margins = task.evaluate(task.path_m).margins
     if margins is None:
@@ -133,7 +133,7 @@ def _wanted(
 
 
 def _wanted_total(task: PathTask, context: StepContext, rows: RuleRows) -> tuple[float, float]:
-    """Return the required local sum, and that of the guess."""
+    """Return the required local sum, and the guess's local sum."""
     total = task.evaluate(task.path_m).total
     if total is None:
         raise AssertionError("a bounded sum is there")
@@ -142,7 +142,7 @@ def _wanted_total(task: PathTask, context: StepContext, rows: RuleRows) -> tuple
 
 
 def _per_db(rows: RuleRows, power: Prediction) -> float:
-    """Return the slope of the sum by the lowering of the threshold in dB; not zero."""
+    """Return the derivative of the sum by the threshold reduction in dB; not zero."""
     if rows.weight is None:
         raise AssertionError("no sum is bounded")
     score = (power.mean_db - rows.threshold_dbm) / power.deviation_db

@@ -1,4 +1,4 @@
-"""The geometry of a run: obstacles and lattice, built once."""
+"""Geometry of a run: obstacles and lattice, built once."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from planopt.world.separation import PackedPieces, pack_pieces
 
 @dataclass(frozen=True)
 class Ground:
-    """The free space for planning: obstacles, convex pieces, lattice."""
+    """Free space for planning: obstacles, convex pieces, lattice."""
 
-    index: ObstacleIndex  # For the verifier: the obstacles as they are
-    pieces: PackedPieces  # For the solver: convex pieces
-    road_map: RoadMap  # The lattice graph
+    index: ObstacleIndex  # Exact obstacles, for the verifier
+    pieces: PackedPieces  # Convex pieces, for the solver
+    road_map: RoadMap  # Lattice graph
 
 
 def build_ground(
     problem: Problem, anchor_m: NDArray[np.float64], beside: Ground | None = None
 ) -> Ground:
-    """Return the geometry of a problem, with a node of the lattice at `anchor_m` (2,).
+    """Return the geometry of a problem, with a lattice node at `anchor_m` (2,).
 
-    The obstacles are taken from the ground `beside` of another robot, if there is one.
+    If the ground `beside` of another robot is given, its obstacles are reused.
     """
     workspace = problem.workspace
     return Ground(
@@ -44,7 +44,7 @@ def build_ground(
 def first_moves(
     ground: Ground, problem: Problem, position_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the nodes within one step of a position off the lattice, and their distances."""
+    """Return the nodes within one step of an off-lattice position, and their distances."""
     return nodes_in_reach(ground.road_map, ground.index, problem, position_m)
 
 
@@ -52,23 +52,23 @@ def first_moves(
 class Scene:
     """Geometry of a problem with a goal."""
 
-    ground: Ground  # With a node of the lattice at the goal
-    goal_node: int  # Number of this node
-    ways: CostToGo  # Shortest ways round the obstacles to the goal
+    ground: Ground  # Geometry with a lattice node at the goal
+    goal_node: int  # Index of this node
+    ways: CostToGo  # Shortest paths around obstacles to the goal
 
     @property
     def index(self) -> ObstacleIndex:
-        """Return the obstacles as they are, for the verifier."""
+        """Return the exact obstacles, for the verifier."""
         return self.ground.index
 
     @property
     def pieces(self) -> PackedPieces:
-        """Return convex pieces, for the solver."""
+        """Return the convex pieces, for the solver."""
         return self.ground.pieces
 
     @property
     def road_map(self) -> RoadMap:
-        """The lattice graph."""
+        """Lattice graph."""
         return self.ground.road_map
 
 
@@ -77,7 +77,7 @@ def build_scene(
     place_m: NDArray[np.float64] | None = None,  # (2,) the robot's position; None: the start
     beside: Ground | None = None,
 ) -> Scene:
-    """Return the geometry of a problem's first robot; raise a NoPlanError without a path."""
+    """Return the geometry of a problem's first robot; raise a NoPlanError if no path exists."""
     clearance, goal_m = problem.constraints.clearance_m, problem.goal_m
     goal = np.asarray(goal_m)
     ground = build_ground(problem, goal, beside)
@@ -100,7 +100,7 @@ def build_scene(
     here = np.asarray(problem.robots[0].start_m) if place_m is None else place_m
     nodes, _ = first_moves(ground, problem, here)
     if nodes.size == 0 and place_m is not None:
-        # The robot must first leave an obstacle that became known.
+        # The robot must first leave a newly discovered obstacle.
         return scene
     if nodes.size == 0 or not np.isfinite(scene.ways.cost_m[nodes]).any():
         raise NoPlanError(_why_no_way(problem, lattice.spacing_m, here))
@@ -110,7 +110,7 @@ def build_scene(
 def build_scenes(
     problem: Problem, places_m: Sequence[NDArray[np.float64]] | None = None
 ) -> tuple[Scene, ...] | None:
-    """Return the geometry of each robot with a goal, at positions (2,); None without goals."""
+    """Return the geometry of each robot at positions (2,); None for problems without goals."""
     if problem.task != "reach":
         return None
     scenes: list[Scene] = []
@@ -128,7 +128,7 @@ def build_scenes(
 
 
 def _why_no_way(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
-    """Return whether obstacles cut the goal off, or the lattice is too coarse."""
+    """Return whether obstacles cut the goal off or the lattice is too coarse, in words."""
     start_m = tuple(place_m.tolist())
     what = "start_m" if start_m == problem.robots[0].start_m else "the place"
     robot = replace(problem.robots[0], start_m=start_m)
@@ -152,7 +152,7 @@ def free_ends(
     Raises
     ------
     InputError
-        `ends_m` has another shape.
+        If the shape of `ends_m` is not (n, 2).
     """
     if np.ndim(ends_m) != 2 or np.shape(ends_m)[1] != 2:
         raise InputError(

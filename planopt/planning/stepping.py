@@ -1,6 +1,6 @@
-"""The robots of a run between its steps: beliefs, tracks and plans.
+"""State of a run's robots between steps: beliefs, tracks and plans.
 
-The simulation, or a user's own loop, alternates two calls of a :class:`Stepper`:
+The simulation or a user's own loop alternates two calls of a :class:`Stepper`:
 :meth:`Stepper.plan`, and :meth:`Stepper.observe` with the outcome.
 """
 
@@ -28,30 +28,30 @@ from planopt.world.workspace import Obstacle
 
 @dataclass(frozen=True, eq=False)
 class TeamMoment:
-    """The knowledge of each robot at one step."""
+    """Information of all robots at one step."""
 
     beliefs: Sequence[Belief]
     states: Sequence[NDArray[np.float64]]  # (s,)
-    watched: Sequence[Aim]  # Estimates of the target
+    watched: Sequence[Aim]  # External inputs of the objectives
     histories: Sequence[History]
     warm: Sequence[Plan | None]  # Previous plans
     driven_m: Sequence[NDArray[np.float64]] = ()  # (k, 2) positions after the steps so far
 
     @property
     def driven(self) -> int:
-        """Steps of the run before this one."""
+        """Number of steps of the run before this one."""
         return self.histories[0].steps
 
 
 PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
-"""From the knowledge of all robots to a plan for each and its external inputs."""
+"""Function from the robots' information to one plan per robot and its external inputs."""
 
 Planning = Callable[[Problem, Sequence[NDArray[np.float64]]], PlanStep]
-"""From the problem with the obstacles known now and the states of all robots to a planner."""
+"""Function from the problem with currently known obstacles and all states to a planner."""
 
 
 class Stepper:
-    """The robots of one run."""
+    """State of the robots of one run."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class Stepper:
         if now is not self.problem:
             self._know(now)
         warm = self._warm
-        # After an error there is no previous plan.
+        # An error leaves no previous plan.
         self._warm = [None for _ in warm]
         moment = TeamMoment(
             beliefs=self.beliefs,
@@ -110,13 +110,13 @@ class Stepper:
         return plans
 
     def _know(self, problem: Problem) -> None:
-        """Use the workspace of `problem` from now on, with a new planner."""
+        """Replace the workspace by that of `problem`, with a new planner."""
         self._plan_step = self._planning(problem, [driven[-1] for driven in self.states])
         self.problem = problem
         self.owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
 
     def add_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
-        """Add obstacles that are known from now on."""
+        """Add obstacles that become known now."""
         now_s = len(self.connected) * self.problem.planner.step_s
         workspace = self.problem.workspace
         later = [replace(one, known_from_s=now_s) for one in obstacles]
@@ -126,7 +126,7 @@ class Stepper:
     def place(
         self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
     ) -> None:
-        """Set the initial states, and add measurements there."""
+        """Set the initial states, and add measurements at the start."""
         self.beliefs = self._learnt(measured)
         self.states = [[state] for state in states]
 
@@ -137,7 +137,7 @@ class Stepper:
         connected: Sequence[bool] | NDArray[np.bool_],
         target_m: NDArray[np.float64] | None = None,  # (robots, 2)
     ) -> None:
-        """Record the outcome of a step; an error leaves the robots as they were."""
+        """Record the outcome of a step; an error leaves all robots unchanged."""
         beliefs = self._learnt(measured)
         links = np.vstack([self.connected, np.asarray(connected, dtype=np.bool_)])
         watch = self.watches[-1]
@@ -154,9 +154,9 @@ class Stepper:
         self.watches.append(watch)
 
     def _learnt(self, measured: Sequence[Sequence[Measurements]]) -> list[Belief]:
-        """Return the beliefs of all robots after measurements of each, by station."""
+        """Return all robots' beliefs updated with each one's measurements, by station."""
         if self.problem.channel.share_measurements:
-            # One update serves all robots.
+            # A shared belief needs only one update.
             taken = [each for each in measured if each]
             everyone = [reduce(join, station) for station in zip(*taken, strict=True)]
             return [learn_measured(self.problem, self.beliefs[0], everyone)] * len(self.beliefs)
@@ -168,8 +168,8 @@ class Stepper:
     def _goes_on(self, number: int, state: NDArray[np.float64]) -> bool:
         """Return whether a robot may continue its previous plan.
 
-        Off its plan, a robot with dynamics cannot drive the remainder, and others do not keep clear
-        of it.
+        Off its plan, a robot with dynamics cannot drive the remainder, and other robots do not keep
+        clear of it.
         """
         plan, robot = self._warm[number], self.problem.robots[number]
         if plan is None:

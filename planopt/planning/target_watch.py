@@ -1,8 +1,8 @@
-"""The target filters of robots and of their station.
+"""Target filters of the robots and of their base station.
 
-A robot's filter uses its own measurements. The station's uses those of packets that arrived
-(equation 4.9); packets with estimates carry all that their senders had measured, which bounds any
-fusion of the estimates of several robots. One generator draws everything random about the target.
+A robot's filter uses its own measurements. The station's filter uses those of received packets
+(equation 4.9). Packets with estimates carry all past measurements of their senders, which bounds
+any fusion of several robots' estimates. One generator draws all randomness about the target.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from planopt.targets.information_filter import (
 from planopt.targets.sensor import Sensor, noise_covariance_m2, sensing_information
 
 MOST_HELD = 8
-"""Number of recent steps whose unsent measurements a plan counts; older ones hardly matter."""
+"""Number of recent steps whose unsent measurements a plan uses; older ones hardly matter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sent:
-    """Measurements of the target after one step, and whose packets got through."""
+    """Target measurements after one step, and the delivery of their packets."""
 
     measured_m: NDArray[np.float64]  # (n, 2) measured target positions
     positions_m: NDArray[np.float64]  # (n, 2) positions of the robots
     seen: NDArray[np.bool_]  # (n,) whether a robot measured the target
-    delivered: NDArray[np.bool_]  # (n,) whether its packet of this step arrives
+    delivered: NDArray[np.bool_]  # (n,) whether its packet of this step is delivered
 
 
 @dataclass(frozen=True, eq=False)
 class TargetWatch:
-    """A target, and its estimates after some steps."""
+    """Target and its estimates after some steps."""
 
     model: TargetModel
     sensor: Sensor
@@ -54,15 +54,15 @@ class TargetWatch:
     robots: tuple[InformationState, ...]  # Each robot's own filter
     station: InformationState  # The station's filter
     packets: Packets = "measurements"
-    delay_steps: int = 0  # Time that packets take
+    delay_steps: int = 0  # Packet delay in steps
     sent: tuple[Sent, ...] = ()  # Measurements and packets after each step
-    # (steps, robots) whether the station knows the measurement now
+    # (steps, robots) whether the station has received the measurement
     known: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
-    # The station's filter at the start and after each step but the last
+    # The station's filter at the start and after each step except the last
     past: tuple[InformationState, ...] = ()
 
     def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
-        """Return the target track (steps, 2) that a robot expects from now on."""
+        """Return the target track (steps, 2) that a robot predicts from now."""
         state = self.robots[robot]
         return predict_target(self.model, state.mean, state.covariance, steps).positions_m
 
@@ -78,7 +78,7 @@ class TargetWatch:
 
 
 def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatch | None:
-    """Draw the target's path and the first estimate of it; None for a problem without target."""
+    """Draw the target's path and its initial estimate; None for a problem without a target."""
     if _sensor(problem) is None or not problem.targets:
         return None
     target = problem.targets[0]
@@ -91,12 +91,12 @@ def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatc
 
 
 def expected_target(problem: Problem) -> TargetWatch | None:
-    """Return the target as its table estimates it, with nothing drawn; None without target."""
+    """Return the target with the problem's expected estimate, without draws; None without one."""
     return _first_watch(problem, np.zeros((0, 2)), np.zeros(4))
 
 
 def _sensor(problem: Problem) -> Sensor | None:
-    """Return the sensor that the target is tracked by; None without one."""
+    """Return the sensor that tracks the target; None if there is none."""
     sensors = [term.sensor for term in problem.terms if term.sensor is not None]
     return sensors[0] if sensors else None
 
@@ -104,7 +104,7 @@ def _sensor(problem: Problem) -> Sensor | None:
 def _first_watch(
     problem: Problem, true_m: NDArray[np.float64], error: NDArray[np.float64]
 ) -> TargetWatch | None:
-    """Return the first estimate of a target with an error (4,) in standard deviations."""
+    """Return the initial estimate of a target with an error (4,) in standard deviations."""
     sensor = _sensor(problem)
     if sensor is None or not problem.targets:
         return None
@@ -133,7 +133,7 @@ def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
 
 
 def _held(watch: TargetWatch, robot: int) -> Held | None:
-    """Return the information that a robot holds and the station lacks; None without estimates."""
+    """Return a robot's information that the station lacks; None unless packets carry estimates."""
     if watch.packets != "estimates":
         return None
     count = len(watch.sent)
@@ -154,10 +154,10 @@ def _held(watch: TargetWatch, robot: int) -> Held | None:
 def counted(
     watch: TargetWatch,
     measured_m: NDArray[np.float64],  # (n, 2)
-    positions_m: NDArray[np.float64],  # (n, 2) where the robots are
-    delivered: NDArray[np.bool_],  # (n,) whose packet arrives at the station
+    positions_m: NDArray[np.float64],  # (n, 2) positions of the robots
+    delivered: NDArray[np.bool_],  # (n,) whether a robot's packet reaches the station
 ) -> TargetWatch:
-    """Return all filters a step later, after measurements of the target."""
+    """Return all filters one step later, updated with measurements of the target."""
     seen = np.asarray(np.isfinite(measured_m).all(axis=1), dtype=np.bool_)
     measured = np.where(seen[:, None], measured_m, positions_m)
     robots = tuple(
@@ -168,7 +168,7 @@ def counted(
     sent = (*watch.sent, Sent(measured, positions_m, seen, arrives))
     known = _known(sent, watch.packets, watch.delay_steps)
     past = (*watch.past, watch.station)
-    # Packets about earlier steps change the station's estimates after these.
+    # Packets about earlier steps also update the station's later estimates.
     before = watch.known if len(watch.known) else known[:0]
     changed = np.flatnonzero((known[:-1] != before).any(axis=1))
     first = int(changed[0]) if len(changed) else len(known) - 1
@@ -186,7 +186,7 @@ def counted(
 
 
 def _known(sent: Sequence[Sent], packets: Packets, delay_steps: int) -> NDArray[np.bool_]:
-    """Return which measurements the station knows after the last step; ``(steps, robots)``."""
+    """Return which measurements the station has after the last step; ``(steps, robots)``."""
     arrived = np.array([step.delivered for step in sent])
     arrived[len(sent) - min(delay_steps, len(sent)) :] = False
     if packets == "estimates":
@@ -202,7 +202,7 @@ def _counted(
     positions_m: NDArray[np.float64],
     delivered: NDArray[np.bool_],
 ) -> InformationState:
-    """Return a filter one step later, with the sensor noise at its own target estimate."""
+    """Return a filter one step later, with sensor noise evaluated at its own target estimate."""
     ahead = predict(watch.model, state)
     noise = noise_covariance_m2(watch.sensor, positions_m, ahead.mean[:2])
     return update(ahead, measured_m, noise, delivered)

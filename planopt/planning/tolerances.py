@@ -1,4 +1,4 @@
-"""The tolerances of planning, each with its reason, and margins of a problem's bound."""
+"""Tolerances of planning with their reasons, and margins of a problem's bound."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from planopt.channel.prediction import Prediction, bound_margin_db
 from planopt.problems.problem import Problem
 
 CLEARANCE_TOLERANCE_M = 1e-6
-"""Of the verifier: round-off of exact distances at coordinates of some hundred metres."""
+"""Verifier's tolerance: round-off of exact distances at coordinates of some hundred metres."""
 
 DYNAMICS_TOLERANCE_M = 1e-5
-"""Of the verifier: about the accuracy of IPOPT on steps of metres."""
+"""Verifier's tolerance: about the accuracy of IPOPT on steps of metres."""
 
 MARGIN_TOLERANCE_DB = 1e-6
-"""Of the verifier: round-off of an exact posterior; 1e-6 dB changes a probability by 1e-7."""
+"""Verifier's tolerance: round-off of an exact posterior; it changes a probability by 1e-7."""
 
 CLEARANCE_PAD_M = 1e-3
-"""Clearance that planners add, so that the solver's tolerance is no violation."""
+"""Clearance that planners add, so that the solver's tolerance causes no violation."""
 
 STEP_PAD_M = 1e-6
 """Length by which planners shorten steps, for the same reason."""
@@ -27,14 +27,14 @@ MARGIN_PAD_DB = 0.02
 """Connectivity margin that planners add, for the same reason."""
 
 STANDSTILL_M = 1e-3
-"""A step shorter than this does not count as moving."""
+"""Minimum length of a step that counts as motion."""
 
 RULE_TOLERANCE = 1e-7
-"""Of the verifier: :data:`MARGIN_TOLERANCE_DB` as a probability, or a share of a larger bound."""
+"""Verifier's tolerance: :data:`MARGIN_TOLERANCE_DB` as a probability, or relative to a bound."""
 
 
 def margins_asked_db(problem: Problem, power: Prediction) -> NDArray[np.float64]:
-    """Return the margin (n,) of p_min at each predicted place; it holds if this is at least 0."""
+    """Return the margin (n,) of p_min for each predicted power; the bound holds if it is >= 0."""
     return bound_margin_db(
         power.mean_db,
         power.deviation_db,

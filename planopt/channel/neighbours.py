@@ -1,12 +1,12 @@
-"""Nearest measurements of positions, and blocks of measurements with their neighbours.
+"""Nearest-neighbour search of measurements, and blocks of measurements with their neighbours.
 
-A k-d tree holds most of the measured positions; later ones are compared one by one until the tree
-is built again, because a robot's measurements come singly and a tree of 50,000 takes 15 ms.
+A k-d tree contains most of the measured positions. Later ones are compared one by one until the
+tree is rebuilt, because measurements arrive singly and a tree of 50,000 takes 15 ms to build.
 
 Approximate likelihoods divide measurements into compact blocks. A window is a block with the
-measurements nearest to it: among all others, or among earlier blocks (Vecchia's factorisation of a
-density into conditional ones). Blocks are ordered from coarse to fine: each one is the farthest
-from those before. Windows depend on positions, not on the order of rows, except for ties.
+measurements nearest to it, among all others or among earlier blocks (Vecchia's factorisation of a
+density into conditional ones). Blocks are ordered from coarse to fine: each is the farthest from
+all before. Windows depend on positions, not on the order of rows, except for ties.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ UNTREED_SHARE = 1.0 / 16.0
 """Maximum number of positions compared one by one, as a share of those in the tree."""
 
 BLOCK, BLOCK_NEIGHBOURS = 48, 128
-"""Measurements of a block, and near it in Vecchia's factorisation. On the three campus logs (3,401
-to 4,585 exact powers) the most likely xi, omega and beta are then within 0.07 standard errors of
-those by one factor of all, and theta within 0.11; 32 and 64 give 0.46 and 0.24, and 64 and 192
-take twice the time without a gain."""
+"""Block size, and number of neighbours in Vecchia's factorisation. On the three campus logs (3,401
+to 4,585 exact powers) the estimates of xi, omega and beta are then within 0.07 standard errors of
+the exact ones, and theta within 0.11. 32 and 64 give 0.46 and 0.24; 64 and 192 take twice the time
+without a gain."""
 
 PRESELECTED = 4
-"""Candidates by their distance from the block's bounding box, as a multiple of those required."""
+"""Ratio of candidates, preselected by distance from the block's bounding box, to neighbours."""
 
 
 class PlaceTree:
-    """Positions in the plane with a search by distance."""
+    """Search tree of positions in the plane."""
 
     def __init__(self, positions_m: NDArray[np.float64]) -> None:
         self._tree = KDTree(positions_m, balanced_tree=False)
@@ -51,21 +51,21 @@ class PlaceTree:
     ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Return indices of the `count` positions nearest to `centres_m` (k, 2), and distances.
 
-        Both ``(k, count)`` in ascending order; `count` is at most n. Positions beyond `within_m`
-        have index n and an infinite distance.
+        Both are ``(k, count)``, sorted by distance; `count` is at most n. Positions beyond
+        `within_m` have index n and an infinite distance.
         """
         distances, indices = self._tree.query(centres_m, count, distance_upper_bound=within_m)
-        # A single neighbour comes without an axis of its own.
+        # The tree drops the last axis for a single neighbour.
         shape = len(centres_m), count
         return np.asarray(indices, dtype=np.intp).reshape(shape), distances.reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceIndex:
-    """Measured positions with a search by distance, and a tree of the first of them."""
+    """Nearest-neighbour index of measured positions, with a tree of the earliest ones."""
 
     positions_m: NDArray[np.float64]  # (n, 2)
-    tree: PlaceTree | None = None  # None while positions are few
+    tree: PlaceTree | None = None  # None if there are few positions
 
     @staticmethod
     def of(positions_m: NDArray[np.float64]) -> PlaceIndex:
@@ -73,7 +73,7 @@ class PlaceIndex:
         return PlaceIndex(positions_m).grown(positions_m)
 
     def grown(self, positions_m: NDArray[np.float64]) -> PlaceIndex:
-        """Return the index of `positions_m` (n, 2), which begin with those of this one."""
+        """Return the index extended to `positions_m` (n, 2), which begin with those of this one."""
         treed = 0 if self.tree is None else len(self.tree)
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
         return PlaceIndex(positions_m, self.tree if keep else PlaceTree(positions_m))
@@ -83,9 +83,9 @@ class PlaceIndex:
         centres_m: NDArray[np.float64],  # (k, 2)
         count: int,
     ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Return the `count` nearest positions (k, count), unordered, and the largest distances^2.
+        """Return unsorted indices (k, count) of the nearest positions, and the largest distance^2.
 
-        All positions, at an infinite distance, if there are no more than `count`.
+        If there are at most `count` positions, all are returned, with infinite distances.
         """
         total = len(self.positions_m)
         if count >= total:
@@ -100,7 +100,7 @@ class PlaceIndex:
             in_tree, distance_m = self.tree.nearest(centres_m, min(count, treed))
             in_tree_m2 = distance_m * distance_m
             if count <= treed:
-                # Later positions beyond the farthest one so far are not candidates.
+                # Later positions beyond the farthest neighbour so far are not candidates.
                 nearer = (squared_m2 < in_tree_m2[:, -1:]).any(axis=0)
                 if not nearer.any():
                     return in_tree, in_tree_m2[:, -1]
@@ -108,26 +108,26 @@ class PlaceIndex:
             indices = np.concatenate([in_tree, indices], axis=1)
             squared_m2 = np.concatenate([in_tree_m2, squared_m2], axis=1)
         chosen = np.argpartition(squared_m2, count - 1, axis=1)[:, :count]
-        # Partitioning leaves the farthest of the chosen in the last column.
+        # Partitioning puts the farthest neighbour into the last column.
         farthest = np.take_along_axis(squared_m2, chosen[:, -1:], axis=1)[:, 0]
         return np.take_along_axis(indices, chosen, axis=1), farthest
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A block of measurements, and the measurements that it is conditioned on."""
+    """Block of measurements with the neighbours on which it is conditioned."""
 
-    near: NDArray[np.intp]  # (h,) numbers of the measurements conditioned on
-    own: NDArray[np.intp]  # (b,) numbers of the block's measurements
+    near: NDArray[np.intp]  # (h,) indices of the neighbours
+    own: NDArray[np.intp]  # (b,) indices of the block's measurements
 
     @property
     def rows(self) -> NDArray[np.intp]:
-        """``(h + b,)`` all numbers, the block's last."""
+        """Indices ``(h + b,)`` of the neighbours, then of the block."""
         return np.concatenate([self.near, self.own])
 
 
 def place_blocks(coordinates: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp], ...]:
-    """Divide positions (n, k) into compact blocks of nearly `most`; numbers ascend within each."""
+    """Divide positions (n, k) into compact blocks of nearly `most`, each with ascending indices."""
     blocks: list[NDArray[np.intp]] = []
     pending = [(np.arange(len(coordinates)), -(-len(coordinates) // most))]
     while pending:
@@ -147,7 +147,7 @@ def earlier_windows(
     blocks: tuple[NDArray[np.intp], ...],
     count: int,
 ) -> tuple[Window, ...]:
-    """Order blocks from coarse to fine, each with the `count` nearest of those before it."""
+    """Return blocks from coarse to fine, each with the `count` nearest in earlier blocks."""
     windows: list[Window] = []
     before = np.zeros(0, dtype=np.intp)
     for number in _coarse_to_fine(coordinates, blocks):
@@ -160,7 +160,7 @@ def earlier_windows(
 def later_windows(
     coordinates: NDArray[np.float64], index: PlaceIndex, count: int
 ) -> tuple[Window, ...]:
-    """Return each row of `coordinates` (n, 2) beyond `index` with the `count` nearest before it."""
+    """Return a window for each row of `coordinates` (n, 2) not in `index`, from earlier rows."""
     windows: list[Window] = []
     for row in range(len(index.positions_m), len(coordinates)):
         index = index.grown(coordinates[:row])
@@ -172,7 +172,7 @@ def later_windows(
 def surrounding_windows(
     coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...], count: int
 ) -> tuple[Window, ...]:
-    """Return each block with the `count` nearest of all measurements outside it."""
+    """Return each block with the `count` nearest measurements outside it."""
     everyone = np.arange(len(coordinates))
     return tuple(
         Window(_nearest_to(coordinates, own, np.delete(everyone, own), count), own)
@@ -183,7 +183,7 @@ def surrounding_windows(
 def _coarse_to_fine(
     coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...]
 ) -> list[int]:
-    """Return the most central block, then always the farthest from all before."""
+    """Return the order of blocks: the most central first, then always the farthest from all."""
     if not blocks:
         return []
     centres = np.array([coordinates[own].mean(axis=0) for own in blocks])
@@ -193,7 +193,7 @@ def _coarse_to_fine(
     for _ in blocks:
         order.append(number)
         squared_m2 = np.minimum(squared_m2, ((centres - centres[number]) ** 2).sum(axis=1))
-        # Blocks already in the order come last, even if others coincide with them.
+        # Blocks already in the order come last, even if other blocks coincide with them.
         squared_m2[number] = -1.0
         number = int(np.argmax(squared_m2))
     return order
@@ -205,7 +205,7 @@ def _nearest_to(
     others: NDArray[np.intp],
     count: int,
 ) -> NDArray[np.intp]:
-    """Return the `count` of `others` that are nearest to any of `own`; ascending."""
+    """Return the `count` indices in `others` nearest to any of `own`, ascending."""
     for reach, distance in ((PRESELECTED * count, _beyond_box_m2), (count, _to_any_m2)):
         if len(others) > reach:
             squared_m2 = distance(coordinates[own], coordinates[others])
@@ -221,6 +221,6 @@ def _beyond_box_m2(own: NDArray[np.float64], others: NDArray[np.float64]) -> NDA
 
 
 def _to_any_m2(own: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return squared distances of `others` (m, k) from the nearest of `own` (b, k); ``(m,)``."""
+    """Return squared distances of `others` (m, k) to the nearest of `own` (b, k); ``(m,)``."""
     apart = others[:, None] - own
     return np.einsum("mbk,mbk->mb", apart, apart).min(axis=1)

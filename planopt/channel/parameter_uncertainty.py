@@ -1,13 +1,13 @@
 """Prediction with the uncertainty of xi, beta and omega, in addition to that of theta.
 
-From few measurements the covariance is hardly known, and a prediction that takes its estimate as
-exact is overconfident. Here the posterior is a mixture over a small deterministic design
-of covariances, weighted by how likely each makes the measurements.
+Few measurements determine the covariance poorly, and a prediction that treats its estimate as exact
+is overconfident. Here the posterior is a mixture over a small deterministic design of covariances,
+weighted by their likelihood.
 
-The total variance alpha = xi^2 + omega^2 is integrated out in closed form: under the flat prior on
-log alpha the restricted likelihood of (xi^2 / alpha, beta) is that with alpha profiled out, and the
-prediction is Student's t with n - p degrees of freedom. Only two dimensions are left for the
-design, where the likelihood is walked along its principal axes.
+The total variance alpha = xi^2 + omega^2 is integrated out in closed form: under a flat prior on
+log alpha the restricted likelihood of (xi^2 / alpha, beta) equals the one with alpha profiled out,
+and the prediction is Student's t with n - p degrees of freedom. The design is a lattice in the
+remaining two dimensions along the principal axes of the likelihood.
 """
 
 from __future__ import annotations
@@ -37,29 +37,29 @@ from planopt.channel.prediction import Prediction, connection_probability
 from planopt.short_repr import short_repr
 
 STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
-"""Design points along each principal axis of the likelihood, in its standard deviations."""
+"""Design points along each principal axis of the likelihood, in standard deviations."""
 
 MAX_DEVIATION = 1.5
-"""Maximum standard deviation of log beta or logit(xi^2 / alpha): the design then spans a factor of
+"""Maximum standard deviation of log beta or logit(xi^2 / alpha); the design then spans a factor of
 400."""
 
 MIN_WEIGHT = 0.01
-"""Points with less weight are dropped: each costs a factor and a prediction."""
+"""Minimum weight of a design point, as each costs a factor and a prediction."""
 
 DIFFERENCE = 0.1
-"""Step of the differences that give the likelihood's curvature, in the same logarithms."""
+"""Finite-difference step for the likelihood's curvature, in log beta and logit(xi^2 / alpha)."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarginalPosterior:
-    """The channel given measurements, over several covariances.
+    """Posterior of the channel as a mixture over covariances.
 
     Attributes
     ----------
     components
-        A posterior for each covariance of the design.
+        Posteriors, one for each covariance of the design.
     weights
-        ``(k,)`` their probabilities; they sum to one.
+        ``(k,)`` probabilities of the components, with sum one.
     """
 
     components: tuple[ChannelPosterior, ...]
@@ -111,26 +111,26 @@ def marginalise(
     Parameters
     ----------
     parameters
-        The estimate, best the one by restricted likelihood: the design stands around it. Its
-        theta serves as in :func:`planopt.channel.posterior.condition`.
+        Estimated parameters, preferably by ``reml``, at the centre of the design. Their theta is
+        used as in :func:`planopt.channel.condition`.
     measurements
-        What it was estimated from. Censored ones count in every component's prediction but not in
-        the weights; where there are some, alpha is taken in proportion to the estimate's. Of more
-        than `MOST_DENSE` a fixed draw gives the weights.
+        Measurements of the estimate. Censored ones enter the predictions but not the weights; alpha
+        is then scaled to the estimate. The weights use a fixed random subset of at most
+        `MOST_DENSE` measurements.
     exact_limit
-        Beyond so many measurements every component predicts from the nearest, as in
-        :func:`planopt.channel.posterior.condition`: there are some 20, and each costs a factor.
+        Maximum number of measurements with a factor, as in :func:`planopt.channel.condition`; each
+        of the about 20 components needs one.
 
     Returns
     -------
     MarginalPosterior
-        With one component, the estimate, where the measurements do not allow to estimate a
-        covariance at all.
+        Mixture posterior; its only component is the estimate if the measurements do not identify a
+        covariance.
 
     Raises
     ------
     InputError
-        See :func:`planopt.channel.estimation.least_squares.examine`.
+        Nothing can be estimated from the measurements.
     """
     measurements = as_measurements(measurements)
     allows = examine(measurements, parameters.station)
@@ -145,7 +145,7 @@ def marginalise(
     low, high = allows.decorrelation_bounds_m
     top = math.log((1.0 - MIN_NUGGET_SHARE) / MIN_NUGGET_SHARE)
     box = np.array([[-top, top], [math.log(low), math.log(high)]])
-    # The likelihood's alpha has what rounding adds in it, which `condition` adds again.
+    # The likelihood's alpha includes the variance of rounding, which `condition` adds again.
     rounding = float(rounded_variance_db2(exact.resolution_db).mean())
     centre = np.clip(_coordinates(parameters, rounding), box[:, 0], box[:, 1])
     freedom = len(exact) - data.flat_columns().shape[1]
@@ -155,7 +155,7 @@ def marginalise(
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     kept = np.flatnonzero(weights >= MIN_WEIGHT)
-    # What is not censored varies less than the whole; the estimate has seen both. It is first.
+    # Uncensored powers vary less than all powers: scale to the estimate, the first design point.
     unseen = 1.0
     if measurements.censored.any():
         estimate = parameters.shadow_std_db**2 + parameters.multipath_std_db**2 + rounding
@@ -163,7 +163,7 @@ def marginalise(
     components: list[ChannelPosterior] = []
     for index in kept:
         share, beta = _values(points[index])
-        # The variance of Student's t is that of the normal at this alpha.
+        # A normal distribution with this alpha has the variance of Student's t.
         alpha = unseen * found[index][1] * freedom / (freedom - 2.0)
         nugget = (1.0 - share) * alpha
         nugget = max(nugget - rounding, MIN_NUGGET_SHARE * nugget)
@@ -192,7 +192,7 @@ def _design(
 ) -> NDArray[np.float64]:
     """Return points (k, 2) on a lattice along the principal axes of the likelihood."""
     curvature = np.empty((2, 2))
-    # One-sided where the box ends: the differences stand around a point moved inwards.
+    # Near the edge of the box the differences are taken around a point moved inwards.
     middle = np.clip(centre, box[:, 0] + DIFFERENCE, box[:, 1] - DIFFERENCE)
     first, second = DIFFERENCE * np.eye(2)
 
@@ -213,17 +213,17 @@ def _design(
     steps = np.stack(np.meshgrid(STEPS, STEPS), axis=-1).reshape(-1, 2)
     points = centre + (steps * deviations) @ axes.T
     inside = np.all((box[:, 0] <= points) & (points <= box[:, 1]), axis=1)
-    # The centre is inside up to rounding.
+    # The centre is added separately, because rounding may put it outside the box.
     return np.concatenate([centre[None], points[inside & steps.any(axis=1)]])
 
 
 def _likelihood(data: LikelihoodData, point: NDArray[np.float64]) -> tuple[float, float]:
-    """Return log likelihood with alpha integrated out, up to a constant, and the best alpha."""
+    """Return the log-likelihood with alpha integrated out, up to a constant, and the best alpha."""
     return profiled_log_likelihood(data, *_values(point))
 
 
 def _coordinates(parameters: ChannelParameters, rounding_db2: float) -> NDArray[np.float64]:
-    """Return (logit(xi^2 / alpha), log beta) of parameters and rounding, always finite."""
+    """Return finite (logit(xi^2 / alpha), log beta); alpha includes the variance of rounding."""
     multipath_std_db = math.hypot(parameters.multipath_std_db, math.sqrt(rounding_db2))
     shadow, multipath = (
         math.log(max(deviation, sys.float_info.min))
@@ -233,5 +233,5 @@ def _coordinates(parameters: ChannelParameters, rounding_db2: float) -> NDArray[
 
 
 def _values(point: NDArray[np.float64]) -> tuple[float, float]:
-    """Return (xi^2 / alpha, beta) of a point."""
+    """Return (xi^2 / alpha, beta) of a design point."""
     return 1.0 / (1.0 + math.exp(-point[0])), math.exp(point[1])

@@ -1,8 +1,8 @@
-"""The parameters of the channel model, path loss, and checks of positions and numbers.
+"""Parameters of the channel model, path loss, and validation of positions and numbers.
 
-Path loss, the mean of the received power, is linear in theta = (K_PL, n_PL). If the distances to
-the station hardly differ, n_PL is not identifiable: it is fixed at a prior value, whose uncertainty
-is part of the covariance of theta.
+The mean received power (path loss) is linear in theta = (K_PL, n_PL). If the distances to the
+station hardly differ, n_PL is not identifiable; it is then fixed at a prior value, whose
+uncertainty is part of the covariance of theta.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.errors import InputError
 
 MAX_COORDINATE_M = 1e12
-"""Largest coordinate: far beyond, squares of distances overflow."""
+"""Maximum magnitude of a coordinate, so that squared distances do not overflow."""
 
 MIN_DISTANCE_M = 0.1
-"""Least distance to the station, so that its logarithm is finite."""
+"""Minimum distance to the station, so that its logarithm is finite."""
 
 PRIOR_N_PL = 3.0
-"""n_PL without information from measurements: between free space and dense streets."""
+"""Prior mean of n_PL, between free space and dense streets."""
 
 PRIOR_N_PL_STD = 1.0
-"""Standard deviation of `PRIOR_N_PL`."""
+"""Prior standard deviation of n_PL."""
 
 
 def require_places(positions_m: ArrayLike, at_least: int = 1) -> NDArray[np.float64]:
-    """Return `positions_m` (h, 2) as floats, or raise an error that names what is wrong."""
+    """Return `positions_m` (h, 2) as floats, or raise an error if they are invalid."""
     remedy = f"give (h, 2) metres with h at least {at_least}"
     try:
         places = np.asarray(positions_m, dtype=np.float64)
@@ -60,7 +60,7 @@ def require_finite(value: float, key: str) -> float:
 
 
 def require_shadowing(shadow_std_db: float, decorrelation_m: float) -> None:
-    """Raise an error unless both parameters of shadowing are valid."""
+    """Raise an error if xi or beta is invalid."""
     if not (math.isfinite(shadow_std_db) and shadow_std_db >= 0.0):
         raise InputError(
             f"{shadow_std_db!r} dB is not a standard deviation",
@@ -83,26 +83,26 @@ def require_count(count: int, key: str) -> int:
 
 
 def leg_lengths_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return lengths of the straight legs between successive positions; (h, 2) -> (h - 1,)."""
+    """Return the leg lengths between successive positions; (h, 2) -> (h - 1,)."""
     step = np.diff(positions_m, axis=0)
     return np.hypot(step[:, 0], step[:, 1])
 
 
 @dataclass(frozen=True)
 class Station:
-    """The fixed base station, access point or gateway.
+    """Fixed base station, access point or gateway.
 
     Attributes
     ----------
     position_m
-        ``(x, y)`` in metres.
+        Position ``(x, y)`` in metres.
     height_m
-        Height of its antenna above the robots' antennas; distances are three-dimensional.
+        Height of the station's antenna above the robots' antennas; distances are three-dimensional.
 
     Raises
     ------
     InputError
-        A coordinate is not finite, or beyond `MAX_COORDINATE_M`.
+        A coordinate is not finite or exceeds `MAX_COORDINATE_M`.
     """
 
     position_m: tuple[float, float]
@@ -129,26 +129,26 @@ class ChannelParameters:
     Attributes
     ----------
     k_pl_db
-        K_PL: received power at one metre, in dBm; it includes the transmit power.
+        Received power K_PL at one metre in dBm, transmit power included.
     n_pl
-        n_PL: path loss exponent.
+        Path loss exponent n_PL.
     shadow_std_db
-        xi: standard deviation of shadowing.
+        Standard deviation xi of shadowing in dB.
     decorrelation_m
-        beta: decorrelation distance.
+        Decorrelation distance beta in metres.
     multipath_std_db
-        omega: standard deviation of multipath fading in dB.
+        Standard deviation omega of multipath fading in dB.
     station
-        The fixed station.
+        Fixed base station.
     forgetting_s
-        Time scale of a channel that changes: the covariance of shadowing also has the factor
+        Time scale of a time-varying channel, whose shadowing covariance has the additional factor
         ``exp(-age / forgetting_s)``. Infinite for a static channel.
 
     Raises
     ------
     InputError
-        A number is NaN, or infinite except for the last; a standard deviation is negative; or a
-        distance or time scale is not positive.
+        A number is NaN, a number other than `forgetting_s` is infinite, a standard deviation is
+        negative, or a distance or time scale is not positive.
     """
 
     k_pl_db: float
@@ -179,7 +179,7 @@ class ChannelParameters:
 
 
 def station_distance_m(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
-    """Return the spatial distance to the station, at least `MIN_DISTANCE_M`; (n, 2) -> (n,)."""
+    """Return the 3D distance to the station, at least `MIN_DISTANCE_M`; (n, 2) -> (n,)."""
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("...i,...i->...", offset, offset)
     return np.sqrt(np.maximum(square + station.height_m**2, MIN_DISTANCE_M**2))
@@ -194,12 +194,12 @@ def regressors(positions_m: NDArray[np.float64], station: Station) -> NDArray[np
 
 @dataclass(frozen=True)
 class MeanModel:
-    """Mean power = offset + columns @ coefficients."""
+    """Linear model of the mean power: offset + columns @ coefficients."""
 
     columns: NDArray[np.float64]  # (n, p); p = 2: the regressors gamma; p = 1: ones, for K_PL alone
     # (n,); zero for p = 2; the contribution of `PRIOR_N_PL` for p = 1
     offset_db: NDArray[np.float64]
-    # Mean of -10 log10 d over the exact measurements: how an error in n_PL moves K_PL
+    # Mean of -10 log10 d over the exact measurements, the sensitivity of K_PL to n_PL
     regressor_mean: float
 
     def theta(self, coefficients: NDArray[np.float64]) -> tuple[float, float]:
@@ -224,7 +224,7 @@ def mean_model(
     station: Station,
     n_pl_identifiable: bool,
 ) -> MeanModel:
-    """Return the mean model at `positions_m` (n, 2), of which `exact` (n,) are not censored."""
+    """Return the mean model at `positions_m` (n, 2); `exact` (n,) is false for censored ones."""
     gamma = regressors(positions_m, station)
     regressor_mean = float(gamma[exact if exact.any() else slice(None), 1].mean())
     if n_pl_identifiable:

@@ -1,4 +1,4 @@
-"""An estimated channel with its errors and warnings, and the bounds of all methods."""
+"""Estimated channel with standard errors and warnings, and parameter bounds of all methods."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
 FALLBACK_TOTAL_VARIANCE_DB2 = 45.0
-"""alpha = xi^2 + omega^2 where it cannot be estimated: xi = 6 dB, omega = 3 dB."""
+"""Assumed alpha = xi^2 + omega^2 if it cannot be estimated: xi = 6 dB, omega = 3 dB."""
 
 FALLBACK_CORRELATED_SHARE = 0.8
-"""xi^2 / alpha where the two cannot be told apart."""
+"""Assumed xi^2 / alpha if the two cannot be separated."""
 
 MIN_VARIANCE_DB2 = 0.01
-"""Least xi^2 and omega^2."""
+"""Lower bound of xi^2 and omega^2."""
 
 MIN_NUGGET_SHARE = 0.01
-"""Least omega^2 as a share of alpha: from few measurements the likelihood often puts it at 0,
-which makes kriging interpolate noise."""
+"""Lower bound of omega^2 as a share of alpha. With few measurements the likelihood often peaks at
+omega = 0, which would make kriging interpolate noise."""
 
 MAX_SHADOW_RATIO = 25.0
-"""Largest xi^2 as a multiple of the residual variance; the line absorbs part of slow shadowing, so
-xi^2 may exceed that variance."""
+"""Upper bound of xi^2 as a multiple of the residual variance. The line absorbs part of slow
+shadowing, so xi^2 may exceed that variance."""
 
 BOUND_TOLERANCE = 1e-3
-"""A value within this share of a bound counts as at the bound; solvers stop short of them."""
+"""Relative distance within which a value counts as at a bound, because solvers stop short of it."""
 
 
 @dataclass(frozen=True)
 class CovarianceBounds:
-    """Closed ranges of xi^2 (dB^2), omega^2 (dB^2) and beta (m)."""
+    """Bounds of xi^2 (dB^2), omega^2 (dB^2) and beta (m)."""
 
     shadow_db2: tuple[float, float]
     multipath_db2: tuple[float, float]
@@ -46,26 +46,26 @@ class CovarianceBounds:
 
 @dataclass(frozen=True)
 class CovarianceFit:
-    """xi^2, omega^2 and beta."""
+    """Estimated covariance parameters xi^2, omega^2 and beta with standard errors."""
 
     shadow_variance_db2: float
     multipath_variance_db2: float
     decorrelation_m: float
-    # Of xi (dB), omega (dB) and beta (m); math.inf where unknown
+    # Standard errors of xi (dB), omega (dB) and beta (m); math.inf if unknown
     standard_errors: tuple[float, float, float]
-    # Why a parameter is not determined by the measurements; empty when all are
+    # Warnings about parameters that the measurements do not determine
     warnings: tuple[str, ...]
 
     @property
     def values(self) -> tuple[float, float, float]:
-        """(xi^2, omega^2, beta)."""
+        """Estimates (xi^2, omega^2, beta)."""
         return self.shadow_variance_db2, self.multipath_variance_db2, self.decorrelation_m
 
 
 def covariance_bounds(
     residual_variance_db2: float, decorrelation_bounds_m: tuple[float, float]
 ) -> CovarianceBounds:
-    """Return bounds from the residual variance of the least-squares line and from the positions."""
+    """Return bounds from the least-squares line's residual variance and the range of beta."""
     floor = max(MIN_VARIANCE_DB2, MIN_NUGGET_SHARE * residual_variance_db2)
     high = max(MAX_SHADOW_RATIO * residual_variance_db2, 100.0 * MIN_VARIANCE_DB2)
     return CovarianceBounds((MIN_VARIANCE_DB2, high), (floor, high), decorrelation_bounds_m)
@@ -94,7 +94,7 @@ def from_correlation(
     count: int,
     bounds: CovarianceBounds,
 ) -> CovarianceFit:
-    """Set omega^2 = alpha - xi^2 (equation 2.3) and bring everything within `bounds`."""
+    """Return the fit with omega^2 = alpha - xi^2 (equation 2.3), clipped to `bounds`."""
     warnings: list[str] = []
     shadow = float(np.clip(shadow_variance_db2, *bounds.shadow_db2))
     shadow_error = errors[0] / (2.0 * math.sqrt(shadow))
@@ -129,7 +129,7 @@ def from_correlation(
 
 
 def at_bound(name: str, value: float, unit: str) -> str:
-    """Return the warning that a parameter is at the end of its range."""
+    """Return the warning that a parameter is at a bound."""
     return f"{name} is at a bound of its range ({value:.3g} {unit}): it is not determined"
 
 
@@ -139,7 +139,7 @@ Loss = Literal["squares", "huber", "absolute"]
 
 
 def require_method(method: str, key: str) -> FitMethod:
-    """Return the method of that name, or raise an error about the option `key`."""
+    """Return `method` if it exists, or raise an error about the option `key`."""
     if method not in get_args(FitMethod):
         remedy = f"use {', '.join(get_args(FitMethod))}"
         raise InputError(f"{method!r} is no method", key=key, remedy=remedy)
@@ -147,7 +147,7 @@ def require_method(method: str, key: str) -> FitMethod:
 
 
 def require_loss(loss: str, method: FitMethod, key: str) -> None:
-    """Refuse a loss that does not exist or that the method lacks; `key` names the option."""
+    """Raise an error about the option `key` if the method does not support the loss."""
     if loss not in get_args(Loss):
         raise InputError(f"{loss!r} is no loss", key=key, remedy=f"use {', '.join(get_args(Loss))}")
     if loss != "squares" and method != "convex":
@@ -158,46 +158,45 @@ def require_loss(loss: str, method: FitMethod, key: str) -> None:
 
 @dataclass(frozen=True)
 class OtherMode:
-    """Parameters at a maximum of the likelihood that is not the highest."""
+    """Parameters at a local maximum of the likelihood other than the global one."""
 
-    parameters: ChannelParameters  # There
-    log_likelihood: float  # Restricted
+    parameters: ChannelParameters
+    log_likelihood: float  # Restricted log-likelihood
 
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Estimated channel parameters.
+    """Estimated channel parameters with standard errors, status and warnings.
 
     Attributes
     ----------
     method
-        Method of estimation; ``given`` if all parameters, or all but path loss, were known.
+        Estimation method; ``given`` if all parameters, or all except path loss, were known.
     status
-        ``"ok"``; ``"weak"`` when a parameter is hardly determined, another set of parameters is
-        nearly as likely, or a value is not to be believed; ``"degenerate"`` when a parameter is not
-        determined at all (it is at a bound of its range, or a prior stands in). `warnings` say
-        which and why.
+        ``"ok"``, ``"weak"`` or ``"degenerate"``. It is weak if a parameter is hardly determined,
+        other parameters are nearly as likely, or a value is implausible. It is degenerate if a
+        parameter is not determined (it is at a bound, or an assumed value is used).
     parameters
-        The estimate; always usable: finite, with xi, omega and beta positive.
+        Estimated parameters; always finite, with positive xi, omega and beta.
     standard_errors
-        Of ``k_pl_db, n_pl, shadow_std_db, decorrelation_m, multipath_std_db``; ``math.inf`` where
-        unknown, never NaN.
+        Standard errors of ``k_pl_db, n_pl, shadow_std_db, decorrelation_m, multipath_std_db``;
+        ``math.inf`` if unknown, never NaN.
     theta_covariance
         ``(2, 2)`` covariance of (K_PL, n_PL), finite.
     measurements, censored
         Number of measurements, and of censored ones among them.
     warnings
-        What the user should know.
+        Messages for the user, with the reasons for the status.
     log_likelihood
-        Restricted log likelihood, for ``reml`` only.
+        Restricted log-likelihood; None for methods other than ``reml``.
     receiver_offsets
-        How much more each receiver but number 0 reads; empty where all measurements are by that.
+        Offsets of all receivers except number 0; empty if all measurements are from receiver 0.
     station_covariance_m2
-        ``(2, 2)`` covariance of the station's x and y where its position is estimated, ``inf`` on
-        the diagonal if it is not determined; None for a known position.
+        ``(2, 2)`` covariance of the estimated station position, with ``inf`` on the diagonal if it
+        is not determined; None for a known position.
     other_modes
-        Other maxima of the likelihood, for ``reml``, that are lower by no more than
-        :data:`planopt.channel.estimation.reml.NEARLY_AS_LIKELY`; the best first.
+        Other likelihood maxima of ``reml`` whose log-likelihood is lower by at most
+        :data:`planopt.channel.estimation.reml.NEARLY_AS_LIKELY`, the best first.
     """
 
     method: FitMethod | Literal["given"]

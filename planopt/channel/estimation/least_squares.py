@@ -1,13 +1,13 @@
-"""Path loss by least squares (equation 2.1), and the parameters that measurements can identify.
+"""Path loss by least squares (equation 2.1), and identifiability of the channel parameters.
 
-Five parameters are wanted (K_PL, n_PL, xi, beta, omega). Which of them the positions allow is a
-question of geometry and counts, answered before any estimation.
+The parameters are K_PL, n_PL, xi, beta and omega. The number and geometry of the positions decide
+which of them can be identified; this is checked before any estimation.
 
-With no censored measurement the line is theta-hat and alpha-hat of Lemma 1 of [GM11]. Censored
-powers are replaced by their expected values given that they are at most the floor, under the line
-and independent normal deviations of variance alpha, and the line is refitted until neither moves:
-the EM algorithm of Tobit regression. It ignores that shadowing is correlated. Receivers other than
-number 0 have a column each, so that residuals are free of their offsets.
+Without censored measurements the line gives theta-hat and alpha-hat of Lemma 1 of [GM11]. Censored
+powers are replaced by their expected values below the floor, given the line and independent normal
+residuals of variance alpha, and the line is refitted until convergence. This is the EM algorithm of
+Tobit regression; it ignores the correlation of shadowing. Each receiver except number 0 has its own
+column, so that residuals are free of receiver offsets.
 """
 
 from __future__ import annotations
@@ -31,36 +31,36 @@ from planopt.channel.parameters import ChannelParameters, MeanModel, Station, re
 from planopt.errors import InputError
 
 MIN_MEASUREMENTS_THETA = 3
-"""A line through two points has no residuals."""
+"""Minimum number of measurements for theta; a line through two points has no residuals."""
 
 MIN_MEASUREMENTS_COVARIANCE = 6
-"""xi, beta and omega need more values than the five parameters."""
+"""Minimum number of measurements for xi, beta and omega, one more than there are parameters."""
 
 MIN_REGRESSOR_SPREAD_DB = 0.2
-"""n_PL is identifiable when 10 log10 d varies by more than this (distances by 5 %)."""
+"""Minimum range of 10 log10 d for n_PL to be identifiable (distances vary by 5 %)."""
 
 LEAST_EXTENT_M = 1e-6
-"""Positions within a micrometre of each other are one place: squares of their distances would be
-lost to rounding."""
+"""Extent below which positions count as one, because squared distances would be lost to
+rounding."""
 
 FALLBACK_DECORRELATION_M = 10.0
-"""beta of fewer than two positions."""
+"""Assumed beta with fewer than two distinct positions."""
 
 
 @dataclass(frozen=True)
 class Identifiability:
     """Reasons why parameters cannot be identified, and the scales of the positions."""
 
-    n_pl_reason: str | None  # Why n_PL cannot be estimated, or None
-    covariance_reason: str | None  # Why xi, beta and omega cannot be estimated, or None
+    n_pl_reason: str | None  # Reason why n_PL cannot be estimated, or None
+    covariance_reason: str | None  # Reason why xi, beta and omega cannot be estimated, or None
     extent_m: float  # Diagonal of the bounding box of all positions
-    # Shortest and longest beta that can be told from 0 and from infinity: a third of the smallest
-    # useful spacing (where correlation has fallen to 5 %), and the extent
+    # Range of beta that can be distinguished from 0 and from infinity: a third of the smallest
+    # useful spacing (correlation 5 % at that spacing) to the extent
     decorrelation_bounds_m: tuple[float, float]
 
 
 def examine(measurements: Measurements, station: Station) -> Identifiability:
-    """Return which parameters of the channel to `station` the measurements can identify."""
+    """Check which parameters of the channel to `station` the measurements can identify."""
     require_usable(measurements, station)
     exact = ~measurements.censored
     positions = measurements.positions_m[exact]
@@ -76,7 +76,7 @@ def examine(measurements: Measurements, station: Station) -> Identifiability:
 
 
 def require_usable(measurements: Measurements, station: Station | None) -> None:
-    """Refuse measurements from which nothing can be estimated; raises as :func:`examine`."""
+    """Raise an error if nothing can be estimated from the measurements."""
     count = len(measurements)
     if count == 0:
         raise InputError("there are no measurements", remedy="give at least three")
@@ -99,7 +99,7 @@ def require_usable(measurements: Measurements, station: Station | None) -> None:
 
 
 def _n_pl_reason(positions: NDArray[np.float64], station: Station, count: int) -> str | None:
-    """Return why the line of power against log-distance has no slope to estimate."""
+    """Return the reason why n_PL cannot be estimated, or None."""
     if count < MIN_MEASUREMENTS_THETA:
         return f"{count} uncensored measurements are fewer than {MIN_MEASUREMENTS_THETA}"
     if float(np.ptp(regressors(positions, station)[:, 1])) < MIN_REGRESSOR_SPREAD_DB:
@@ -108,7 +108,7 @@ def _n_pl_reason(positions: NDArray[np.float64], station: Station, count: int) -
 
 
 def _covariance_reason(positions: NDArray[np.float64], count: int) -> str | None:
-    """Return why there is no empirical covariance to fit."""
+    """Return the reason why xi, beta and omega cannot be estimated, or None."""
     if count < MIN_MEASUREMENTS_COVARIANCE:
         return f"{count} uncensored measurements are fewer than {MIN_MEASUREMENTS_COVARIANCE}"
     if len(np.unique(positions, axis=0)) < MIN_MEASUREMENTS_THETA:
@@ -120,48 +120,48 @@ def _decorrelation_bounds_m(distinct: NDArray[np.float64], extent_m: float) -> t
     """Return bounds of beta from distinct positions (n, 2)."""
     if len(distinct) < 2:
         return FALLBACK_DECORRELATION_M, FALLBACK_DECORRELATION_M
-    # Not the least spacing: two fixes a centimetre apart say nothing of the design.
+    # A quantile is robust against two positions that happen to be a centimetre apart.
     spacing = max(float(np.quantile(nearest_distance_m(distinct), 0.05)), LEAST_EXTENT_M)
     return min(spacing, extent_m) / 3.0, extent_m
 
 
 def nearest_distance_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of each of several positions (n, 2) to the nearest other one; (n,)."""
+    """Return the distance of each position (n, 2) from its nearest neighbour; (n,)."""
     return PlaceTree(positions_m).nearest(positions_m, 2)[1][:, 1]
 
 
 MAX_SWEEPS = 500
 OFFSET_RIDGE = 1e-6
-"""Weight of a further measurement of each offset, of zero: it determines what nothing else does,
-such as the common part of all offsets where receiver 0 measured nothing."""
+"""Ridge weight of receiver offsets. It determines what the measurements do not, such as the common
+part of all offsets if receiver 0 has no measurements."""
 
 TOLERANCE_DB = 1e-6
-"""The line has converged when no fitted value moves by more."""
+"""Maximum change of a fitted value at convergence."""
 
 ROWS = 512
-"""Rows of the covariance that are held at once."""
+"""Number of rows of the covariance in memory at once."""
 
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """A fitted line."""
+    """Least-squares fit of the mean model."""
 
     coefficients: NDArray[np.float64]  # (p,) of the mean model (theta-hat for p = 2)
     residual_db: NDArray[np.float64]  # (n,) completed power minus the line, Y_c of equation 2.1
-    # alpha-hat: mean square of the residual, plus what censoring hides, less what rounding adds
-    # (Sheppard's correction); divided by n as printed
+    # alpha-hat: mean squared residual (divided by n), plus the conditional variance of censored
+    # powers, less the variance of rounding (Sheppard's correction)
     variance_db2: float
 
 
 def least_squares(model: MeanModel, measurements: Measurements) -> LeastSquares:
-    """Fit the line. At least one measurement must be uncensored."""
+    """Fit the line to measurements of which at least one is uncensored."""
     power = measurements.power_dbm - model.offset_db
     columns = np.column_stack([model.columns, receiver_columns(measurements)])
     inverse = _ridged_inverse(columns, model.columns.shape[1])
     censored = measurements.censored
     exact = ~censored
     limit = power[censored]
-    # Start from the uncensored line, so that floors do not flatten the slope.
+    # The initial guess uses uncensored powers, so that floors do not flatten the slope.
     coefficients = _ridged_inverse(columns[exact], model.columns.shape[1]) @ power[exact]
     variance = float(np.mean((power[exact] - columns[exact] @ coefficients) ** 2))
     completed = power.copy()
@@ -188,8 +188,8 @@ def coefficient_covariance(
 ) -> NDArray[np.float64]:
     """Return the covariance of the least-squares coefficients under correlated shadowing; (p, p).
 
-    (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance; the usual alpha (G'G)^-1 is
-    several times too small where beta spans many measurements.
+    It is (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance. The usual alpha (G'G)^-1 is
+    several times too small if beta spans many measurements.
     """
     columns = np.column_stack([model.columns, receiver_columns(measurements)])
     count = model.columns.shape[1]
@@ -209,13 +209,13 @@ def coefficient_covariance(
 
 
 def receiver_columns(measurements: Measurements) -> NDArray[np.float64]:
-    """Return indicators of all receivers but number 0; ``(n, R)``."""
+    """Return indicator columns of all receivers except number 0; ``(n, R)``."""
     numbers = np.unique(measurements.receiver)
     return (measurements.receiver[:, None] == numbers[numbers != 0]).astype(np.float64)
 
 
 def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
-    """Return the map from values (n,) to coefficients (q,), all but the first `free` ridged."""
+    """Return the map from values (n,) to coefficients (q,), with a ridge after the first `free`."""
     if columns.shape[1] == free:
         return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
     ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]
@@ -226,11 +226,11 @@ def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float
 def _expected_below(
     limit: NDArray[np.float64], mean: NDArray[np.float64], variance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and variance of N(mean, variance) given values of at most `limit`; (m,) each."""
+    """Return mean and variance of N(mean, variance) truncated at most to `limit`; (m,) each."""
     deviation = np.sqrt(max(variance, 1e-12))
     z = (limit - mean) / deviation
     log_below = np.asarray(log_ndtr(z), dtype=np.float64)
     hazard = np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - log_below)
     shrink = np.clip(hazard * (z + hazard), 0.0, 1.0)
-    # The clip holds the expectation below its limit where the ratio loses its digits.
+    # The minimum keeps the mean below its limit where the hazard loses precision.
     return np.minimum(mean - deviation * hazard, limit), deviation**2 * (1.0 - shrink)

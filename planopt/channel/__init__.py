@@ -1,6 +1,6 @@
-"""The radio channel: received power in space, fits, predictions, connection, ground truth.
+"""Radio channel: measurements, fits, predictions, connectivity and ground truth.
 
-Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+Names are imported on first use; the stub ``__init__.pyi`` lists them.
 """
 
 from planopt.lazy_names import lazy_names

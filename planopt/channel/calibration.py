@@ -1,17 +1,17 @@
-"""Predictions against outcomes: ratios over groups, and tables of reliability.
+"""Calibration of predictions: ratios over groups, and reliability tables.
 
-Powers of one walk, and steps of one run, belong together: thousands of them may say no more than a
-handful of independent ones. Intervals therefore count groups. The variance of a ratio of sums
-follows from how the groups differ from it (the linearised ratio estimator of cluster sampling), and
-Student's t with one degree of freedom less than groups allows for there being few.
+Powers of one walk, and steps of one run, are correlated: thousands of them may be worth only a
+handful of independent ones. Intervals are therefore based on groups. The variance of a ratio of
+sums is the linearised ratio estimator of cluster sampling, and quantiles are those of Student's t
+with one degree of freedom less than groups.
 
 A reliability table bins predictions by the predicted probability of connection and compares the
-mean of each bin with the realised share, with Korn and Graubard's interval for surveys of
-clusters ("Confidence intervals for proportions with small expected number of positive counts
-estimated from survey data", Survey Methodology 24(2), 1998): the variance of the share says how
-many independent outcomes the bin is equivalent to, and the exact binomial interval of that number
-follows. Unlike a bootstrap over groups, the interval has a width where every outcome is the same; a
-bin of one outcome only is then equivalent to as many outcomes as groups.
+mean of each bin with the realised share. Its intervals for cluster surveys are by Korn and Graubard
+("Confidence intervals for proportions with small expected number of positive counts estimated from
+survey data", Survey Methodology 24(2), 1998): the share's variance gives the effective number of
+independent outcomes, whose exact binomial interval is used. If all outcomes in a bin are equal, the
+effective number is the number of groups, so that the interval has a positive width, unlike that of
+a bootstrap over groups.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from planopt.errors import InputError
 
 @dataclass(frozen=True)
 class GroupedRatio:
-    """A ratio of sums with its interval.
+    """Ratio of sums over groups with its confidence interval.
 
     Attributes
     ----------
     value
-        The ratio.
+        Value of the ratio.
     low, high
-        Its 95 % interval, not below zero.
+        Bounds of the 95 % confidence interval, at least zero.
     """
 
     value: float
@@ -45,11 +45,11 @@ class GroupedRatio:
     high: float
 
     def share(self) -> GroupedRatio:
-        """Return a share, whose interval ends at one."""
+        """Return the ratio as a share, with an interval of at most one."""
         return GroupedRatio(self.value, self.low, min(self.high, 1.0))
 
     def root(self) -> GroupedRatio:
-        """Return the square root, for a ratio of squares."""
+        """Return the square root of a ratio of squares."""
         return GroupedRatio(math.sqrt(self.value), math.sqrt(self.low), math.sqrt(self.high))
 
 
@@ -61,13 +61,13 @@ def grouped_ratio(
     Parameters
     ----------
     numerators, denominators
-        ``(g,)`` sums of either within each group, not negative: squared errors and their number
-        for a mean squared error, powers inside an interval and all of them for its coverage.
+        ``(g,)`` non-negative sums within each group. For a mean squared error they are squared
+        errors and counts; for the coverage of an interval, powers inside it and all powers.
 
     Raises
     ------
     InputError
-        There are fewer than two groups, or nothing to divide by.
+        There are fewer than two groups, or the denominators sum to zero.
     """
     groups, total = len(numerators), float(denominators.sum())
     if groups < 2 or total <= 0.0:
@@ -89,20 +89,20 @@ def _ratio_error(numerators: NDArray[np.float64], denominators: NDArray[np.float
 
 
 EDGES = (0.0, 0.15, 0.35, 0.55, 0.75, 0.85, 0.925, 0.975, 0.995, 1.0)
-"""Of the bins of predicted probability; the last one includes its upper end. No bin begins or ends
-at a probability that problems usually require, since plans keep these to the last digit."""
+"""Edges of the bins of predicted probability; the last bin includes 1. No edge is a typical
+required probability, because plans often satisfy the chance constraint with equality."""
 
 FEWEST_GROUPS = 5
-"""Fewer groups give no interval."""
+"""Minimum number of groups for an interval."""
 
 
 @dataclass(frozen=True)
 class ReliabilityBin:
-    """Predictions of similar probability, and what came of them."""
+    """Bin of a reliability table: predicted probability and realised share."""
 
     low: float  # Range of the predicted probability
     high: float
-    count: int  # How many predictions, and of how many groups
+    count: int  # Numbers of predictions and of groups
     groups: int
     predicted: float  # Mean predicted probability of connection
     realised: float  # Share that was connected
@@ -111,7 +111,7 @@ class ReliabilityBin:
 
     @property
     def agrees(self) -> bool | None:
-        """Return whether the interval holds the mean prediction; None without an interval."""
+        """Return whether the interval contains the mean prediction; None without an interval."""
         if self.interval is None:
             return None
         return self.interval[0] <= self.predicted <= self.interval[1]
@@ -122,7 +122,7 @@ def reliability(
     realised: NDArray[np.bool_],  # (n,)
     group_of: NDArray[np.intp],  # (n,)
 ) -> tuple[ReliabilityBin, ...]:
-    """Tabulate predicted against realised connection."""
+    """Return the reliability table of predicted probabilities and realised connections."""
     if not predicted.shape == realised.shape == group_of.shape:
         raise InputError(
             f"{predicted.size} predictions, {realised.size} outcomes and {group_of.size} groups "
@@ -154,7 +154,7 @@ def share_interval(
     connected: NDArray[np.float64],  # (g,)
     sizes: NDArray[np.float64],  # (g,)
 ) -> tuple[float, float]:
-    """Return Korn and Graubard's 95 % interval of a share."""
+    """Return Korn and Graubard's 95 % interval of the share of connected outcomes."""
     groups, count = len(sizes), float(sizes.sum())
     share = float(connected.sum()) / count
     variance = _ratio_error(connected, sizes) ** 2

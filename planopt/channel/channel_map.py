@@ -1,4 +1,4 @@
-"""The posterior on a grid: mean, standard deviation and probability of connection."""
+"""Map of the posterior: mean, standard deviation and probability of connection on a grid."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ CELLS_ALONG = 200
 MAX_CELLS = 4_000_000
 
 EXACT_OPERATIONS = 2e11
-"""All measurements are used while their squared number times the cells is below this."""
+"""Maximum product of squared number of measurements and cells for an exact map."""
 
 NEIGHBOURS = 256
-"""Minimum number of nearest measurements per cell beyond that. On the three campus logs (4,193 to
-5,006 measurements, up to 869 of them censored) the error of the mean is 0.003 dB on average and
-0.25 dB at most, that of the standard deviation (7.5 dB) at most 0.06 %; without a factor, with
-theta and sites from neighbours too, 0.022 dB, 0.26 dB and 0.6 %."""
+"""Minimum number of nearest measurements per cell of an approximate map. On the three campus logs
+(4,193 to 5,006 measurements, up to 869 censored) the mean's error is 0.003 dB on average and at
+most 0.25 dB, that of the standard deviation (7.5 dB) at most 0.06 %. Without a factor, with theta
+and sites from neighbours too, they are 0.022 dB, 0.26 dB and 0.6 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class PosteriorMap:
-    """Predicted power on a grid.
+    """Predicted power and probability of connection on a grid.
 
     Attributes
     ----------
     mean_db
         Predicted power in dBm.
     deviation_db
-        Its standard deviation, as in :class:`planopt.channel.prediction.Prediction`.
+        Standard deviation of the power, as in :class:`planopt.channel.Prediction`.
     connectivity
-        P(power >= `threshold_dbm`).
+        Probability of connection, P(power >= `threshold_dbm`).
     threshold_dbm
-        Upsilon_TH.
+        Minimum power Upsilon_TH for a connection.
     posterior
-        ``exact``, or ``neighbours:256`` if only the nearest measurements were used.
+        Kind of posterior: ``exact``, or ``neighbours:256`` if it used the nearest measurements.
     """
 
     mean_db: Raster
@@ -65,8 +65,8 @@ class PosteriorMap:
     def to_xarray(self) -> Any:
         """Return the map as an ``xarray.Dataset`` with the coordinates ``y_m`` and ``x_m``.
 
-        The variables are ``mean_dbm``, ``deviation_db`` and ``connectivity``, with their units; the
-        threshold and the kind of posterior are attributes of the dataset.
+        The variables ``mean_dbm``, ``deviation_db`` and ``connectivity`` have units. The threshold
+        and the kind of posterior are attributes of the dataset.
 
         Raises
         ------
@@ -102,24 +102,24 @@ class PosteriorMap:
 def posterior_map(
     posterior: ChannelPosterior, bounds_m: Bounds, cell_m: float, threshold_dbm: float
 ) -> PosteriorMap:
-    """Predict on a grid (equation 1.8).
+    """Predict power and connectivity on a grid (equation 1.8).
 
     Parameters
     ----------
     posterior
-        The channel conditional on measurements.
+        Channel conditional on measurements.
     bounds_m
-        ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left.
+        ``(x_min, y_min, x_max, y_max)``, covered by whole cells from the lower left corner.
     cell_m
-        Cell side.
+        Cell side in metres.
     threshold_dbm
-        Upsilon_TH.
+        Minimum power Upsilon_TH for a connection.
 
     Raises
     ------
     InputError
-        The posterior is not a ChannelPosterior, the bounds are not ordered, the cell is not
-        positive, there would be too many cells, or the threshold is not finite.
+        The posterior is not a ChannelPosterior, the bounds are not ordered, the cell side is not
+        positive, there are too many cells, or the threshold is not finite.
 
     Examples
     --------
@@ -179,7 +179,7 @@ def posterior_map(
 
 
 def default_cell_m(bounds_m: Bounds) -> float:
-    """Return the cell side, of two digits, for `CELLS_ALONG` cells along the longer side."""
+    """Return the cell side, rounded to two digits, for `CELLS_ALONG` cells on the longer side."""
     x_min, y_min, x_max, y_max = bounds_m
     return float(f"{max(x_max - x_min, y_max - y_min) / CELLS_ALONG:.2g}")
 

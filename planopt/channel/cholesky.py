@@ -1,7 +1,7 @@
 # pyright: basic
-"""Cholesky factors with types: the boundary to LAPACK, which ships none.
+"""Typed wrappers of LAPACK's Cholesky factorisations and triangular solves.
 
-Estimates take many small factorisations, which gain nothing from BLAS threads: on a busy machine
+Fits need many small factorisations, which do not benefit from BLAS threads: on a busy machine,
 waiting threads made a fit of 102 measurements take 6 s instead of 20 ms. :func:`one_blas_thread`
 also makes results independent of the number of cores.
 """
@@ -14,7 +14,7 @@ from functools import cache
 
 import numpy as np
 
-# NumPy's and SciPy's BLAS must be loaded before the controller looks for them.
+# NumPy's and SciPy's BLAS must be loaded before the controller searches for them.
 import scipy.linalg  # noqa: F401  # pyright: ignore[reportUnusedImport]
 from numpy.typing import NDArray
 from scipy.linalg import get_blas_funcs, get_lapack_funcs, solve_triangular
@@ -22,18 +22,18 @@ from threadpoolctl import ThreadpoolController
 
 from planopt.errors import InputError
 
-# By name: they exist in the compiled module alone, where a type checker cannot see them.
+# Looked up by name, because a type checker cannot see into the compiled module.
 FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
     ("potrf", "potri", "trtri", "trtrs"), dtype=np.float64
 )
 (SYMMETRIC,) = get_blas_funcs(("symm",), dtype=np.float64)
 
 INVERTED_ROWS = 64
-"""Larger factors are inverted by halves: LAPACK took 2.5 times as long at 144 rows."""
-
+"""Maximum number of rows that LAPACK inverts directly. Larger factors are inverted by halves, which
+is 2.5 times as fast at 144 rows."""
 
 PUT_ROWS = 64
-"""Rows of a factor copied together: copying whole halves takes half as long as the factor."""
+"""Number of rows of a factor copied at once, which avoids copying the unused half."""
 
 
 def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -42,20 +42,20 @@ def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def whitened_by(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return L^-1 `right` (n, m) with L of :func:`lower_factor`; `matrix` is overwritten."""
+    """Return L^-1 `right` (n, m), L the factor of `matrix`, which is overwritten."""
     return factor_and_whitened(matrix, right)[1]
 
 
 def factor_and_whitened(
     matrix: NDArray[np.float64], right: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return L (n, n), undefined above its diagonal, and L^-1 `right`; `matrix` is overwritten."""
+    """Return L (n, n), undefined above the diagonal, and L^-1 `right`; `matrix` is overwritten."""
     factor = _half_factor(matrix, overwrite=True)
     return factor, solve_lower(factor, right)
 
 
 def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> None:
-    """Write :func:`lower_factor` of `matrix`, which is overwritten, to the zeros `into` (n, n)."""
+    """Write the factor of `matrix`, which is overwritten, into the zero matrix `into` (n, n)."""
     factor = _half_factor(matrix, overwrite=True)
     for start in range(0, len(into), PUT_ROWS):
         rows = slice(start, start + PUT_ROWS)
@@ -64,10 +64,10 @@ def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> 
 
 
 def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.float64]:
-    """Return L in C order, undefined above its diagonal.
+    """Return L in C order, undefined above the diagonal.
 
-    The transpose is the same matrix in LAPACK's order: copying it, and clearing the other half,
-    would take as long as the factor at 512 rows.
+    LAPACK gets the transpose, because copying to Fortran order and clearing the other half would
+    take as long as the factorisation at 512 rows.
     """
     factor, info = FACTOR(matrix.T, lower=False, clean=False, overwrite_a=overwrite)
     if info != 0:
@@ -78,7 +78,7 @@ def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.flo
 def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return L^-1 `right`, for `right` (n,) or (n, m)."""
     # SciPy's wrapper costs more than solving a small system. A factor in C order is passed as its
-    # transpose, because it would be copied otherwise.
+    # transpose to avoid a copy.
     if not right.size:
         return np.zeros_like(right)
     if lower.flags.f_contiguous:
@@ -97,7 +97,7 @@ def lower_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
 def factor_and_inverse(
     matrix: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the diagonal of L (n,) and L^-1 (n, n); fast for some hundred rows."""
+    """Return the diagonal of L (n,) and L^-1 (n, n); fast for a few hundred rows."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
@@ -140,7 +140,7 @@ def symmetric_product(
 def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return (L L')^-1, symmetric; (n, n)."""
     if not len(lower):
-        # LAPACK prints a complaint about an empty matrix.
+        # LAPACK prints a warning for an empty matrix.
         return np.zeros_like(lower)
     half, _ = INVERT(lower, lower=True)
     return half + np.tril(half, -1).T
@@ -152,8 +152,8 @@ def log_determinant(lower: NDArray[np.float64]) -> float:
 
 
 DETERMINED = 1e-10
-"""A value is determined by earlier ones if its conditional variance is below this share of the
-largest variance."""
+"""Conditional variance, as a share of the largest variance, below which earlier values determine a
+value."""
 
 
 def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -168,7 +168,7 @@ def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         rest = covariance[column:, column] - lower[column:, :column] @ lower[column, :column]
         if rest[0] > DETERMINED * scale:
             lower[column:, column] = rest / np.sqrt(rest[0])
-    # The neglected part of a determined value is at most the root of its remaining variance.
+    # The error of a determined value is at most the root of its remaining variance.
     if not np.abs(lower @ lower.T - covariance).max() <= 2.0 * np.sqrt(DETERMINED) * abs(scale):
         raise InputError(
             "the matrix is not a covariance: it is not positive semidefinite", key="covariance_db2"
@@ -178,23 +178,23 @@ def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @contextmanager
 def one_blas_thread() -> Generator[None]:
-    """Limit BLAS to one thread inside; a context manager, or a decorator when called."""
+    """Limit BLAS to one thread; usable as a context manager or, called, as a decorator."""
     with _controller().limit(limits=1, user_api="blas"):  # pyright: ignore[reportUnknownMemberType]
         yield
 
 
 @cache
 def _controller() -> ThreadpoolController:
-    """Find the loaded libraries once, because that takes milliseconds."""
+    """Return the controller of the loaded libraries, cached as the search takes milliseconds."""
     return ThreadpoolController()
 
 
 SOLVE_BLOCK = 136
-"""Rows solved together; powers of two are slower because of cache conflicts."""
+"""Number of rows solved at once; powers of two cause cache conflicts."""
 
 
 def unwhiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return L'^-1 `columns` (n, m), by blocks as :func:`whiten`."""
+    """Return L'^-1 `columns` (n, m), computed by blocks as in :func:`whiten`."""
     solved = np.array(columns, dtype=np.float64)
     for start in range((len(lower) - 1) // SOLVE_BLOCK * SOLVE_BLOCK, -1, -SOLVE_BLOCK):
         rows, below = slice(start, start + SOLVE_BLOCK), slice(start + SOLVE_BLOCK, None)
@@ -204,7 +204,7 @@ def unwhiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArra
 
 
 def whiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return L^-1 `columns` (n, m), by blocks, because LAPACK would copy a view of a buffer."""
+    """Return L^-1 `columns` (n, m) by blocks, because LAPACK would copy a view of a buffer."""
     solved = np.array(columns, dtype=np.float64)
     for start in range(0, len(lower), SOLVE_BLOCK):
         rows = slice(start, start + SOLVE_BLOCK)

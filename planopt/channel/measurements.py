@@ -1,4 +1,4 @@
-"""Power measurements: a table of positions, powers, and their errors."""
+"""Power measurements: a table of positions and powers with their errors."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from planopt.errors import InputError, listed
 from planopt.short_repr import short_repr
 
 MAX_POWER_DB = 1e6
-"""Largest magnitude of a power: far beyond, its squares overflow."""
+"""Maximum magnitude of a power, so that squares do not overflow."""
 
 LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
-"""Range of powers that a receiver can report: the noise floor of any bandwidth is above the least,
-and 100 dBm are ten megawatts."""
+"""Range of powers that a receiver can report, from below the noise floor of any bandwidth to ten
+megawatts."""
 
 
 class Frame(Protocol):
-    """A table with named columns, such as a DataFrame of pandas or polars."""
+    """Table with named columns, such as a DataFrame of pandas or polars."""
 
     @property
     def columns(self) -> Any:
@@ -30,46 +30,46 @@ class Frame(Protocol):
         ...
 
     def __getitem__(self, name: str, /) -> Any:
-        """Return the column of a name."""
+        """Return a column by name."""
         ...
 
 
 Table = Mapping[str, Any] | Frame
-"""Columns of equal length by name: a dictionary of lists or arrays, or a DataFrame."""
+"""Table with columns of equal length: a dictionary of lists or arrays, or a DataFrame."""
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """Received power at known positions (Y of equation 1.3).
+    """Measurements of received power at known positions (Y of equation 1.3).
 
-    Columns may be lists or columns of a DataFrame; :func:`as_measurements` takes whole tables.
+    Columns may be lists or columns of a DataFrame; :func:`as_measurements` converts whole tables.
 
     Attributes
     ----------
     positions_m
-        ``(n, 2)`` metres.
+        ``(n, 2)`` positions in metres.
     power_dbm
         ``(n,)`` received power in dBm.
     censored
-        ``(n,)`` true where the power is only known to be *at most* ``power_dbm`` (the receiver's
-        floor). Default: none is.
+        ``(n,)`` true for left-censored powers, for which ``power_dbm`` is only an upper limit (the
+        receiver's sensitivity). Default: all false.
     resolution_db
-        ``(n,)`` step of the receiver's scale: the power is within half of it of ``power_dbm``;
-        zero for a power that was not rounded. Default: all zero.
+        ``(n,)`` rounding step of the receiver; the power is within half a step of ``power_dbm``.
+        Zero for an unrounded power. Default: all zero.
     position_std_m
-        ``(n,)`` standard deviation of the error of either coordinate (GPS). Default: all zero.
+        ``(n,)`` standard deviation of the position error per coordinate (GPS). Default: all zero.
     time_s
-        ``(n,)`` time of the measurement, for channels that change. Default: all zero.
+        ``(n,)`` time of the measurement, for time-varying channels. Default: all zero.
     receiver
-        ``(n,)`` number of the receiver; predictions are for number 0, others may have an offset.
+        ``(n,)`` number of the receiver. Predictions are for number 0; others may have an offset.
         Default: all 0.
 
     Raises
     ------
     InputError
-        A column is no array of numbers, shapes differ, a number is not finite, a coordinate or a
-        power is beyond `MAX_COORDINATE_M` or `MAX_POWER_DB`, or a resolution or standard deviation
-        is negative.
+        A column is not a numeric array, shapes differ, a number is not finite, a coordinate exceeds
+        `MAX_COORDINATE_M` or a power `MAX_POWER_DB`, or a resolution or standard deviation is
+        negative.
     """
 
     positions_m: NDArray[np.float64]
@@ -136,7 +136,7 @@ class Measurements:
 
 
 def as_measurements(data: Measurements | Table) -> Measurements:
-    """Return measurements as they are, or convert a table."""
+    """Return measurements unchanged, or convert a table to measurements."""
     if isinstance(data, Measurements):
         return data
     try:
@@ -167,7 +167,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
 
 
 def as_received(data: Measurements | Table) -> Measurements:
-    """Return measurements as :func:`as_measurements` does, if a receiver can report all powers."""
+    """Convert as :func:`as_measurements`; raise an error if a receiver cannot report a power."""
     received = as_measurements(data)
     power = received.power_dbm
     within = (power >= LEAST_POWER_DBM) & (power <= LARGEST_POWER_DBM)
@@ -186,15 +186,15 @@ _KINDS: dict[str, tuple[type[np.generic], str]] = {
     "censored": (np.bool_, "true or false"),
     "receiver": (np.intp, "whole numbers"),
 }
-"""Type of each field that has no floats, and its name in messages."""
+"""Types of the fields that are not floats, with their names in messages."""
 
 
 def _array(name: str, values: Any) -> NDArray[Any]:
-    """Return the values of a field as an array of its type."""
+    """Return the values of a field as an array of the field's type."""
     kind, words = _KINDS.get(name, (np.float64, "numbers"))
     try:
         array = np.asarray(values)
-        # Text that looks like a number is a column that was not converted.
+        # Numbers as text are rejected: the column was not converted.
         text = array.dtype.kind == "O" and any(isinstance(value, str) for value in array.flat)
         if text or array.dtype.kind not in "biufO":
             raise ValueError
@@ -210,7 +210,7 @@ def _array(name: str, values: Any) -> NDArray[Any]:
 
 def join(first: Measurements, second: Measurements) -> Measurements:
     """Join two sets of measurements, `first` before `second`."""
-    # Both have been validated; validating 50,000 again takes longer than a planner's map.
+    # Both are valid already; validating 50,000 rows again takes longer than a planner's map.
     joined = object.__new__(Measurements)
     for part in fields(Measurements):
         both = (getattr(first, part.name), getattr(second, part.name))

@@ -1,4 +1,4 @@
-"""Predicted power, its terms for a given theta, and the probability of connection."""
+"""Predicted power, its kriging terms, and the probability of connection."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Prediction:
     Attributes
     ----------
     mean_db
-        ``(n,)`` dBm.
+        ``(n,)`` predicted mean in dBm.
     deviation_db
-        ``(n,)`` standard deviation of the power that would be measured: shadowing, multipath and
-        the uncertainty of theta.
+        ``(n,)`` standard deviation of the power that would be measured, from shadowing, multipath
+        and the uncertainty of theta.
     """
 
     mean_db: NDArray[np.float64]
@@ -30,13 +30,13 @@ class Prediction:
     __repr__ = short_repr
 
     def at(self, rows: NDArray[np.intp]) -> Prediction:
-        """Return the prediction at some of the places."""
+        """Return the prediction at a subset of the positions."""
         return Prediction(self.mean_db[rows], self.deviation_db[rows])
 
 
 @dataclass(frozen=True)
 class KrigingTerms:
-    """Parts of a prediction that do not depend on theta (equation 1.6), for n places."""
+    """Terms of a prediction at n positions that do not depend on theta (equation 1.6)."""
 
     data_db: NDArray[np.float64]  # (n,) a = phi' U^-1 y
     trend: NDArray[np.float64]  # (n, 2) varphi = gamma - Gamma' U^-1 phi
@@ -46,7 +46,7 @@ class KrigingTerms:
 def combine(
     terms: KrigingTerms, theta: NDArray[np.float64], theta_covariance: NDArray[np.float64]
 ) -> Prediction:
-    """Combine to mean a + varphi' theta and variance s + varphi' M varphi (equation 1.8)."""
+    """Return mean a + varphi' theta and variance s + varphi' M varphi (equation 1.8)."""
     first, second = terms.trend[..., 0], terms.trend[..., 1]
     mean = terms.data_db + first * theta[0] + second * theta[1]
     variance = terms.variance_db2 + (
@@ -70,7 +70,7 @@ def bound_margin_db(
 ) -> NDArray[np.float64]:
     """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2).
 
-    Negative if P(power >= threshold) >= `p_min` is violated, NaN where the prediction is.
+    It is negative if the chance constraint P(power >= threshold) >= `p_min` is violated.
     """
     return mean_db - bound_quantile(p_min) * deviation_db - threshold_dbm
 
@@ -80,7 +80,7 @@ def connection_probability(
 ) -> NDArray[np.float64]:
     """Return P(power >= threshold) = Phi((mean - threshold) / deviation) (equation 3.1).
 
-    NaN where the prediction is; 0 or 1 where the standard deviation is 0.
+    It is NaN if the prediction is NaN, and 0 or 1 if the standard deviation is 0.
     """
     above = mean_db - threshold_dbm
     certain = np.where(above >= 0.0, np.inf, -np.inf)
@@ -88,7 +88,7 @@ def connection_probability(
 
 
 def score_probability(score: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Phi(score) with the score (mean - threshold) / deviation."""
+    """Return Phi(score) for scores (mean - threshold) / deviation."""
     return np.asarray(ndtr(score), dtype=np.float64)
 
 
@@ -97,7 +97,7 @@ CONFIDENCE = 0.95
 
 
 def binomial_interval(successes: float, trials: float) -> tuple[float, float]:
-    """Return Clopper and Pearson's interval of a probability, also of fractional numbers."""
+    """Return the Clopper-Pearson interval of a probability; counts may be fractional."""
     failures, tail = trials - successes, 0.5 - 0.5 * CONFIDENCE
     low = 0.0 if successes <= 0.0 else float(betaincinv(successes, failures + 1.0, tail))
     high = 1.0 if failures <= 0.0 else float(betaincinv(successes + 1.0, failures, 1.0 - tail))

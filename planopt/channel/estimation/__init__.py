@@ -1,1 +1,1 @@
-"""Fits of the channel to measurements: five methods, their likelihoods and uncertainty."""
+"""Fits of the channel to measurements by five methods, with their uncertainty."""

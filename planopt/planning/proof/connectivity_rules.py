@@ -1,7 +1,7 @@
-"""planopt's rules of connectivity: each step, average, joint, outage and data.
+"""Connectivity rules of planopt: each step, average, joint, outage and data.
 
-The powers of one station along a path are jointly normal. The serving power of several is not:
-their channels are drawn, each by itself, from the same seeds for every path.
+One station's powers along a path are jointly normal. The serving power of several stations is not:
+their channels are drawn independently, with the same seeds for every path.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from planopt.planning.tolerances import RULE_TOLERANCE
 from planopt.problems.problem import Problem
 
 WHOLE_STEPS = 1e-6
-"""Tolerance of a multiple of the step, as a share of a step."""
+"""Tolerance of a multiple of the step duration, relative to it."""
 
 
 @dataclass(frozen=True)
 class EachStep(Rule):
-    """The probability of each step that counts is at least p_min."""
+    """Rule that the connection probability of each counted step is at least p_min."""
 
     kind: ClassVar[str] = "each_step"
     keys: ClassVar[tuple[str, ...]] = ("connected_times_s",)
     by_step: ClassVar[bool] = True
     holds_steps: ClassVar[bool] = True
-    stated: tuple[int, ...] = ()  # Steps of the run that count, from 1 on; empty for all
+    stated: tuple[int, ...] = ()  # Counted steps of the run, 1 is the first; empty for all
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> EachStep:
@@ -46,7 +46,7 @@ class EachStep(Rule):
 
     @classmethod
     def check(cls, problem: Problem) -> None:
-        """Raise an InputError for a time at which no step ends."""
+        """Raise an InputError for a time that is not the end of a step."""
         times_s, planner = problem.constraints.rule.connected_times_s, problem.planner
         end_s = max(planner.max_steps, planner.horizon) * planner.step_s
         if min(times_s, default=0.0) > end_s * (1.0 + WHOLE_STEPS):
@@ -68,19 +68,19 @@ class EachStep(Rule):
                 )
 
     def counted(self, history: History, count: int) -> NDArray[np.bool_]:
-        """Return whether p_min is required of each of a plan's steps; ``(count,)``."""
+        """Return the mask of a plan's steps for which p_min is required; ``(count,)``."""
         steps = history.steps + 1 + np.arange(count)
         return np.isin(steps, self.stated) if self.stated else np.ones(count, dtype=np.bool_)
 
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the least probability of a step that counts; 1 if none does."""
+        """Return the minimum probability of the counted steps; 1 if there are none."""
         counted = self.counted(history, probability.shape[-1])
         return np.where(counted, probability, 1.0).min(axis=-1)
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
-        """Return the steps that count."""
+        """Return the counted steps."""
         return self.counted(history, len(keeps))
 
     def by_slack(self, case: PathCase) -> BySlack:
@@ -90,7 +90,7 @@ class EachStep(Rule):
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return the connected share of the stated times so far."""
+        """Return the connected fraction of the stated times so far."""
         if not self.stated:
             return {}
         stated = np.unique(np.array(self.stated))
@@ -99,13 +99,13 @@ class EachStep(Rule):
 
 
 def _connected_share(connected: NDArray[np.bool_]) -> float:
-    """Return the share of steps (n,) that are connected; NaN without steps."""
+    """Return the connected fraction of steps (n,); NaN without steps."""
     return float(connected.mean()) if connected.size else float("nan")
 
 
 @dataclass(frozen=True)
 class Average(Rule):
-    """The expected share of connected steps of run and plan (equation 5.1) is at least p_min."""
+    """Rule that the expected connected fraction of run and plan is >= p_min (equation 5.1)."""
 
     kind: ClassVar[str] = "average"
     method: ClassVar[str] = "mean"
@@ -114,14 +114,14 @@ class Average(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the expected share."""
+        """Return the expected connected fraction."""
         steps = history.steps + probability.shape[-1]
         return (history.connected_steps + probability.sum(axis=-1)) / steps
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return the share of connected steps."""
+        """Return the connected fraction of steps."""
         return {"least_connected_share": min(_connected_share(now) for now in connected)}
 
 
@@ -129,17 +129,17 @@ DRAWS, SEED = 10_000, 0
 """Number of drawn channels; seed of the draws and of the integral's shifts."""
 
 DOUBT = 0.01
-"""One-sided error probability of the interval whose lower end counts (Clopper, Pearson 1934)."""
+"""One-sided error probability of the confidence interval (Clopper, Pearson 1934)."""
 
 DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
-"""Name of the method."""
+"""Name of the sampling method."""
 
 MOST_PROBABLE = 0.9995
-"""Greatest p_min that the drawn channels can show."""
+"""Largest p_min that the drawn channels can demonstrate."""
 
 
 def _require_shown(problem: Problem, words: str, remedy: str) -> None:
-    """Raise an InputError if p_min is more than drawn channels can show."""
+    """Raise an InputError if p_min exceeds the value that drawn channels can demonstrate."""
     p_min = problem.constraints.p_min
     if p_min > MOST_PROBABLE:
         raise InputError(
@@ -151,7 +151,7 @@ def _require_shown(problem: Problem, words: str, remedy: str) -> None:
 
 
 def share_at_least(count: int, of: int) -> float:
-    """Return the lower end of the one-sided interval of a probability, seen `count` times."""
+    """Return the lower one-sided confidence limit of a probability observed `count` times."""
     if count == 0:
         return 0.0
     return float(np.asarray(betaincinv(count, of - count + 1, DOUBT), dtype=np.float64))
@@ -162,7 +162,7 @@ def drawn_by_slack(
     case: PathCase,
     is_kept: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],  # (n, N) connected to (n,)
 ) -> BySlack:
-    """Return a lower bound of the probability that a rule is kept, by drawn channels."""
+    """Return a lower bound of the probability that a rule holds, from drawn channels."""
     drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, SEED)
     threshold, p_min = case.problem.stations[0].threshold_dbm, case.problem.constraints.p_min
 
@@ -175,30 +175,30 @@ def drawn_by_slack(
 
 
 ACCURACY = 4e-3
-"""Three standard errors that the integral is refined to."""
+"""Target for three standard errors of the integral."""
 
 INTEGRATED_STEPS = 60
-"""Beyond so many steps the greatest lower bound replaces the integral."""
+"""Maximum number of steps for the integral; beyond it, an analytic lower bound is used."""
 
 
 def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> JointPrediction:
     """Return the joint prediction (equation 1.12) along a path (N, 2).
 
-    With too many measurements for a factor it uses those nearest to the path.
+    If there are too many measurements for a factorisation, the nearest ones are used.
     """
     return joint_prediction(factored_near(posterior, path_m), path_m)
 
 
 @dataclass(frozen=True)
 class Joint(Rule):
-    """The probability that all steps are connected (equation 5.2) is at least p_min."""
+    """Rule that the probability of connection at all steps is >= p_min (equation 5.2)."""
 
     kind: ClassVar[str] = "joint"
     subject: ClassVar[str] = "the probability that all steps of the plan are connected"
 
     @classmethod
     def check(cls, problem: Problem) -> None:
-        """Raise an InputError for a probability that several stations cannot show."""
+        """Raise an InputError for a probability that several stations cannot demonstrate."""
         if len(problem.stations) > 1:
             words = f"of all steps together with {len(problem.stations)} stations"
             _require_shown(problem, words, "leave one entry of stations")
@@ -206,11 +206,11 @@ class Joint(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return Boole's lower bound, which holds for any correlation; it may be negative."""
+        """Return Boole's lower bound, valid for any correlation; it may be negative."""
         return 1.0 - (1.0 - probability).sum(axis=-1)
 
     def correlates(self, p_min: float) -> bool:
-        """Return True."""
+        """Return True, because the verified value is a joint probability."""
         return True
 
     def by_slack(self, case: PathCase) -> BySlack:
@@ -224,9 +224,9 @@ class Joint(Rule):
 
 
 def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:
-    """Return the greatest lower bound of the probability that all steps are connected."""
+    """Return the largest lower bound of the probability that all steps are connected."""
     found = joint_connectivity(prediction, threshold_dbm)
-    # If the least certain step alone misses the bound, no integral is needed.
+    # If a single step already violates the bound, no integral is needed.
     if len(prediction) <= INTEGRATED_STEPS and found.at_each.min() >= p_min:
         generator = np.random.default_rng(SEED)
         found = joint_connectivity(prediction, threshold_dbm, generator, ACCURACY)
@@ -250,7 +250,7 @@ def _best_bound(found: JointConnectivity) -> tuple[float, str]:
 
 @dataclass(frozen=True, eq=False)
 class Outage(Rule):
-    """The longest outage (equation 5.3), in metres or seconds, is at most the limit."""
+    """Rule that the longest outage (equation 5.3), in metres or seconds, is below the limit."""
 
     kind: ClassVar[str] = "outage"
     method: ClassVar[str] = "steps below p_min in a row"
@@ -279,12 +279,12 @@ class Outage(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the longest outage, negative; one that has begun counts if it goes on."""
+        """Return the negative longest outage, including an ongoing outage of the run."""
         missed = probability < self.p_min - RULE_TOLERANCE
         return -longest_run(self.sizes, missed, self._begun(history))
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the limit, negative."""
+        """Return the negative limit."""
         return -self.limit
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
@@ -301,7 +301,7 @@ class Outage(Rule):
         return held
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return the key of the limit in its unit."""
+        """Return the value in words, and the limit's key in its unit."""
         return self.subject, f"constraints.outage_max_{result.unit}"
 
     def by_slack(self, case: PathCase) -> BySlack:
@@ -321,9 +321,9 @@ class Outage(Rule):
 def longest_run(
     sizes: NDArray[np.float64], missed: NDArray[np.bool_], begun: float = 0.0
 ) -> NDArray[np.float64]:
-    """Return the greatest sum of `sizes` over successive `missed` steps, both (..., N).
+    """Return the largest sum of `sizes` over consecutive `missed` steps, both (..., N).
 
-    `begun` is added to a run that begins with the first step.
+    `begun` is added to a sequence that begins with the first step.
     """
     longest, run = np.zeros(missed.shape[:-1]), np.full(missed.shape[:-1], begun)
     for step in range(missed.shape[-1]):
@@ -334,7 +334,7 @@ def longest_run(
 
 @dataclass(frozen=True)
 class Data(Rule):
-    """The data delivered keep pace with the deadline (equation 5.4)."""
+    """Rule that the delivered data keep pace with the deadline (equation 5.4)."""
 
     kind: ClassVar[str] = "data"
     unit: ClassVar[str] = "Mbit"
@@ -343,7 +343,7 @@ class Data(Rule):
     keys_required: ClassVar[int] = 3
     asks_p_min: ClassVar[bool] = False
     problem: Problem
-    # Validated: present and positive
+    # Validated as present and positive
     data_mbit: float
     deadline_s: float
     rate_mbit_s: float
@@ -357,7 +357,7 @@ class Data(Rule):
 
     @classmethod
     def check(cls, problem: Problem) -> None:
-        """Raise an InputError for data that no plan could be shown to deliver."""
+        """Raise an InputError for an amount of data that no plan can be proved to deliver."""
         _require_shown(problem, "for data", "leave it out to ask for the expectation")
         rule = cls.of(problem, np.zeros(0))
         most_mbit = rule.rate_mbit_s * rule.deadline_s
@@ -373,11 +373,11 @@ class Data(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the expected data of the plan."""
+        """Return the expected data delivered by the plan."""
         return probability @ data_of_steps_mbit(self.problem, history.steps, probability.shape[-1])
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the expectation that suffices; for a probability by Markov's inequality."""
+        """Return the sufficient expectation; for a probability, by Markov's inequality."""
         needed = self.pace_mbit(history, count)
         most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
@@ -396,11 +396,11 @@ class Data(Rule):
         return p_min > 0.0
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return the expectation; or a lower bound of the probability, by drawn channels."""
+        """Return the expectation, or a lower bound of the probability from drawn channels."""
         p_min = case.problem.constraints.p_min
         if p_min == 0.0:
             return super().by_slack(case)
-        # A sum of whole steps may miss its own value by rounding.
+        # The sum over whole steps may differ from the requirement by rounding.
         needed = self.pace_mbit(case.history, len(case.positions_m) - 1) * (1.0 - ROUNDING)
         if needed == 0.0:
             return lambda slack_db: RuleResult(self.kind, 1.0, p_min, "probability", DRAWN)

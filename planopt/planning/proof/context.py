@@ -1,6 +1,6 @@
-"""The context of a verification, and the predictions of certificates and of searches.
+"""Context of a verification, and the predictions of verifier and search.
 
-Certificates use all measurements, searches a nearby subset.
+The verifier uses all measurements, the search a nearby subset.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from planopt.world.clearance import ObstacleIndex
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs, predicted_discs
 
 SEARCH_EXACT_LIMIT = 1000
-"""Up to this many measurements searches use the full posterior."""
+"""Maximum number of measurements for which searches use the full posterior."""
 SEARCH_NEIGHBOURS = 128
-"""Number of nearest measurements per position beyond that, with an error of some thousandths of a
-dB."""
+"""Number of nearest measurements per position beyond that limit; the error is a few
+thousandths of a dB."""
 
 SEARCH_ERROR_DB = 2e-3
-"""Then smaller margins count only once they are certified."""
+"""Beyond that limit, the smallest margin that counts before certification."""
 
 
 def is_search_exact(posterior: ChannelPosterior) -> bool:
-    """Return whether searches use the posterior of certificates."""
+    """Return whether searches use the verifier's posterior."""
     return len(posterior.measurements) <= SEARCH_EXACT_LIMIT
 
 
 def certified_prediction(
     law: ConnectivityLaw, positions_m: NDArray[np.float64]
 ) -> tuple[Prediction, str]:
-    """Return the prediction of certificates, and the name of its posterior."""
+    """Return the verifier's prediction, and the name of its posterior."""
     most = max(len(station.measurements) for station in law.posteriors)
     kind = "exact" if most <= EXACT_LIMIT else f"neighbours:{NEIGHBOURS_BEYOND}"
     return law.power(positions_m, _certified_power), kind
@@ -58,14 +58,14 @@ def search_prediction(law: ConnectivityLaw, positions_m: NDArray[np.float64]) ->
 
 
 def search_power(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
-    """Return the prediction of one station's power for searches."""
+    """Return the search's prediction of one station's power."""
     if is_search_exact(posterior):
         return predict(posterior, positions_m)
     return predict_nearby(posterior, positions_m, SEARCH_NEIGHBOURS)
 
 
 def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> ConnectivityLaw:
-    """Return the law of a connection to any station."""
+    """Return the law of connection to any of the stations."""
     thresholds = tuple(radio.threshold_dbm for radio in problem.stations)
     return ConnectivityLaw(tuple(posteriors), thresholds, problem.constraints.p_min)
 
@@ -73,7 +73,7 @@ def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Co
 def uncertain_law(
     problem: Problem, posteriors: Sequence[ChannelPosterior]
 ) -> ConnectivityLaw | None:
-    """Return the law with all parameters uncertain if the problem requires it, else None."""
+    """Return the law with uncertain parameters if the problem requires it; otherwise None."""
     if problem.constraints.rule.parameter_uncertainty == "path_loss":
         return None
     plain = stations_law(problem, posteriors)
@@ -83,22 +83,22 @@ def uncertain_law(
 
 
 def connectivity_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> ConnectivityLaw:
-    """Return the law that the chance constraint rests on."""
+    """Return the law on which the chance constraint is evaluated."""
     return uncertain_law(problem, posteriors) or stations_law(problem, posteriors)
 
 
 @dataclass(frozen=True, eq=False)
 class VerifierContext:
-    """One robot at one step: its problem and all that is known."""
+    """Problem, state and belief of one robot at one step."""
 
-    problem: Problem  # With this robot alone
-    index: ObstacleIndex  # Of the problem's obstacles
+    problem: Problem  # Problem with this robot alone
+    index: ObstacleIndex  # Index of the problem's obstacles
     posteriors: tuple[ChannelPosterior, ...]  # Belief of each station's channel
     state: NDArray[np.float64]  # (s,) the robot's state, its position first
     moving: MovingDiscs = NOTHING_MOVES  # Moving obstacles and other robots during the steps
-    history: History = BEGINNING  # Steps executed so far: rules over the whole run count them
-    uncertain: ConnectivityLaw | None = None  # With all parameters uncertain, if that is required
-    # The verifier's grid of paths to the goal; None: laid when it is needed
+    history: History = BEGINNING  # Executed steps, for rules over the whole run
+    uncertain: ConnectivityLaw | None = None  # Law with uncertain parameters, if required
+    # The verifier's grid of paths to the goal; None if it is built on demand
     goal_grid: GoalGrid | None = None
     _goal_costs: list[tuple[GoalGrid, GoalCosts]] = field(
         default_factory=list[tuple[GoalGrid, GoalCosts]], init=False, repr=False
@@ -114,23 +114,23 @@ class VerifierContext:
 
     @property
     def law(self) -> ConnectivityLaw:
-        """The law of connectivity."""
+        """Law of connectivity."""
         return self.uncertain or stations_law(self.problem, self.posteriors)
 
     @property
     def position_m(self) -> NDArray[np.float64]:
-        """``(2,)`` where the robot is."""
+        """``(2,)`` position of the robot."""
         return self.state[:2]
 
     @property
     def laid_grid(self) -> GoalGrid | None:
-        """The grid that was needed so far; the same for every step of a robot's run."""
+        """Grid of paths to the goal if built so far; shared by all steps of a robot's run."""
         return self._goal_costs[0][0] if self._goal_costs else self.goal_grid
 
     def goal_costs(
         self, build: Callable[[], GoalGrid], value: Callable[[GoalGrid], GoalCosts]
     ) -> tuple[GoalGrid, GoalCosts]:
-        """The verifier's grid and its costs by the belief, made once for all candidates."""
+        """Return the verifier's grid and its costs by the belief, cached for all candidates."""
         if not self._goal_costs:
             grid = self.goal_grid or build()
             self._goal_costs.append((grid, value(grid)))
@@ -139,7 +139,7 @@ class VerifierContext:
     def best_margins(
         self, steps: tuple[int, ...], search: Callable[[], tuple[float, ...]]
     ) -> tuple[float, ...]:
-        """Return what the search within reach finds by some steps, made once for all candidates."""
+        """Return the best reachable margins at some steps, computed once for all candidates."""
         if steps not in self._best_margins:
             self._best_margins[steps] = search()
         return self._best_margins[steps]
@@ -164,7 +164,7 @@ def verifier_context(
 
 
 def steps_ahead(problem: Problem) -> int:
-    """Steps for which it counts where everything is: planned ones, then the longest braking."""
+    """Return the number of steps for predictions: the horizon plus the longest braking."""
     settings = problem.planner
     braking = [robot.dynamics.longest_stop_steps(settings.step_s) for robot in problem.robots]
     return settings.horizon + max(braking)
@@ -173,7 +173,7 @@ def steps_ahead(problem: Problem) -> int:
 def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
     """Return the predicted discs over the steps ahead, after `driven` steps of a run.
 
-    They are predicted anew at every step: what is not known of their way counts from then on.
+    Predictions are renewed at every step; the motion uncertainty grows from then on.
     """
     if not problem.workspace.moving:
         return NOTHING_MOVES

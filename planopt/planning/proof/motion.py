@@ -1,12 +1,12 @@
-"""Verify a motion: its sweep, whether it can be driven, how far it keeps from others, arrival.
+"""Verification of a motion: swept clearance, dynamics, separation, and arrival.
 
-A single integrator drives straight from position to position. The drive of any other robot has
-states and inputs: every step is computed again by the robot's dynamics, and the braking path after
-the last step counts as swept, so that the next step can always be planned.
+A single integrator moves straight from position to position. The drive of any other robot has
+states and inputs: the robot's dynamics recompute every step, and the braking path after the last
+step belongs to the swept path, so that the next step always has a plan.
 
-Distances at equal times include braking after the last step, of other robots until all stand;
-moving obstacles count until this robot stands. A robot has arrived if it stands at the goal, or
-would come to rest there.
+Distances at equal times include braking after the last step, of other robots until all have
+stopped; moving obstacles are included until this robot has stopped. A robot has arrived if it
+rests at the goal, or would come to rest there.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from planopt.world.moving_discs import MovingDiscs
 
 @dataclass(frozen=True)
 class Apart:
-    """Least distances of a motion from others at equal times; None without others."""
+    """Minimum distances of a motion to others at equal times; None without others."""
 
-    min_separation_m: float | None  # From any other robot
-    min_moving_clearance_m: float | None  # From any predicted disc of an obstacle
+    min_separation_m: float | None  # Distance to any other robot
+    min_moving_clearance_m: float | None  # Distance to any predicted disc of an obstacle
     reasons: tuple[str, ...]
 
 
@@ -39,11 +39,11 @@ def verify_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = 
     Parameters
     ----------
     discs
-        Moving obstacles and robots over T steps.
+        Moving obstacles and other robots over T steps.
     motion
-        Motion of the robot over at most T steps; after them it stands.
+        Motion of the robot over at most T steps; it rests afterwards.
     planned
-        Number of planned steps, N; in the others it brakes. None for all.
+        Number N of planned steps, followed by braking. None if all steps are planned.
     """
     if not len(discs):
         return Apart(None, None, ())
@@ -75,9 +75,9 @@ def _least(away_m: NDArray[np.float64]) -> float | None:
 def swept_motion(
     problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None
 ) -> TimedMotion:
-    """Return the timed motion of the first robot on a finite path, and braking after it.
+    """Return the timed motion of the first robot on a finite path, including braking after it.
 
-    It is straight without a valid drive, which the verifier rejects.
+    Without a valid drive, which the verifier rejects, the motion is straight.
     """
     dynamics = problem.robots[0].dynamics
     if drive is None or drive_fault(dynamics, positions_m, drive):
@@ -88,11 +88,11 @@ def swept_motion(
 
 @dataclass(frozen=True)
 class MotionFinding:
-    """Findings on a motion."""
+    """Findings of the verification of a motion."""
 
-    clearance_m: float  # Least distance of the swept path to an obstacle
+    clearance_m: float  # Minimum distance of the swept path to an obstacle
     defect_m: float  # Largest violation of the motion model and the input set
-    reasons: tuple[str, ...]  # What is violated; empty if all is kept
+    reasons: tuple[str, ...]  # Violated constraints; empty if there are none
 
 
 def verify_motion(
@@ -107,13 +107,13 @@ def verify_motion(
     Parameters
     ----------
     problem, index
-        The problem and the index of its obstacles.
+        Problem and index of its obstacles.
     start
-        ``(s,)`` the robot's state.
+        ``(s,)`` state of the robot.
     positions_m
-        ``(N + 1, 2)`` the path.
+        ``(N + 1, 2)`` positions of the path.
     drive
-        States and inputs along it; None for the single integrator.
+        States and inputs along the path; None for the single integrator.
     """
     if problem.robots[0].moves_freely:
         return _straight(problem, index, start, positions_m)
@@ -125,7 +125,7 @@ def verify_motion(
 
 
 def drive_fault(dynamics: Dynamics, positions_m: NDArray[np.float64], drive: Drive | None) -> str:
-    """Return why a drive does not fit a finite path; empty if it does."""
+    """Return why a drive does not match a finite path; empty if it matches."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
         drive is None
@@ -209,7 +209,7 @@ def _clearance_reasons(problem: Problem, swept: NDArray[np.float64], what: str) 
 
 
 def _within(problem: Problem, curve: Curve) -> bool:
-    """Return whether all of a curve is in the workspace, to round-off."""
+    """Return whether the whole curve is in the workspace, up to round-off."""
     places, within = curve.points_m()
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     low = places.min(axis=0) - within + 2.0 * CLEARANCE_TOLERANCE_M
@@ -218,13 +218,13 @@ def _within(problem: Problem, curve: Curve) -> bool:
 
 
 def is_at_goal(problem: Problem, place_m: NDArray[np.float64]) -> bool:
-    """Return whether a place (2,) is within the goal's radius."""
+    """Return whether a position (2,) is within the goal's radius."""
     away = float(np.linalg.norm(place_m - np.asarray(problem.goal_m)))
     return away <= problem.constraints.goal_radius_m
 
 
 def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
-    """Return whether the first robot stands in a state (s,): braking does not move it."""
+    """Return whether the first robot is at rest in a state (s,): braking does not move it."""
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     control = dynamics.braking(state, step_s, 1)[0]
     after = np.array(dynamics.step(tuple(state), tuple(control), step_s), dtype=np.float64)
@@ -232,7 +232,7 @@ def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
 
 
 def stops_at_goal(problem: Problem, state: NDArray[np.float64]) -> bool:
-    """Return whether a robot with dynamics is at the goal and comes to stand there if it brakes."""
+    """Return whether a robot with dynamics is at the goal and comes to rest there by braking."""
     dynamics = problem.robots[0].dynamics
     if not is_at_goal(problem, state[:2]):
         return False

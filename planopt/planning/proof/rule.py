@@ -1,7 +1,7 @@
-"""A rule of connectivity: the value that a plan's probabilities of connection must reach.
+"""Connectivity rules: the value that a plan's connection probabilities must reach.
 
 Verifier and planner share :meth:`Rule.achieved`. The verifier evaluates it with the exact
-posterior, or uses a probability of correlated steps instead; the planner follows its slopes.
+posterior, or computes a probability of correlated steps instead; the planner uses its gradient.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from planopt.problems.constraints import register_rule
 from planopt.problems.problem import Problem
 
 BySlack = Callable[[float], RuleResult]
-"""From the slack in dB, by which the threshold is lowered, to the result of a path."""
+"""Function from the slack in dB, which lowers the threshold, to the result of a path."""
 
 PROBE = 1e-4
-"""Change of a probability by which slopes are measured."""
+"""Probability step of the finite differences."""
 
 ROUNDING = 1e-9
-"""Tolerance of ranges and of monotonicity."""
+"""Tolerance of range and monotonicity checks."""
 
 HALVINGS = 22
-"""Bisections of the slack: 500 dB to a ten-thousandth."""
+"""Number of bisections of the slack: 500 dB to a ten-thousandth."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathCase:
-    """A path that is verified by a rule over all its steps."""
+    """Path to be verified by a rule over all its steps."""
 
     context: VerifierContext
-    positions_m: NDArray[np.float64]  # (N + 1, 2) from the robot's position on
-    power: Prediction  # At the N positions after each step
+    positions_m: NDArray[np.float64]  # (N + 1, 2) positions, the robot's current one first
+    power: Prediction  # Power at the N positions after each step
 
     @property
     def problem(self) -> Problem:
-        """The problem."""
+        """Problem of the context."""
         return self.context.problem
 
     @property
@@ -63,26 +63,26 @@ class PathCase:
 
     @property
     def rule(self) -> Rule:
-        """The rule for the lengths of the path's steps."""
+        """Rule for the lengths of the path's steps."""
         return rule_of(self.problem, np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1))
 
 
 class Rule(ABC):
-    """A rule of connectivity."""
+    """Base class of connectivity rules."""
 
     kind: ClassVar[str]
     unit: ClassVar[str] = "probability"
     method: ClassVar[str] = "of the probabilities"
-    keys: ClassVar[tuple[str, ...]] = ()  # Keys of [constraints] that belong to this rule alone
-    keys_required: ClassVar[int] = 0  # How many of them must be there
-    by_step: ClassVar[bool] = False  # Whether single steps are verified, each by itself
-    # Whether the planner bounds single steps by p_min; else a weighted sum of probabilities
+    keys: ClassVar[tuple[str, ...]] = ()  # Keys of [constraints] specific to this rule
+    keys_required: ClassVar[int] = 0  # Exact number of required keys; 0 for any
+    by_step: ClassVar[bool] = False  # Whether each step is verified individually
+    # Whether the planner bounds single steps by p_min, instead of a weighted sum of probabilities
     holds_steps: ClassVar[bool] = False
-    # Whether results report the negative value, which is bounded above
+    # Whether results report the negated value, which has an upper bound
     greatest: ClassVar[bool] = False
-    asks_p_min: ClassVar[bool] = True  # Whether p_min 0 requires nothing
-    subject: ClassVar[str] = ""  # The value in words
-    bound_key: ClassVar[str] = "constraints.p_min"  # The key of its bound
+    asks_p_min: ClassVar[bool] = True  # Whether p_min = 0 disables the rule
+    subject: ClassVar[str] = ""  # Description of the value
+    bound_key: ClassVar[str] = "constraints.p_min"  # Key of the bound
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Rule:
@@ -91,7 +91,7 @@ class Rule(ABC):
 
     @classmethod
     def keys_fault(cls, given: Collection[str]) -> str | None:
-        """Return which keys of the table [constraints] are missing or too many; None if none."""
+        """Return which keys of [constraints] are missing or superfluous, in words; None if none."""
         missing = [key for key in cls.keys if key not in given]
         if not cls.keys_required or len(cls.keys) - len(missing) == cls.keys_required:
             return None
@@ -102,36 +102,36 @@ class Rule(ABC):
 
     @classmethod
     def check(cls, problem: Problem) -> None:
-        """Raise an InputError if the rule does not suit a problem."""
+        """Raise an InputError if the rule is not applicable to a problem."""
         del problem  # most rules suit every problem
 
     @abstractmethod
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the value ``(...)`` of plans with probabilities ``(..., N)``; large is good."""
+        """Return the value ``(...)`` of plans with probabilities ``(..., N)``; larger is better."""
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the least value that a plan of `count` steps must achieve."""
+        """Return the lower bound of the value for a plan of `count` steps."""
         return p_min
 
     def counted(self, history: History, count: int) -> NDArray[np.bool_]:
-        """Return whether each of `count` steps must keep p_min by itself; ``(count,)``."""
+        """Return the mask of the `count` steps that must each satisfy p_min; ``(count,)``."""
         return np.zeros(count, dtype=np.bool_)
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
-        """Return steps (N,) that suffice if they keep p_min, chosen of those that do keep it."""
+        """Return a sufficient subset (N,) of the steps that satisfy p_min."""
         raise AssertionError("a rule that holds no steps")
 
     def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
-        """Return :meth:`achieved` as numbers ``(...)``."""
+        """Return :meth:`achieved` as an array ``(...)``."""
         return np.asarray(self.achieved(probability, history), dtype=np.float64)
 
     def slopes(
         self, probability: NDArray[np.float64], history: History
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the values (...) of plans, and their slopes by the probabilities (..., N)."""
-        # Towards the middle, so that probabilities stay such.
+        """Return the values (...) of plans, and their gradients by the probabilities (..., N)."""
+        # Differences point towards 0.5, so that probabilities stay between 0 and 1.
         probe = np.where(probability > 0.5, -PROBE, PROBE)
         probed = probability[..., None, :] + np.eye(probability.shape[-1]) * probe[..., None]
         value, changed = self.valued(probability, history), self.valued(probed, history)
@@ -172,7 +172,7 @@ class Rule(ABC):
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return the metric of a run by name, of the worst robot; `connected` (n,) of each."""
+        """Return a run's named metric of the worst robot; `connected` has (n,) per robot."""
         return {}
 
 
@@ -184,10 +184,10 @@ def rule_of(problem: Problem, legs_m: NDArray[np.float64] | None = None) -> Rule
 
 
 def whole_plan_result(case: PathCase) -> RuleResult:
-    """Return the result of a path by a rule over all steps, with the slack that it takes.
+    """Return the result of a path by a rule over all steps, with the required slack.
 
-    The slack is the least lowering of the threshold with which the rule holds, or zero if none
-    within `slack_max_db` suffices.
+    The slack is the smallest threshold reduction with which the rule holds, or zero if none up to
+    `slack_max_db` suffices.
     """
     result_at = case.rule.by_slack(case)
     hard = result_at(0.0)
@@ -202,7 +202,7 @@ def whole_plan_result(case: PathCase) -> RuleResult:
 
 
 def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
-    """Return the reason if a path misses its rule by more than the slack."""
+    """Return the reason if a path violates its rule beyond the slack."""
     if not result.is_missed or result.slack_db > 0.0:
         return []
     words, key = rule_of(problem).missed_words(result)
@@ -222,17 +222,17 @@ class OwnRule(Rule):
     """Base class of a user-defined rule: a frozen dataclass with a ``kind`` and a value.
 
     The fields of a subclass are the keys of ``constraints.settings``, all numbers. The verifier
-    decides by :meth:`achieved`; planners follow its slopes. It must not fall where a probability
-    rises.
+    decides by :meth:`achieved`; planners follow its gradient. The value must not decrease if a
+    probability increases.
 
     Attributes
     ----------
     kind
         Value of the key ``constraints.connectivity``.
     unit
-        Unit of the value; a ``"probability"``, the default, is from 0 to 1.
+        Unit of the value; the default ``"probability"`` requires values from 0 to 1.
     asks_p_min
-        Whether p_min is the bound; a rule with another bound returns it by :meth:`asked`.
+        Whether p_min is the bound; otherwise the rule returns its own bound by :meth:`asked`.
 
     Examples
     --------
@@ -271,22 +271,22 @@ class OwnRule(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the value of plans, which is to be large.
+        """Return the value of plans; larger values are better.
 
         Parameters
         ----------
         probability
-            ``(..., N)`` of connection after each step of a plan, of one or of many plans.
+            ``(..., N)`` probabilities of connection after each step, for one or many plans.
         history
             Steps executed before the plan.
         """
 
     def asked(self, p_min: float) -> float:
-        """Return the least value that suffices."""
+        """Return the lower bound of the value."""
         return p_min
 
     def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
-        """Return :meth:`achieved` as valid numbers ``(...)``."""
+        """Return :meth:`achieved` as a validated array ``(...)``."""
         words = f"{self._number} for each plan of probabilities (..., N)"
         with calling(self, "achieved", key=KEY, remedy=f"return {words}"):
             found = self.achieved(probability, history)
@@ -296,7 +296,7 @@ class OwnRule(Rule):
         )
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return :meth:`asked` as a valid number."""
+        """Return :meth:`asked` as a validated number."""
         words = self._number
         with calling(self, "asked", key=KEY, remedy=f"return {words}"):
             found = self.asked(p_min)
@@ -305,12 +305,12 @@ class OwnRule(Rule):
 
     @property
     def _number(self) -> str:
-        """Return the valid values in words."""
+        """Return a description of the valid values."""
         is_probability = self.unit == OwnRule.unit
         return "one number from 0 to 1" if is_probability else "one finite number"
 
     def _within(self, method: str, values: NDArray[np.float64], words: str) -> NDArray[np.float64]:
-        """Return the values of a method, which must be from 0 to 1 if they are probabilities."""
+        """Return a method's values, checked to be in [0, 1] if they are probabilities."""
         if self.unit != OwnRule.unit:
             return values
         inside = np.clip(values, 0.0, 1.0)
@@ -324,7 +324,7 @@ class OwnRule(Rule):
         return inside
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return the result of a path, having checked that the value does not fall."""
+        """Return the result of a path after checking that the value is monotonic."""
         self.slopes(case.probability(0.0), case.history)
         return super().by_slack(case)
 

@@ -1,13 +1,13 @@
-"""The verifier's own searches: places within reach, and cheaper paths to the goal.
+"""Searches of the verifier: reachable positions, and cheaper paths to the goal.
 
-A step may miss the chance constraint if no place within reach keeps it. The places searched contain
-all that the robot could reach (a disc about it, cut to the free space joined with it, and for good
-places the shortest paths round obstacles), so that a negative best margin is a proof up to the
-grid's resolution.
+A step may violate the chance constraint if no reachable position satisfies it. The searched
+positions are a superset of the reachable ones (a disc restricted to the connected free space; for
+good positions, the shortest paths around obstacles). A negative best margin is therefore a proof,
+up to the grid's resolution.
 
-A plan may leave contact if that is cheaper than going round. Dijkstra's algorithm runs on a grid of
-the verifier's own over the workspace. Its paths can be driven; paths between its nodes stay unseen.
-Probabilities are exact at every other node and interpolated between them.
+A plan may leave contact if that is cheaper than a detour. Dijkstra's algorithm runs on the
+verifier's own grid over the workspace. Its paths are feasible; paths between its nodes are not
+considered. Probabilities are exact at every other node and interpolated in between.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _steps_within(low: float, high: float, spacing: float) -> NDArray[np.float64
 
 
 def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the number of the connected part of each node; 0 if it is not passable."""
+    """Return the label of each node's connected component; 0 if the node is blocked."""
     numbered = cast(
         "tuple[object, int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
     )
@@ -66,7 +66,7 @@ def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
-    """Return the reachable set after `state`; None for the single integrator, which has a disc."""
+    """Return the reachable-set test of `state`; None for a single integrator (a disc suffices)."""
     if problem.robots[0].moves_freely:
         return None
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
@@ -78,14 +78,14 @@ def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | N
 
 
 MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""From positions (n, 2) to margins (n,) in dB."""
+"""Function from positions (n, 2) to margins (n,) in dB."""
 Places = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Positions (n, 2) and their margins (n,) in dB."""
 
 FIRST_WAYS = 64
-"""Number of the best places whose distances are measured first, then four times as many."""
+"""Number of best positions whose path lengths are computed first; it then grows fourfold."""
 SPLIT_NODES = 100
-"""Number of good nodes too near to obstacles that are replaced by clear places about them."""
+"""Number of good nodes too close to obstacles that are replaced by clear positions nearby."""
 
 
 def best_by_ways(
@@ -94,18 +94,18 @@ def best_by_ways(
     margin_db: MarginAt,
     start_m: NDArray[np.float64],
     clearance: float,
-    reach_m: NDArray[np.float64],  # (k,) how far the robot gets, ascending
+    reach_m: NDArray[np.float64],  # (k,) reachable path lengths, ascending
     looked: list[Places],
     spacing_m: float,
 ) -> tuple[float, ...]:
-    """Return the best margin (dB) for each of k reaches, over places that a path leads to.
+    """Return the best margin (dB) within each of k path lengths, over reachable positions.
 
-    Paths are measured only to places with a margin above zero: a negative value is an upper bound.
+    Lengths are computed only for positive margins; a negative value is an upper bound.
     """
     ways = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
     margins = np.concatenate([values for _, values in looked])
-    # A node too near to an obstacle represents the clear places about it.
+    # A node too close to an obstacle represents the clear positions around it.
     near = is_near_joined(ways, places, spacing_m)
     places, margins = places[near], margins[near]
     clear = is_clear(clearance_m(index, places), clearance) | (places == start_m).all(axis=1)
@@ -127,7 +127,7 @@ def _bound_below(
     places_m: NDArray[np.float64],
     margins_db: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the best margin of places (n, 2) within each reach as the crow flies; (k,)."""
+    """Return the best margin of positions (n, 2) within each straight-line distance; (k,)."""
     away = np.linalg.norm(places_m - start_m, axis=1)
     return np.array([margins_db[away <= reach].max(initial=-np.inf) for reach in reach_m])
 
@@ -139,7 +139,7 @@ def _about(
     clearance: float,
     spacing_m: float,
 ) -> NDArray[np.float64]:
-    """Return clear places (m, 2) within half a spacing of nodes (n, 2)."""
+    """Return clear positions (m, 2) within half a spacing of nodes (n, 2)."""
     fractions = np.linspace(-0.5, 0.5, 9)
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
     places = (nodes_m[:, None] + spacing_m * around).reshape(-1, 2)
@@ -155,9 +155,9 @@ def _best_reached(
     margins_db: NDArray[np.float64],
     bound_db: NDArray[np.float64],
 ) -> tuple[float, ...]:
-    """Return the margin of the first place (n, 2) within each reach; places come best first.
+    """Return the margin of the first position (n, 2) within each path length; best come first.
 
-    Without one the bound `bound_db` (k,) of the other places.
+    If there is none, return the bound `bound_db` (k,) of the other positions.
     """
     by_air = np.linalg.norm(places_m - ways.start_m, axis=1)
     length = np.full(len(places_m), np.nan)
@@ -179,39 +179,39 @@ def _best_reached(
 
 
 FINE_NODES, COARSE_NODES = 12, 4
-"""Grid nodes per step: up to `FINE_STEPS` steps, and beyond."""
+"""Number of grid nodes per step: within `FINE_STEPS` steps, and beyond."""
 FINE_STEPS = 4
 REFINED_STEPS = 12
-"""Number of first steps with a refined grid."""
+"""Number of initial steps with a refined grid."""
 REFINED_NODES = 24
-"""Number of best nodes that each refinement searches about."""
+"""Number of best nodes around which each refinement searches."""
 REFINEMENTS = 2
-"""Number of refinements, each to a quarter of the spacing."""
+"""Number of refinements, each with a quarter of the previous spacing."""
 
 MayReach = Callable[[NDArray[np.float64], int, float], NDArray[np.bool_]]
-"""Whether a robot may be within so many metres of places (n, 2) after so many steps; never False if
-it may."""
+"""Function that returns whether a robot may be within a distance (m) of positions (n, 2) after a
+number of steps; conservative, that is never False for a reachable position."""
 
 
 def best_margins_by_step(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    start_m: NDArray[np.float64],  # (2,) where the robot is
+    start_m: NDArray[np.float64],  # (2,) position of the robot
     step_length_m: float,
-    steps: NDArray[np.intp],  # (k,) increasing, the first step being 1
+    steps: NDArray[np.intp],  # (k,) ascending step numbers; 1 is the first
     clearance: float,
     may_reach: MayReach | None = None,
 ) -> tuple[float, ...]:
-    """Return the largest connectivity margin (dB) over the places within reach by each step.
+    """Return the largest connectivity margin (dB) over the positions reachable by each step.
 
-    One grid serves all steps, so that values never fall, unless the robot cannot wait.
+    One grid serves all steps, so that values never decrease, unless the robot cannot wait.
     """
     radius = float(steps[-1]) * step_length_m
     spacing = step_length_m / (FINE_NODES if steps[-1] <= FINE_STEPS else COARSE_NODES)
     grid = grid_of(bounds_m, start_m, spacing, radius)
     from_start = np.linalg.norm(grid - start_m, axis=-1)
-    # A path may pass between nodes that are all slightly too near to an obstacle.
+    # A path may pass between nodes that are all slightly too close to an obstacle.
     away = clearance_m(index, grid.reshape(-1, 2)).reshape(from_start.shape)
     passable = (away > 0.0) & (away >= clearance - spacing)
     passable |= from_start == 0.0
@@ -229,7 +229,7 @@ def best_margins_by_step(
         if may_reach is not None:
             within = reached(places)
             if not within.any():
-                # The reachable set lies between the nodes.
+                # The reachable set includes points between the nodes.
                 within = (distance <= reach) & may_reach(places, int(step), spacing)
         here = float(np.max(margins[within], initial=-np.inf))
         if here < 0.0 and k < REFINED_STEPS:
@@ -247,7 +247,7 @@ def best_margins_by_step(
 def _reached(
     start_m: NDArray[np.float64], radius_m: float, step: int, may_reach: MayReach | None
 ) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
-    """Return whether places (n, 2) are within reach."""
+    """Return whether positions (n, 2) are reachable."""
 
     def reached(places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         near = np.linalg.norm(places_m - start_m, axis=1) <= radius_m
@@ -265,7 +265,7 @@ def _refined(
     top_m: NDArray[np.float64],
     spacing_m: float,
 ) -> list[Places]:
-    """Return places near the best nodes on finer grids."""
+    """Return positions on finer grids around the best nodes."""
     found: list[Places] = []
     fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
@@ -287,49 +287,49 @@ def _refined(
 SPACING_STEPS = 0.5
 """Grid spacing in longest steps."""
 MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
-"""Rows and columns to a node's neighbours, one of each pair: sixteen headings."""
+"""Row and column offsets to a node's neighbours, one of each opposite pair: sixteen headings."""
 JOINING_SPACINGS = 1.5
-"""A position off the grid is joined to the nodes within this many spacings."""
+"""An off-grid position is connected to the nodes within this many spacings."""
 
 COARSE = 2
-"""Predictions are made at every second row and column, and interpolated between."""
+"""Stride of rows and columns with predictions; values in between are interpolated."""
 
 ContactAt = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
-"""From positions (n, 2) to the share (n,) of a metre that costs the outage price, and to the
-connectivity margin (n,) in dB."""
+"""Function from positions (n, 2) to the fraction (n,) of a metre that costs the outage price, and
+to the connectivity margin (n,) in dB."""
 
 
 @dataclass(frozen=True, eq=False)
 class GoalGrid:
-    """Nodes and moves that keep the clearance; the goal is one of the nodes."""
+    """Nodes and moves that satisfy the clearance; the goal is one of the nodes."""
 
-    spacing_m: float  # Of the grid
+    spacing_m: float  # Grid spacing
     nodes_m: NDArray[np.float64]  # (n, 2)
-    ends: NDArray[np.intp]  # (2, m) nodes that each move joins
-    goal: int  # Number of the goal's node
-    coarse_m: NDArray[np.float64]  # (c, 2) places of a coarser grid about them
-    # (n, 4) coarse places whose weighted mean is the value of each node
+    ends: NDArray[np.intp]  # (2, m) end nodes of each move
+    goal: int  # Index of the goal's node
+    coarse_m: NDArray[np.float64]  # (c, 2) positions of the coarse grid
+    # (n, 4) coarse positions whose weighted mean is the value of each node
     corners: NDArray[np.intp]
     weights: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class GoalCosts:
-    """Costs on a grid with one belief."""
+    """Costs on a grid for one belief."""
 
-    share: NDArray[np.float64]  # (n,) of a metre at each node that costs the price
+    share: NDArray[np.float64]  # (n,) fraction of a metre at each node that is out of contact
     to_goal_m: NDArray[np.float64]  # (n,) cost of the cheapest path to the goal
-    best_margin_db: float  # The largest connectivity margin found anywhere
+    best_margin_db: float  # Largest connectivity margin in the workspace
 
 
 @dataclass(frozen=True)
 class PricedPath:
-    """The cost of a path with its cost-to-go, and that of the cheapest path found."""
+    """Cost of a path including cost-to-go, and cost of the cheapest path found."""
 
-    cost_m: float  # Metres, those out of contact counted at the outage price
+    cost_m: float  # Length in metres plus outage at its price
     best_m: float
-    step_m: float  # Cost of its first step
-    excess_m: float  # That and the cost-to-go from there, less `best_m`
+    step_m: float  # Cost of the path's first step
+    excess_m: float  # First step plus subsequent cost-to-go, minus `best_m`
 
     @property
     def is_compared(self) -> bool:
@@ -338,7 +338,7 @@ class PricedPath:
 
 
 def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
-    """Return the grid through the goal, the same for a whole run."""
+    """Return the grid through the goal, shared by a whole run."""
     spacing = SPACING_STEPS * problem.step_length_m
     goal = np.asarray(problem.goal_m)
     grid = grid_of(problem.workspace.bounds_m, goal, spacing)
@@ -357,7 +357,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
         both = (one >= 0) & (other >= 0)
         ends.append(np.stack([one[both], other[both]]))
     joined = np.concatenate(ends, axis=1)
-    # A lower bound of the clearance between two nodes.
+    # Lower bound of the clearance between two nodes.
     length = np.linalg.norm(nodes[joined[0]] - nodes[joined[1]], axis=1)
     least = 0.5 * (away[is_open][joined].sum(axis=0) - length)
     doubtful = np.flatnonzero(least < clearance + CLEARANCE_TOLERANCE_M)
@@ -372,7 +372,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
 def _coarser(
     grid: NDArray[np.float64], is_open: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
-    """Return places of the coarser grid about open nodes, and the weights of the nodes."""
+    """Return the coarse grid's positions around open nodes, and the interpolation weights."""
     rows, columns = np.nonzero(is_open)
     last = (np.array(is_open.shape) - 1) // COARSE
     corners: list[NDArray[np.intp]] = []
@@ -380,7 +380,7 @@ def _coarser(
     for down in (0, 1):
         for right in (0, 1):
             row, column = rows // COARSE + down, columns // COARSE + right
-            # Constant beyond the last coarse row.
+            # Extrapolate constantly beyond the last coarse row.
             corners.append(np.minimum(row, last[0]) * (last[1] + 1) + np.minimum(column, last[1]))
             share_y, share_x = rows % COARSE / COARSE, columns % COARSE / COARSE
             by_y = share_y if down else 1.0 - share_y
@@ -415,7 +415,7 @@ def price_path(
     positions_m: NDArray[np.float64],
     share: NDArray[np.float64],
 ) -> PricedPath:
-    """Compare a path (N + 1, 2) with the cheapest one from its first position."""
+    """Return a path's (N + 1, 2) cost and that of the cheapest path from its start."""
 
     def rest_m(k: int) -> float:
         """Return the cost of the cheapest path from the k-th position."""
@@ -431,6 +431,6 @@ def price_path(
     best = rest_m(0)
     step = float(lengths[:1].sum()) + price * charged_length_m(lengths[:1], share[:2])
     after = rest_m(min(1, len(lengths)))
-    # Without a path there is nothing to exceed.
+    # If the grid has no path, there is no excess.
     excess = step + after - best if max(best, after) < np.inf else 0.0
     return PricedPath(driven + rest_m(len(positions_m) - 1), best, step, excess)

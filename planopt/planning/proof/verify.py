@@ -1,11 +1,11 @@
-"""Verify a plan: clearance, motion and connectivity, from the problem and the belief alone.
+"""Verification of a plan: clearance, motion and connectivity, from problem and belief alone.
 
-Nothing of the programme or the solvers is imported. A plan is verified if its swept path keeps the
-clearance, the workspace, its distance from everything that moves and the speed, and the rule of
-connectivity holds with the exact posterior and the current standard deviation. On the way to a goal
-a step may miss the bound if no path that the verifier finds is cheaper by more than a tolerance;
-for a sum of terms if no place within reach keeps it by then. With bounded slack there is no other
-excuse (:mod:`planopt.planning.proof.searches`).
+This module imports nothing from the programme or the solvers. A plan is verified if its swept path
+satisfies clearance, workspace, speed and separation from moving obstacles and robots, and if the
+connectivity rule holds with the exact posterior and the current standard deviation. For a goal, a
+step may violate the bound if no path found by the verifier is cheaper by more than a tolerance; for
+a sum of terms, if no reachable position satisfies it by then. With bounded slack there is no other
+exception (:mod:`planopt.planning.proof.searches`).
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive
 
 MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""From positions (n, 2) to margins (n,) in dB."""
+"""Function from positions (n, 2) to margins (n,) in dB."""
 
 COST_TOLERANCE = 0.05
-"""Share by which a plan, and all steps of a run, may cost more than the cheapest path found."""
+"""Relative excess cost over the cheapest path found, allowed for a plan and for a run."""
 COST_LEEWAY_STEPS = 2.0
-"""Further allowance for the grid: so many longest steps out of contact, per plan and per run."""
+"""Additional allowance for the grid, in longest steps out of contact, per plan and per run."""
 
 
 @dataclass(frozen=True)
 class StepsFinding:
-    """Findings on the bound on single steps; fields as in the certificate."""
+    """Findings on the bound on single steps; the fields are those of the certificate."""
 
     relaxed_steps: tuple[int, ...] = ()
     relaxation_db: tuple[float, ...] = ()
@@ -65,18 +65,18 @@ class StepsFinding:
     step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
     rule: RuleResult | None = None  # None for the default rule
-    is_compared: bool = True  # Whether the verifier has a path to compare the cost with
+    is_compared: bool = True  # Whether the verifier has a path for cost comparison
 
 
 def is_priced(problem: Problem) -> bool:
-    """Return whether single steps may miss the bound at a price."""
+    """Return whether single steps may violate the bound at a price."""
     return problem.task == "reach" and problem.constraints.rule.is_plain
 
 
 def verify_single_steps(
     context: VerifierContext, positions_m: NDArray[np.float64], power: Prediction
 ) -> StepsFinding:
-    """Verify the bound at those steps of a path (N + 1, 2) that count."""
+    """Verify the bound at the counted steps of a path (N + 1, 2)."""
     problem = context.problem
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
@@ -139,7 +139,7 @@ def _result(
     asked: NDArray[np.bool_],
     relaxation_db: tuple[float, ...],
 ) -> RuleResult | None:
-    """Return how many of the steps that count keep the bound; None for the default rule."""
+    """Return the number of counted steps that satisfy the bound; None for the default rule."""
     rule = problem.constraints.rule
     if rule.is_plain:
         return None
@@ -150,7 +150,7 @@ def _result(
         float(asked.sum()),
         "steps",
         "p_min at each step asked for",
-        # Without allowed slack a miss is not slack.
+        # Without allowed slack, a shortfall does not count as slack.
         0.0 if rule.slack_max_db is None else max(relaxation_db, default=0.0),
     )
 
@@ -158,7 +158,7 @@ def _result(
 def _beyond_slack(
     problem: Problem, missed: NDArray[np.intp], relaxation_db: tuple[float, ...]
 ) -> list[str]:
-    """Return reasons for steps that miss the bound by more than the slack."""
+    """Return reasons for steps that violate the bound beyond the slack."""
     limit = problem.constraints.rule.slack_max_db or 0.0
     return [
         f"connectivity at step {step} misses constraints.p_min {problem.constraints.p_min:g} by "
@@ -195,7 +195,7 @@ def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple
 def _too_dear(
     problem: Problem, history: History, priced: PricedPath, best_margin_db: float
 ) -> list[str]:
-    """Return the reason if a path or the run costs too much, or the bound is met nowhere."""
+    """Return the reason if a path or run is too costly, or if no position meets the bound."""
     p_min, price = problem.constraints.p_min, problem.reach.outage_price
     if best_margin_db < -MARGIN_TOLERANCE_DB:
         return [
@@ -211,7 +211,7 @@ def _too_dear(
             f"{spent:.1f} m more than the cheapest paths found at objective.outage_price "
             f"{price:g}, {allowed:.1f} m are allowed"
         ]
-    # Without a path to compare with nothing is proven.
+    # Without a path for comparison nothing is proved.
     within = priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway
     if within or not priced.is_compared:
         return []
@@ -223,7 +223,7 @@ def _too_dear(
 
 
 def _margins_of(context: VerifierContext) -> MarginAt:
-    """Return the connectivity margin by position, with the prediction of searches."""
+    """Return the function from positions to connectivity margins, by the search's prediction."""
     return partial(context.law.margin_db, predict=search_power)
 
 
@@ -236,16 +236,16 @@ STANDING = "the plan stands still short of the goal, and nothing that moves is i
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdict on a path, and the prediction that it rests on.
+    """Verdict on a path, and the underlying prediction.
 
     Attributes
     ----------
     certificate, verdict
-        See their types.
+        Values documented at their types.
     power
-        At every position of the path, the robot's first; None if the path is not finite.
+        Prediction at every position, the robot's first; None if the path is not finite.
     sound
-        Whether clearance, bounds, motion model and distances from moving obstacles are kept.
+        Whether clearance, bounds, dynamics and distances to moving obstacles are satisfied.
     """
 
     certificate: Certificate
@@ -267,9 +267,9 @@ def verify(
     context
         Problem, belief, state, history and moving obstacles.
     positions_m
-        The path from the robot's position on.
+        Positions of the path, the robot's current one first.
     kkt_residual
-        Copied into the certificate.
+        KKT residual to be copied into the certificate.
     drive
         States and inputs along the path; None for the single integrator.
     """
@@ -322,7 +322,7 @@ def verify(
 def _gets_nowhere(
     context: VerifierContext, positions_m: NDArray[np.float64], drive: Drive | None
 ) -> bool:
-    """Return whether a robot stands still short of its goal, without moving obstacles."""
+    """Return whether a robot waits short of its goal, without moving obstacles."""
     problem = context.problem
     if problem.task != "reach" or len(context.moving) or is_at_goal(problem, positions_m[0]):
         return False

@@ -1,1 +1,1 @@
-"""Problems whose objective is a sum of terms, for one robot or several."""
+"""Joint planning of one or several robots: goals of their own, or a sum of terms."""

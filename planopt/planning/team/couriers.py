@@ -1,14 +1,14 @@
-"""One step of all robots that have goals of their own and keep apart.
+"""One step of all robots that have goals of their own and keep a separation.
 
-Timed paths to all goals are searched in turn (*courses*). A robot drives as if it were alone if
-that keeps clear of the courses found before; else it takes the cheapest course in space and time
-that does (:mod:`planopt.planning.search.timed_search`). A robot without a course goes first and all
-others are searched again; the order is kept for the next step. So a robot at its goal steps aside
-for one that must pass, and returns.
+Timed paths to all goals (*courses*) are searched in sequence. A robot takes its single-robot path
+if that is clear of the earlier courses; otherwise it takes the cheapest clear course in space and
+time (:mod:`planopt.planning.search.timed_search`). A robot without a course moves to the front of
+the order and the search restarts; the order is kept for the next step. Thus a robot at its goal
+steps aside for one that must pass, and returns.
 
-The first steps of the courses keep apart, so that each can be released whatever the others do:
-robots plan in turn, clear of the plans made and of the courses of later robots. Without courses, or
-if a robot with dynamics cannot drive its own, they keep clear of reservations
+The first steps of the courses are separated, so that each can be released independently: robots
+plan in sequence, clear of earlier plans and of the courses of later robots. Without courses, or if
+a robot with dynamics cannot drive its own, they keep clear of reservations
 (:mod:`planopt.planning.reservations`).
 """
 
@@ -36,14 +36,14 @@ from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import MovingDiscs, joined_discs
 
 STAYING = (Rung.SHIFTED, Rung.STOP, Rung.RESERVED, Rung.LEAVE)
-"""Fallbacks that make no progress: the previous plan, standing still, leaving an obstacle."""
+"""Fallbacks that make no progress: the previous plan, waiting, leaving an obstacle."""
 
 NO_LIMIT_M = -1e9
-"""Radius of a moving obstacle beyond the steps for which it is predicted."""
+"""Radius of a moving obstacle after its predicted steps; it disables the obstacle."""
 
 
 class Couriers:
-    """Plans for the robots of one problem; keeps the order in which they find their courses."""
+    """Planner for all robots of one problem; stores the order of their courses."""
 
     def __init__(self, problem: Problem, scenes: Sequence[Scene]) -> None:
         count = len(problem.robots)
@@ -84,7 +84,7 @@ class Couriers:
         return max((plans, instead), key=lambda made: self._rank(made, must_move))
 
     def _must_move(self, at: TeamMoment, outlooks: Sequence[Outlook]) -> bool:
-        """Return whether a robot short of its goal has wandered or stood for long enough."""
+        """Return whether a robot short of its goal has wandered or waited too long."""
         return any(
             outlook.start is not None
             and outlook.start.is_direct
@@ -93,10 +93,10 @@ class Couriers:
         )
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
-        """Return whether plans keep apart, how many progress if some must, and are verified.
+        """Return whether plans are separated, how many progress if some must, and are verified.
 
-        Otherwise two robots could stand in each other's way for ever, where standing is verified
-        and giving way would leave contact at a price.
+        Without the count of progress two robots could block each other forever, because waiting is
+        verified and giving way would leave contact at a price.
         """
         leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
         verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
@@ -114,7 +114,7 @@ class Couriers:
     def _in_turn(
         self, at: TeamMoment, outlooks: Sequence[Outlook], kept: Mapping[int, TimedMotion]
     ) -> list[Plan]:
-        """Let robots plan in turn, clear of the plans made and of the motions kept."""
+        """Let robots plan in sequence, clear of earlier plans and of reserved motions."""
 
         def plan_one(
             number: int, moving: MovingDiscs, reserved_m: NDArray[np.float64], _: Mapping[int, Plan]
@@ -125,11 +125,11 @@ class Couriers:
         return plan_in_turn(self._problem, at, self._order, kept, plan_one)
 
     def _courses(self, at: TeamMoment, outlooks: Sequence[Outlook]) -> list[Course] | None:
-        """Return courses that keep apart, and keep their order; None if none are found.
+        """Return separated courses and store their order; None if none are found.
 
-        If no order lets all arrive, some wait where they are in no other's way; robots that have
-        been at their goals come last. If these cannot be passed in time, all make room for the
-        first robot that has not arrived.
+        If no order lets all arrive, some wait at refuges off the others' paths; robots that have
+        been at their goals come last. If these cannot be passed in time, all others make room for
+        the first robot that has not arrived.
         """
         for number, state in enumerate(at.states):
             at_goal = is_at_goal(self._planners[number].problem, state[:2])
@@ -157,7 +157,7 @@ class Couriers:
     def _with_room(
         self, at: TeamMoment, first: int, alone: Sequence[Course]
     ) -> list[Course] | None:
-        """Return courses on which all others make room for robot `first`; None without."""
+        """Return courses on which all others make room for robot `first`; None if none exist."""
         passing = alone[first].places_m
         steps = len(passing) - 1
         found: dict[int, Course] = {}
@@ -192,7 +192,7 @@ class Couriers:
         return found, late
 
     def _alone(self, outlooks: Sequence[Outlook]) -> list[Course]:
-        """Return the course of each robot without the others, all over equally many steps."""
+        """Return each robot's course without the others, all over the same number of steps."""
         horizon = self._problem.planner.horizon
         paths: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         for outlook in outlooks:
@@ -214,7 +214,7 @@ class Couriers:
     def _course(
         self, at: TeamMoment, number: int, alone: Course, found: Mapping[int, Course]
     ) -> Course | None:
-        """Return the course of a robot that keeps clear of those found; None if there is none."""
+        """Return a robot's course that keeps clear of those found; None if there is none."""
         robots = _discs(self._problem, found, len(alone.places_m) - 1)
         if alone.outlook.start is None or is_apart(robots, alone.places_m):
             return alone
@@ -236,7 +236,7 @@ def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> Movin
 
 
 def _lasting(discs: MovingDiscs, steps: int) -> MovingDiscs:
-    """Return discs over more steps, without effect in these."""
+    """Return the discs over more steps; they have no effect in the added steps."""
     more = steps - discs.steps
     if not len(discs) or more <= 0:
         return discs
@@ -256,9 +256,9 @@ def planning(
     seeds: TeamSeeds,
     foreseen_m: Sequence[NDArray[np.float64]] | None = None,
 ) -> Planning:
-    """Return the function that makes the planner of a workspace; arguments as :func:`plan_step`.
+    """Return the planner factory for a workspace; the arguments are those of :func:`plan_step`.
 
-    The scenes are those of the initial obstacles; for others they are built.
+    The scenes belong to the initial obstacles and are rebuilt for others.
     """
 
     def made(now: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
@@ -276,7 +276,7 @@ def plan_step(
     seeds: TeamSeeds,
     foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2)
 ) -> PlanStep:
-    """Return the planner of a step: to goals in a scene of each robot, or for a sum of terms."""
+    """Return the planner of a step: to goals in one scene per robot, or for a sum of terms."""
     if scenes is not None:
         couriers = Couriers(problem, scenes)
         return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])

@@ -1,9 +1,9 @@
 """One step of all robots whose objective is a sum of terms.
 
-Robots plan in turn. In the first round each keeps clear of the reservations of later robots
-(:mod:`planopt.planning.reservations`). If a robot then has no verified plan, a second round lets it
-plan first and considers only plans that are made; its result is released if all plans keep apart
-and more of them are verified.
+Robots plan in sequence. In the first round each keeps clear of the reservations of later robots
+(:mod:`planopt.planning.reservations`). If a robot then has no verified plan, it plans first in a
+second round that considers only completed plans. The second result is released if all plans are
+separated and more of them are verified.
 """
 
 from __future__ import annotations
@@ -52,17 +52,17 @@ from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 Steer = Callable[[StepContext], SteeringWay | None]
-"""From the context of a step to the path that the robot is steered along."""
+"""Function from a step context to the robot's steering path."""
 
 STEERINGS: Mapping[Steers, Callable[[Problem, Ground, Any], Any]] = {
     "variance": Steering,
     "connection": ConnectionSteering,
     "goal": GoalSteering,
 }
-"""Classes that find this path, made of problem, ground and term."""
+"""Classes that find the steering path, constructed from problem, ground and term."""
 
 PlanOne = Callable[[int, MovingDiscs, NDArray[np.float64], Mapping[int, Plan]], Plan]
-"""Plans for one robot, given its number, moving discs, reservation (N + 1, 2) and plans made."""
+"""Planner of one robot: number, moving discs, reservation (N + 1, 2) and earlier plans."""
 
 
 def plan_in_turn(
@@ -72,7 +72,7 @@ def plan_in_turn(
     kept: Mapping[int, TimedMotion],
     plan_one: PlanOne,
 ) -> list[Plan]:
-    """Return the plans of robots that plan in an order, clear of plans made and motions kept."""
+    """Return plans made in the given order, clear of earlier plans and reserved motions."""
     made: dict[int, Plan] = {}
     for number in order:
         others = {
@@ -95,7 +95,7 @@ def plan_in_turn(
 class Member:
     """One robot with its own problem, ground and planner."""
 
-    problem: Problem  # With this robot alone
+    problem: Problem  # Problem with this robot alone
     start: NDArray[np.float64]  # (s,) initial state
     ground: Ground
     planner: Planner
@@ -113,7 +113,7 @@ class Member:
         history: History = BEGINNING,
         pending: Pending = NOTHING_PENDING,
     ) -> tuple[Plan, Aim]:
-        """Return a plan from `state` on this robot's belief, and its external inputs."""
+        """Return a plan from `state` with this robot's belief, and its external inputs."""
         base = verifier_context(
             self.problem, self.ground.index, belief.posteriors, state, history, moving
         )
@@ -144,7 +144,7 @@ def _valued_alone(plan: Plan, context: StepContext) -> Plan:
     """Return the plan with the objective of its path in a fresh context.
 
     Beyond `SEARCH_EXACT_LIMIT` measurements a prediction depends on the positions predicted with
-    it, so that values of a search cannot be repeated.
+    it, so that values of a search are not reproducible.
     """
     if len(context.posterior.measurements) <= SEARCH_EXACT_LIMIT:
         return plan
@@ -208,7 +208,7 @@ def _in_order(
     order: Sequence[int],
     kept: Mapping[int, TimedMotion],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Let robots plan in an order, clear of plans made and motions kept."""
+    """Let robots plan in the given order, clear of earlier plans and reserved motions."""
     aims: dict[int, Aim] = {}
 
     def plan_one(
@@ -229,7 +229,7 @@ def _planned(
     reserved_m: NDArray[np.float64],
     made: Mapping[int, Plan],
 ) -> tuple[Plan, Aim]:
-    """Return the plan of one robot, which is told where the others' plans measure."""
+    """Return the plan of one robot that accounts for the others' planned measurements."""
     pending = NOTHING_PENDING
     if counts_others(team[number].problem):
         planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)
@@ -253,11 +253,11 @@ def _again_in_turn(
     plans: Sequence[Plan],
     aims: Sequence[Aim],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Let each robot plan once more, given all plans of the others, and keep the better plan.
+    """Let each robot plan again, given all other plans, and keep the better plan.
 
-    With F the objective of all plans together, F(p_i | others) = F(all) - F(others). A verified
-    plan is replaced only by a verified one of larger F(p_i | others), so that F(all) never falls.
-    Robots with weights of their own compare by these.
+    With F the objective of all plans together, F(p_i | others) = F(all) - F(others). Only a
+    verified plan of larger F(p_i | others) replaces a verified plan, so that F(all) never
+    decreases. Robots with individual weights compare by their own objective.
     """
     chosen = list(aims)
 

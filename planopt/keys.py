@@ -457,7 +457,7 @@ class ReadAs:
         self._to_keys, self._needs_folder = to_keys, needs_folder
 
     def tables(self) -> Sequence[type[BaseModel]]:
-        """Return the table."""
+        """Return the table that describes the object."""
         return (self._table,)
 
     def __get_pydantic_core_schema__(

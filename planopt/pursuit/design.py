@@ -40,7 +40,7 @@ PAYLOAD_FITS = "slot of the payload below the widest slot"
 IN_TIME = "time to capture below the deadline"
 
 SHARP_ORDER = {"capture_radius": 1, "deadline": 2, "payload": 3}
-"""Rank of the requirements that follow the inequalities of the theorem."""
+"""Number of requirements that hold if one of these fails, for ranking failures."""
 
 ELASTICITY_STEP = 1e-5
 """Relative step of the finite differences for sensitivities."""

@@ -254,7 +254,7 @@ def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
 def _driven(
     chase: Chase, bound_m: Floats, sampled_m: Floats, error_m: Floats
 ) -> tuple[Floats, Floats]:
-    """Return W after a stage and its duration for the worst case, the least sampled distance."""
+    """Return bound W after a stage and its duration for the worst case, the least distance."""
     lasts_s = (sampled_m + error_m) / chase.pursuer_speed_m_s + chase.stage_delay_s
     return bound_m - sampled_m + error_m + chase.evader_speed_m_s * lasts_s, lasts_s
 

@@ -24,7 +24,7 @@ ARC_PIECES = 16
 """Number of chords that approximate an arc, which turns by less than half a turn per step."""
 
 CAPTURE_PIECES = 4
-"""Number of equal parts of a step in which captures are resolved."""
+"""Number of equal parts of a step on which captures are detected."""
 
 
 @dataclass(frozen=True)

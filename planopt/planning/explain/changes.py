@@ -53,7 +53,7 @@ class Key:
 
     @property
     def most(self) -> float:
-        """Return the maximum amount of loosening."""
+        """Return the maximum amount by which the key may be loosened."""
         return abs(self.limit - self.value)
 
     def loosened(self, amount: float) -> float:

@@ -48,7 +48,7 @@ def is_open(problem: Problem) -> bool:
 
 
 def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
-    """Return changes each of which would open a path to the goal.
+    """Return changes, each of which alone would open a path to the goal.
 
     If start and goal are connected in free space (`joined`), only the lattice is too coarse.
     """

@@ -199,7 +199,7 @@ def _best_score(
 
 
 def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
-    """Return changes each of which would satisfy all constraints."""
+    """Return changes, each of which alone would satisfy all constraints."""
     found: dict[str, Relaxation] = {}
     connection = _connection(case)
     for fault in (*([] if connection is None else [connection]), *_distances(case)):

@@ -29,7 +29,7 @@ class Source:
 
 
 OMITTED = object()
-"""Value of a key that is omitted for an object."""
+"""Marker for a key that is left out of the JSON object."""
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Field(ge=0)]

@@ -29,7 +29,7 @@ SEARCHED_CELLS = 0.5
 """Sampling interval in the clairvoyant's search, in cells."""
 
 IsOut = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
-"""Function from positions (n, 2) to flags (n,) that are true out of contact."""
+"""Function from positions (n, 2) to a mask (n,) of those out of contact."""
 
 
 def run_costs(

@@ -156,7 +156,7 @@ def expression_values(
 def expression_derivatives(
     program: str, steps: int, inputs: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
 ) -> PathDerivatives:
-    """Return the value of one path with derivatives by its positions."""
+    """Return the value of one path with derivatives w.r.t. its positions."""
     columns = [inputs[name] for name in ("x", "y", *CHANNELS[1:])]
     shapes = _shapes(steps)
     values = dict(zip(CHANNELS[1:], (each.value for each in columns[2:]), strict=True))
@@ -189,7 +189,7 @@ def _mapped(program: str, steps: int, count: int) -> Any:
 
 @lru_cache(maxsize=64)
 def _differentiated(program: str, steps: int) -> Any:
-    """Return the CasADi function for value, gradient and Hessian by `CHANNELS`."""
+    """Return the CasADi function for value, gradient and Hessian w.r.t. `CHANNELS`."""
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
     value = _parsed(program, symbols, steps)
     # Step-major order: all channels of one step are adjacent.

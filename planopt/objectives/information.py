@@ -1,8 +1,8 @@
 """Measurement gains along a path: information gain and variance reduction.
 
 Each class computes the value from :class:`planopt.objectives.moments.Moments` (the exact posterior
-for one path, a local channel for many), its gradient by these moments, and the value of one path
-with first and second derivatives for solvers. All use C = S, or C = S + B M B' for uncertain theta:
+for one path, a local channel for many), its gradient w.r.t. them, and the value of one path with
+first and second derivatives for solvers. All use C = S, or C = S + B M B' for uncertain theta:
 
 - :class:`Information` in log det C (equations 4.1 and 4.5),
 - :class:`VarianceRemoved`, tr(Y' C^-1 Y) (equations 4.1, 4.2 and 4.6),
@@ -48,11 +48,11 @@ class Gain(Protocol):
         ...
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the derivatives of :meth:`value` by the gated moments of many paths."""
+        """Return the adjoints of :meth:`value` w.r.t. the gated moments of many paths."""
         ...
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the gain of one path with derivatives by positions and gates."""
+        """Return the gain of one path with derivatives w.r.t. positions and gates."""
         ...
 
 
@@ -83,7 +83,7 @@ class Information:
         return self.factor * np.log(diagonal / less).sum(axis=-1)
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the pull: half the inverse of C, minus that of the subtracted term."""
+        """Return the adjoints: half the inverse of C, minus that of the subtracted term."""
         found = _by_universal(moments, 0.5 * self.factor * moments.inverse)
         if self.about == "path loss":
             known = np.asarray(np.linalg.inv(moments.covariance), dtype=np.float64)
@@ -129,7 +129,7 @@ class VarianceRemoved:
         return covariance, moments.across if self.loading is None else moments.trend @ self.loading
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the pull: with X = C^-1 Y, -X X' by C and 2 X by Y."""
+        """Return the adjoints: for X = C^-1 Y, -X X' w.r.t. C and 2 X w.r.t. Y."""
         covariance, rows = self._parts(moments)
         precision = moments.inverse if self.universal else np.linalg.inv(covariance)
         x = precision.astype(rows.dtype) @ rows
@@ -169,7 +169,7 @@ class VarianceRemoved:
 
 
 THRESHOLD_ROUNDING = 0.01
-"""Width of the threshold's rounding as a share of xi^2 + omega^2. It raises the value of a step by
+"""Smoothing width of the threshold as a share of xi^2 + omega^2. It raises the value of a step by
 at most 3/16 of that width."""
 
 
@@ -204,7 +204,7 @@ class PathUncertainty:
         return np.maximum(variance - moments.blind_db2 - gate**2 * fall, 0.0), near
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the pull, from d L_ii^2 = L_ii^2 n_i' dC n_i with n_i row i of L^-1."""
+        """Return the adjoints, from d L_ii^2 = L_ii^2 n_i' dC n_i with n_i row i of L^-1."""
         excess, near = self._parts(moments)
         rows = np.asarray(np.linalg.inv(moments.factor), dtype=np.float64)
         counts = np.where(excess > 0.0, near, 0.0)
@@ -219,7 +219,7 @@ class PathUncertainty:
         return found.plus(pull_of_lengths(start, moments.positions_m, -self.decay_per_m * after))
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the sum for one path with derivatives; threshold and step lengths are rounded."""
+        """Return the sum for one path with derivatives; threshold and step lengths are smoothed."""
         batch, gates, parameters = path.universal, path.gates, path.channel.parameters
         lower = covariance_factor(batch.value)
         left = solve_lower(lower, np.eye(len(lower)))
@@ -230,7 +230,7 @@ class PathUncertainty:
         excess, slope, bend = rounded_positive_part(
             diagonal - path.blind_db2 - gate * gate * fall, THRESHOLD_ROUNDING * path.blind_db2
         )
-        # Derivatives of the excess by the coordinates; see _bent_variances.
+        # Derivatives of the excess w.r.t. the coordinates; see _bent_variances.
         changes = 2.0 * diagonal[:, None] * left[:, batch.owner] * along
         gated = 3 * np.arange(path.steps) + 2
         if gates is not None:
@@ -238,7 +238,7 @@ class PathUncertainty:
         offsets = np.diff(path.path_m, axis=0, prepend=np.array(self.start_m)[None])
         legs = rounded_length(offsets, CUSP_ROUNDING * parameters.decorrelation_m)
         near = np.exp(-self.decay_per_m * np.cumsum(legs.value))
-        # Derivatives of psi(l_i) by the coordinates, and sum_i excess_i d^2 psi(l_i).
+        # Derivatives of psi(l_i) w.r.t. the coordinates, and sum_i excess_i d^2 psi(l_i).
         by_place = np.cumsum(length_jacobian(legs), axis=0)
         near_first = -self.decay_per_m * near[:, None] * by_place
         after = np.cumsum((excess * near)[::-1])[::-1]
@@ -282,13 +282,13 @@ def square_root(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _by_universal(moments: Moments, by_universal: NDArray[np.float64]) -> Pull:
-    """Convert symmetric derivatives by S + B M B' (..., N, N) to a pull by S and B."""
+    """Return the adjoints of S and B from symmetric ones of S + B M B' (..., N, N)."""
     by_trend = 2.0 * (by_universal @ (moments.trend @ moments.theta_covariance))
     return Pull(by_covariance=by_universal, by_trend=by_trend)
 
 
 def _half_log_determinant(batch: CovarianceDerivatives) -> PathDerivatives:
-    """Return 1/2 log det C with derivatives by the coordinates."""
+    """Return 1/2 log det C with derivatives w.r.t. the coordinates."""
     factor = covariance_factor(batch.value)
     weight, own = inverse(factor), batch.owner
     pulled = batch.first @ weight
@@ -318,7 +318,7 @@ def _half_log_noise(path: LocalPath) -> PathDerivatives:
 def _without_gates(
     first: NDArray[np.float64], bent: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Expand derivatives (h, 2 h) and (2 h, 2 h) by positions to 3 h coordinates with gates."""
+    """Expand derivatives (h, 2 h), (2 h, 2 h) w.r.t. positions to 3 h coordinates with gates."""
     steps = len(first)
     place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
     wide_first, wide_bent = np.zeros((steps, 3 * steps)), np.zeros((3 * steps, 3 * steps))

@@ -67,7 +67,7 @@ class MeasuringRule:
 
     @property
     def open_m(self) -> float:
-        """Return the distance from which on gates are fully open."""
+        """Distance from which gates are fully open."""
         return OPEN_SPACINGS * self.spacing_m
 
     def near(self, paths_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
@@ -168,7 +168,7 @@ class MeasuringRule:
 
 @dataclass(frozen=True, eq=False)
 class Gates:
-    """Smooth gates of paths with derivatives by positions.
+    """Smooth gates of paths with derivatives w.r.t. positions.
 
     They are twice differentiable except where two positions begin to close at once.
     """
@@ -180,7 +180,7 @@ class Gates:
     _own: NDArray[np.float64]
 
     def jacobian(self) -> NDArray[np.float64]:
-        """Return gate derivatives by path coordinates x_1, y_1, x_2, ..; ``(c, N, 2 N)``."""
+        """Return gate derivatives w.r.t. path coordinates x_1, y_1, ..; ``(c, N, 2 N)``."""
         return self.value[..., None] * self._log_slopes()
 
     def curvature(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -191,7 +191,7 @@ class Gates:
         found = slopes.T @ (by_log[:, None] * slopes)
         blocks = found.reshape(steps, 2, steps, 2)
         every, unit = np.arange(steps), np.eye(2)
-        # Second derivatives of log s(|o|^2) by the offset o: 2 L' I + 4 L'' o o'.
+        # Second derivatives of log s(|o|^2) w.r.t. the offset o: 2 L' I + 4 L'' o o'.
         offset = self._offset_m[0]
         known = 4.0 * np.einsum("im,ima,imb->iab", self._known[2, 0], offset, offset)
         known += 2.0 * self._known[1, 0].sum(axis=1)[:, None, None] * unit
@@ -205,7 +205,7 @@ class Gates:
         return found
 
     def _log_slopes(self) -> NDArray[np.float64]:
-        """Return the derivatives of log gates by path coordinates; ``(c, N, 2 N)``."""
+        """Return the derivatives of log gates w.r.t. path coordinates; ``(c, N, 2 N)``."""
         steps = int(self.value.shape[1])
         found = np.zeros((len(self.value), steps, steps, 2))
         every = np.arange(steps)
@@ -218,7 +218,7 @@ class Gates:
 
 
 def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:
-    """Return log s with first and second derivatives by the squared distance; ``(3, ...)``.
+    """Return log s with two derivatives w.r.t. the squared distance; ``(3, ...)``.
 
     s = u^3 (10 - 15 u + 6 u^2) rises from 0 (closed) to 1 (fully open) with two continuous
     derivatives. If s = 0, log s is minus infinity and the derivatives are set to 0, like those of

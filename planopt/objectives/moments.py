@@ -1,4 +1,4 @@
-"""Moments of future measurements along paths (equation 1.11) and derivatives by them.
+"""Moments of future measurements along paths (equation 1.11), with adjoints.
 
 The posterior covariance after measurements at q_1 .. q_N does not depend on the measured values. It
 depends on their covariance S and on B, their regressors less the part predicted from earlier data.
@@ -12,7 +12,7 @@ variance to that of an uninformative measurement, kappa = xi^2 + omega^2:
 The gate g = 1 leaves the measurement unchanged; g = 0 removes all its information. A position
 without a measurement therefore has gate 0, and solvers use smooth gates in between.
 
-The gradient by positions follows from the derivatives by S, B and the covariances with the
+The gradient w.r.t. positions follows from the adjoints of S, B and the covariances with the
 measurements (:class:`Pull`). It costs one more evaluation for all paths together.
 """
 
@@ -78,7 +78,7 @@ class Moments:
     whole_trend: NDArray[np.float64]  # (..., N, 2) B without gates
     theta_covariance: NDArray[np.float64]  # (2, 2) M; zero if theta is known
     gate: NDArray[np.float64] | None  # (..., N); None: all one
-    # Computes covariances (..., N, g) with the map for uncertain theta, times root weights
+    # Function for covariances (..., N, g) with the map, theta uncertain, times root weights
     map_covariance: Callable[[], NDArray[np.floating]] | None = None
 
     @property
@@ -88,12 +88,12 @@ class Moments:
 
     @cached_property
     def gated_part(self) -> NDArray[np.float64]:
-        """S - kappa I, the matrix that gates multiply from both sides; ``(..., N, N)``."""
+        """Matrix S - kappa I, which gates scale from both sides; ``(..., N, N)``."""
         return self.whole_covariance - self.blind_db2 * np.eye(self.whole_covariance.shape[-1])
 
     @cached_property
     def covariance(self) -> NDArray[np.float64]:
-        """S_g for known theta, ``(..., N, N)``."""
+        """Covariance S_g for known theta, ``(..., N, N)``."""
         if self.gate is None:
             return self.whole_covariance
         both = self.gate[..., :, None] * self.gate[..., None, :]
@@ -101,12 +101,12 @@ class Moments:
 
     @cached_property
     def trend(self) -> NDArray[np.float64]:
-        """B_g, ``(..., N, 2)``."""
+        """Gated regressors B_g, ``(..., N, 2)``."""
         return self.whole_trend if self.gate is None else self.gate[..., None] * self.whole_trend
 
     @cached_property
     def universal(self) -> NDArray[np.float64]:
-        """S_g + B_g M B_g', the covariance for uncertain theta; ``(..., N, N)``."""
+        """Covariance S_g + B_g M B_g' for uncertain theta; ``(..., N, N)``."""
         return self.covariance + self.trend @ self.theta_covariance @ self.trend.swapaxes(-1, -2)
 
     @cached_property
@@ -141,7 +141,7 @@ class Moments:
         return across if self.gate is None else self.gate.astype(across.dtype)[..., None] * across
 
     def without_gates(self, pull: Pull) -> Pull:
-        """Convert derivatives by gated moments to derivatives by ungated moments and gates."""
+        """Convert adjoints of gated moments to adjoints of ungated moments and gates."""
         gate = self.gate
         if gate is None:
             return pull
@@ -247,18 +247,18 @@ def posterior_moments(
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Derivatives of one scalar per path by the quantities it depends on; None means zero."""
+    """Adjoints: derivatives of one scalar per path w.r.t. its inputs; None means zero."""
 
     by_position: NDArray[np.float64] | None = None  # (c, N, 2), other quantities fixed
-    by_covariance: NDArray[np.float64] | None = None  # (c, N, N) by S, symmetric
-    by_trend: NDArray[np.float64] | None = None  # (c, N, 2) by B
-    by_across: NDArray[np.floating] | None = None  # (c, N, g) by the covariances with the map
-    # (c, N, m) by the covariances with the measurements, S and B fixed
+    by_covariance: NDArray[np.float64] | None = None  # (c, N, N) w.r.t. S, symmetric
+    by_trend: NDArray[np.float64] | None = None  # (c, N, 2) w.r.t. B
+    by_across: NDArray[np.floating] | None = None  # (c, N, g) w.r.t. the covariances with the map
+    # (c, N, m) w.r.t. the covariances with the measurements, S and B fixed
     by_phi: NDArray[np.float32] | None = None
     by_gate: NDArray[np.float64] | None = None  # (c, N)
 
     def plus(self, other: Pull, weight: float = 1.0) -> Pull:
-        """Return this pull plus `weight` times `other`."""
+        """Return these adjoints plus `weight` times `other`."""
         return Pull(
             _sum(self.by_position, other.by_position, weight),
             _sum(self.by_covariance, other.by_covariance, weight),
@@ -285,7 +285,7 @@ def pull_of_lengths(
     paths_m: NDArray[np.float64],  # (c, N, 2)
     by_length: NDArray[np.float64],  # (c, N)
 ) -> Pull:
-    """Return the position derivatives that follow from derivatives by step lengths."""
+    """Return the adjoints of positions from the adjoints `by_length` of step lengths."""
     ends = np.concatenate([np.broadcast_to(start_m, (len(paths_m), 1, 2)), paths_m], axis=1)
     legs = np.diff(ends, axis=1)
     length = np.maximum(np.hypot(legs[..., 0], legs[..., 1]), TINY_M)
@@ -371,7 +371,7 @@ class LocalPaths:
     def pull_of_power(
         self, by_mean: NDArray[np.float64], by_deviation: NDArray[np.float64]
     ) -> Pull:
-        """Convert derivatives by the power's mean and standard deviation ``(c, N)`` to a pull."""
+        """Return the adjoints that follow from those of mean and standard deviation ``(c, N)``."""
         channel, own = self.channel, np.arange(self.shape[1])
         deviation = self.power.deviation_db.reshape(self.shape)
         by_variance = np.zeros((*self.shape, self.shape[1]))
@@ -384,7 +384,7 @@ class LocalPaths:
         )
 
     def slopes(self, pull: Pull, gates: Gates | None = None) -> NDArray[np.float64]:
-        """Return the gradient by positions, ``(c, N, 2)``; `pull.by_gate` refers to `gates`."""
+        """Return the gradient w.r.t. positions, ``(c, N, 2)``; `pull.by_gate` refers to `gates`."""
         channel = self.channel
         found, by_phi = np.zeros((*self.shape, 2)), np.zeros_like(self._solved)
         by_trend = pull.by_trend

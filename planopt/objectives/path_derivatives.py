@@ -1,12 +1,12 @@
 """First and second derivatives of the moments of one path, with the chain rule to its positions.
 
-Only row and column i of S and row i of B depend on q_i. The derivative of S by coordinate a of q_i
-is therefore ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are stored. Coordinates
-are ordered x_1, y_1, x_2, y_2, ... throughout. A gate (:mod:`planopt.objectives.moments`) is a
-third coordinate of its position, so 2 h coordinates become 3 h. :func:`by_positions` then
-substitutes the gates' derivatives by positions.
+Only row and column i of S and row i of B depend on q_i. The derivative of S w.r.t. coordinate a of
+q_i is therefore ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are stored.
+Coordinates are ordered x_1, y_1, x_2, y_2, ... throughout. A gate
+(:mod:`planopt.objectives.moments`) is a third coordinate of its position, so 2 h coordinates become
+3 h. :func:`by_positions` then substitutes the derivatives of the gates w.r.t. positions.
 
-Cusps are rounded and only the measurements of a local channel are used. The path that a solver
+Cusps are smoothed and only the measurements of a local channel are used. The path that a solver
 returns must therefore be evaluated again with the exact posterior.
 """
 
@@ -29,10 +29,10 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True, eq=False)
 class PathDerivatives:
-    """Objective value of a path of h positions with derivatives by its 2 h coordinates."""
+    """Objective value of a path of h positions with derivatives w.r.t. 2 h coordinates."""
 
     value: float  # Objective value
-    gradient: NDArray[np.float64]  # (2 h,) by x_1, y_1, x_2, ...
+    gradient: NDArray[np.float64]  # (2 h,) w.r.t. x_1, y_1, x_2, ...
     hessian: NDArray[np.float64]  # (2 h, 2 h) symmetric
 
     def plus(self, other: PathDerivatives, weight: float = 1.0) -> PathDerivatives:
@@ -49,7 +49,7 @@ class Rows:
     """Rows of r numbers, each a function of its own position only, such as the rows of B."""
 
     value: NDArray[np.float64]  # (h, r)
-    first: NDArray[np.float64]  # (2 h, r) by the position's own coordinates
+    first: NDArray[np.float64]  # (2 h, r) w.r.t. the position's own coordinates
     # (h, 3, r) xx, xy, yy; with gates (h, 6, r): xx, xy, yy, xg, yg, gg
     second: NDArray[np.float64]
 
@@ -79,11 +79,11 @@ class CovarianceDerivatives:
     """Covariance S of a path with derivatives."""
 
     value: NDArray[np.float64]  # (h, h) S
-    # (2 h, h) D[2 i + a, k]: derivative of S_ik by coordinate a of q_i; half of it if k = i
+    # (2 h, h) D[2 i + a, k]: dS_ik w.r.t. coordinate a of q_i; half of it if k = i
     first: NDArray[np.float64]
-    # (2 h, 2 h) derivatives of S_ij by coordinates of q_i and q_j; half of that part if j = i
+    # (2 h, 2 h) d^2 S_ij w.r.t. coordinates of q_i and q_j; half of it if j = i
     mixed: NDArray[np.float64]
-    # (h, 3, h) derivatives of S_ik by two coordinates of q_i; half of that part if k = i
+    # (h, 3, h) d^2 S_ik w.r.t. two coordinates of q_i; half of it if k = i
     second: NDArray[np.float64]
 
     @property
@@ -267,7 +267,7 @@ def add_own_blocks(hessian: NDArray[np.float64], own: NDArray[np.float64]) -> No
 
 
 def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
-    """Convert derivatives by positions and gates, (3 h,) and (3 h, 3 h), to ones by positions."""
+    """Eliminate the gates from derivatives (3 h,) and (3 h, 3 h) w.r.t. positions and gates."""
     if gates is None:
         return found
     steps = len(found.gradient) // 3
@@ -290,7 +290,7 @@ def by_stages(
     hessian: NDArray[np.float64],  # (h, c, h, c)
     inputs: Sequence[Derivatives],
 ) -> PathDerivatives:
-    """Return derivatives by positions of a value that depends on c inputs per stage.
+    """Return derivatives w.r.t. positions of a value that depends on c inputs per stage.
 
     Each input of a stage, such as connectivity or sensing, depends on its own position only.
     """
@@ -304,8 +304,8 @@ def by_stages(
 
 
 def by_lengths(
-    lengths: Derivatives,  # (h,) step lengths with derivatives by their offsets
-    gradient: NDArray[np.float64],  # (h,) gradient by the lengths
+    lengths: Derivatives,  # (h,) step lengths with derivatives w.r.t. offsets
+    gradient: NDArray[np.float64],  # (h,) gradient w.r.t. lengths
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return sum_k gradient_k d length_k (2 h,) and sum_k gradient_k d^2 length_k (2 h, 2 h)."""
     count = len(gradient)
@@ -322,7 +322,7 @@ def by_lengths(
 
 
 def length_jacobian(lengths: Derivatives) -> NDArray[np.float64]:
-    """Return the derivatives of all step lengths by all coordinates, ``(h, 2 h)``."""
+    """Return the derivatives of all step lengths w.r.t. all coordinates, ``(h, 2 h)``."""
     steps = len(lengths.value)
     found, k = np.zeros((steps, steps, 2)), np.arange(steps)
     found[k, k] = lengths.gradient

@@ -35,7 +35,7 @@ from planopt.channel.prediction import Prediction, score_probability
 from planopt.targets.rounding import Derivatives, add_products, radial
 
 CUSP_ROUNDING = 0.01
-"""Rounding of the kernel's cusp as a share of the decorrelation distance."""
+"""Smoothing width of the kernel's cusp as a share of the decorrelation distance."""
 
 
 def rounded_kernel(
@@ -54,7 +54,7 @@ def rounded_kernel(
 def softened_m2(
     added_m2: NDArray[np.float64] | float, parameters: ChannelParameters
 ) -> NDArray[np.float64] | float:
-    """Return the term that the rounded kernel adds to squared distances."""
+    """Return the term that the smoothed kernel adds to squared distances."""
     return added_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2
 
 
@@ -99,7 +99,7 @@ def fill_rounded_kernel(
 
 
 def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> Derivatives:
-    """Return -10 log10 sqrt(d^2 + MIN_DISTANCE_M^2) with derivatives by positions (n, 2)."""
+    """Return -10 log10 sqrt(d^2 + MIN_DISTANCE_M^2) with derivatives at positions (n, 2)."""
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("ni,ni->n", offset, offset) + (station.height_m**2 + MIN_DISTANCE_M**2)
     slope = (-10.0 / math.log(10.0)) / square

@@ -5,7 +5,7 @@ Plans are evaluated by assumed-density filtering (equation 4.15). Positions are 
 Given no connection so far, the power at all later positions is approximated by a Gaussian with the
 exact moments. The result is within hundredths of the multivariate integral
 (:func:`planopt.channel.first_passage`) at a hundredth of its cost. For solvers, CasADi
-differentiates the formula by the moments of the path, whose derivatives
+differentiates the formula w.r.t. the moments of the path, whose derivatives
 :mod:`planopt.objectives.path_derivatives` provides.
 """
 
@@ -45,7 +45,7 @@ LEAST_CHANCE = 1e-12
 """Minimum probability of connection of a probed position."""
 
 PROBE_SHARE = 1.0 / 3.0
-"""Expected distance between probes as a share of the decorrelation distance. From 1/6 to 2/3
+"""Expected distance between probes as a share of the decorrelation distance. For 1/6 to 2/3,
 searches from 40 start positions on one map were within a tenth of the best."""
 
 LEAST_VARIANCE_DB2 = 1e-12
@@ -155,7 +155,7 @@ class PassageProgramme:
     """
 
     value: Any  # Function of z: expected cost in metres
-    gradient: Any  # Gradient by z; covariances enter by their lower triangle only
+    gradient: Any  # Gradient w.r.t. z, with covariances as lower triangles
     along: Any  # Function of z and a direction: directional derivative of the gradient
 
 
@@ -209,7 +209,7 @@ def charged_distance_derivatives(
     path_m: NDArray[np.float64],  # (h, 2)
     settings: Search,
     width_m: float,
-    beyond: Derivatives | None = None,  # Cost of ending without connection, by the last position
+    beyond: Derivatives | None = None,  # Cost of ending unconnected at the last position
     probed: NDArray[np.bool_] | None = None,  # (h,)
 ) -> PathDerivatives:
     """Return :func:`charged_distance_m` for local channels, filtered, with derivatives."""
@@ -224,7 +224,7 @@ def charged_distance_derivatives(
         beyond = Derivatives(np.array([settings.beyond_m]), np.zeros((1, 2)), np.zeros((1, 3)))
     missing_db = 0.0 if probed is None else np.where(probed, 0.0, NOT_PROBED_DB)
     z: list[NDArray[np.float64]] = []
-    # Derivatives of z by the coordinates.
+    # Derivatives of z w.r.t. the coordinates.
     jacobian: list[NDArray[np.float64]] = []
     for station, threshold in zip(stations, settings.thresholds_dbm, strict=True):
         z += [

@@ -76,9 +76,9 @@ class Dynamics(Protocol):
         ...
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the additional distance of the path from the hull's curve at equal times.
+        """Return the largest distance of the path from the Bezier curve of the points.
 
-        The points are Bezier control points, evenly spaced in time.
+        The comparison is at equal times; the distance adds to :meth:`hull_pad_m`.
         """
         ...
 
@@ -257,7 +257,7 @@ class PurePursuit:
     def speed_m_s(self, acceleration_m_s2: float, swing_m: float) -> float:
         """Return the largest speed that allows the turns ahead and a stop at the end."""
         turn = np.append(self._turn, np.inf)[-len(self._corner_m) :]
-        # A turn takes turn v / a seconds, in which the robot drives twice the swing.
+        # A turn takes turn v / a seconds, in which it drives twice `swing_m`.
         square = 2.0 * acceleration_m_s2 * swing_m / np.maximum(turn, 1e-9)
         left = self._corner_m - self._at_m
         square = square + 2.0 * acceleration_m_s2 * np.maximum(left, 0.0)

@@ -30,7 +30,7 @@ SWING_SHARE = 0.25
 """Maximum tracking error at the turns of a path, as a share of the longest step."""
 
 PIECE_TURN_RAD = math.pi / 4.0
-"""Maximum turn of an arc; steps are cut into such arcs to keep their convex hulls narrow."""
+"""Maximum turn per arc; steps are cut into arcs to keep their convex hulls narrow."""
 
 HALVINGS = 3
 """Number of halvings of z in sin(z)/z, down to z / 8, before the series is used."""
@@ -38,7 +38,7 @@ HALVINGS = 3
 
 @dataclass(frozen=True)
 class SingleIntegrator(BaseDynamics):
-    """A holonomic robot: its velocity is the input.
+    """Holonomic robot whose velocity is the input.
 
     q+ = q + h v with |v| <= v_max. The state is the position.
 
@@ -107,7 +107,7 @@ class SingleIntegrator(BaseDynamics):
 
 @dataclass(frozen=True)
 class DoubleIntegrator(BaseDynamics):
-    """A robot with inertia: its acceleration is the input.
+    """Robot with inertia whose acceleration is the input.
 
     p+ = p + h v + h^2/2 a and v+ = v + h a with |a| <= a_max and |v| <= v_max. Speed is convex over
     a step, so the limit holds throughout if it holds at both ends. A step is a parabola, i.e. a
@@ -282,7 +282,7 @@ class DoubleIntegrator(BaseDynamics):
 
 @dataclass(frozen=True)
 class Unicycle(BaseDynamics):
-    """A robot that drives along its heading, such as a differential drive.
+    """Robot that drives along its heading, such as a differential drive.
 
     x' = v cos(heading), y' = v sin(heading), heading' = w. A step is a circular arc. With half the
     turn z = w h / 2, its chord has length v h sin(z)/z and direction heading + z. The arc lies in

@@ -20,7 +20,7 @@ class TargetModel:
     """Motion model ``x+ = A x + B w``, ``x = (p, p')``, cov w = Theta (equation 4.7)."""
 
     step_s: float  # epsilon: the time step
-    # (2, 2) Theta. B Theta B' has rank 2 of 4: it has no inverse.
+    # (2, 2) Theta; B Theta B' is singular, of rank 2
     acceleration_covariance_m2_s4: NDArray[np.float64]
 
     def __post_init__(self) -> None:

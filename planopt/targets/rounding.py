@@ -49,7 +49,7 @@ def radial(
     slope: NDArray[np.float64],
     bend: NDArray[np.float64],
 ) -> Derivatives:
-    """Return f(|x|) with derivatives by x at offsets (..., 2)."""
+    """Return f(|x|) with derivatives w.r.t. x at offsets (..., 2)."""
     # Shapes: value f, slope f' / r, bend (f'' - f' / r) / r^2, all (...).
     rows = np.empty((*value.shape, 6))
     rows[..., 0] = value

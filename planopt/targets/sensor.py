@@ -74,7 +74,7 @@ def sense(
 def sensing_derivatives(
     sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
 ) -> Derivatives:
-    """Return 1 / g with gradient and Hessian by q.
+    """Return 1 / g with gradient and Hessian w.r.t. q.
 
     The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller
     distances, the value and its derivatives use the smoothed distance of

@@ -1,8 +1,8 @@
 """Curves and motions of robots: clearance from obstacles, and separation of two motions in time.
 
 A curve is the path of one step, a motion that of several steps. Time within a step is a share of it
-from 0 to 1. A curve has a bound ``|p''| <= c`` on its second derivative by share. Between two times
-d apart, the position is therefore within ``c d^2 / 8`` of uniform motion on the chord.
+from 0 to 1. A curve has a bound ``|p''| <= c`` on its second derivative. Between two times d
+apart, the position is therefore within ``c d^2 / 8`` of uniform motion on the chord.
 """
 
 from __future__ import annotations
@@ -355,7 +355,7 @@ CLOSE_SHARE = 1e-9
 
 
 def curve_distance_m(first: TimedCurve, second: TimedCurve, at_most_m: float = math.inf) -> float:
-    """Return a lower bound, tight to `CLOSE_M`, of two curves' distance at equal times."""
+    """Return a lower bound of two curves' distance at equal times, tight to `CLOSE_M`."""
     unknown = first.within_m + second.within_m
     curving = first.curving_m + second.curving_m
     if not math.isfinite(curving + unknown):

@@ -65,7 +65,7 @@ def _ring(polygon: shapely.Polygon) -> list[Vertex]:
 
 
 def _is_convex_turn(before: Vertex, at: Vertex, after: Vertex) -> bool:
-    """Return whether `at` is a left turn, or at most `FLAT_M` inside the chord."""
+    """Return whether `at` is a left turn, or a right turn within `FLAT_M` of the chord."""
     chord_x, chord_y = after[0] - before[0], after[1] - before[1]
     cross = chord_x * (before[1] - at[1]) - chord_y * (before[0] - at[0])
     return before != after and cross >= -FLAT_M * math.hypot(chord_x, chord_y)

@@ -27,7 +27,7 @@ Part = Derivatives | PathDerivatives
 """Value with derivatives: per stage if it is a sum over stages, else of the whole path."""
 
 LENGTH_ROUNDING_SHARE = 0.01
-"""Width within which a length near zero is rounded, as a share of the longest step."""
+"""Width within which a length near zero is smoothed, as a share of the longest step."""
 
 
 class SteeredPath(Protocol):
@@ -241,7 +241,7 @@ class NearPath:
 
     at: TermContext
     places_m: NDArray[np.float64]  # (N, 2) positions after each step
-    predicted: Callable[[], StagePower]  # Predicts the serving power
+    predicted: Callable[[], StagePower]  # Predictor of the serving power
     # Local channel of each station, if a term couples positions
     channels: Sequence[LocalChannel]
     # Anticipated local channels, each with the grid of the averaged map, if any
@@ -267,7 +267,7 @@ class NearPath:
 
     @property
     def rounding_m(self) -> float:
-        """Width in metres within which lengths near zero are rounded."""
+        """Width in metres within which lengths near zero are smoothed."""
         return LENGTH_ROUNDING_SHARE * self.at.step_length_m
 
 

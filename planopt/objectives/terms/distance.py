@@ -45,7 +45,7 @@ class SteeredTerm(Term):
         return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return derivatives of :meth:`values` by the positions of paths."""
+        """Return the adjoints of :meth:`values` w.r.t. the positions of paths."""
         steering, ways = paths.at.steering, paths.paths_m
         if steering is None:
             return Pull()
@@ -68,8 +68,8 @@ class SteeredTerm(Term):
 class GoalTerm(SteeredTerm):
     """Progress in metres towards the robot's goal at the end of each step (equation 4.20).
 
-    Distance is measured along the shortest path that keeps ``p_min`` everywhere, or else has the
-    least length out of contact. The run ends once all robots rest within ``goal_radius_m``.
+    Distances follow the shortest path that keeps ``p_min`` everywhere, or else has the least length
+    out of contact. The run ends once all robots rest within ``goal_radius_m`` of their goals.
     """
 
     kind: ClassVar[str] = "goal"
@@ -114,7 +114,7 @@ class MotionEnergyTerm(Term):
         return PathDerivatives(float(each @ lengths.value), *by_lengths(lengths, each))
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return derivatives of the energy of the step lengths by positions."""
+        """Return the adjoints of the energy per length w.r.t. positions."""
         by_length = np.full(paths.shape, -self.per_metre_j_m)
         return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
 

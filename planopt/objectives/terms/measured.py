@@ -82,12 +82,12 @@ class MeasuredTerm(Term):
         return np.sum(each, axis=0)
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the derivatives of :meth:`values` by the moments of station `number`."""
+        """Return the adjoints of :meth:`values` w.r.t. the moments of station `number`."""
         moments: Moments = paths.moments[number]
         return moments.without_gates(self._gain(paths.at, number).pull(moments))
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return the value of one path with derivatives, by the local channel of its guess."""
+        """Return the value and derivatives of one path, using the local channel."""
         found = [self._gain(path.at, k).derivatives(local) for k, local in enumerate(path.measured)]
         return by_positions(reduce(PathDerivatives.plus, found), path.gates)
 
@@ -300,11 +300,11 @@ class MappingTerm(MeasuredTerm):
         return DISTANCE.values(paths) if self.form == "two_layer" else super().values(paths)
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return the value of one path with derivatives, by the local channel of its guess."""
+        """Return the value and derivatives of one path, using the local channel."""
         return DISTANCE.derivatives(path) if self.form == "two_layer" else super().derivatives(path)
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return derivatives of :meth:`values` by one station's moments, or by positions."""
+        """Return the adjoints of :meth:`values` w.r.t. one station's moments, or positions."""
         if self.form == "two_layer":
             return DISTANCE.slope(paths, number)
         return super().slope(paths, number)

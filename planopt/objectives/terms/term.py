@@ -99,7 +99,7 @@ class Term:
     def probes_end(self) -> bool:
         """Return whether the end of a path is probed, so that :meth:`probe_values` is defined.
 
-        Such values are not smooth in the end of a path.
+        Such values are not smooth functions of the path's end.
         """
         return False
 
@@ -167,7 +167,7 @@ class Term:
         raise self._without("derivatives")
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return derivatives of :meth:`values` by the moments of station `number`.
+        """Return the adjoints of :meth:`values` w.r.t. the moments of station `number`.
 
         For terms that are not a sum over stations, only the first station is requested.
         """

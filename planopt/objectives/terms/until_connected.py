@@ -119,7 +119,7 @@ class UntilConnectedTerm(Term):
         return -charged_distances_m(powers, legs, beyond)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return the value of one path with derivatives, by the local channel of its guess."""
+        """Return the value and derivatives of one path, using the local channel."""
         search = self.search(path.at)
         found = charged_distance_derivatives(
             path.channels,
@@ -147,7 +147,7 @@ class UntilConnectedTerm(Term):
 
 
 def _beyond(path: NearPath, search: Search) -> Derivatives | None:
-    """Return the cost-to-go with derivatives by the last position; None without steering."""
+    """Return cost-to-go and derivatives w.r.t. the last position; None without steering."""
     steering = path.at.steering
     if path.ahead is None or steering is None:
         return None

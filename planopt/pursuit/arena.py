@@ -145,7 +145,7 @@ class Arena:
 
     @property
     def _margin_m(self) -> float:
-        """Distance of path vertices from obstacles, slightly larger than the clearance."""
+        """Return the distance of path vertices from obstacles, slightly above the clearance."""
         return ROUND_SHARE * self.clearance_m
 
     def is_free(self, place_m: NDArray[np.float64], share: float = 1.0) -> bool:
@@ -159,7 +159,7 @@ class Arena:
 
     @property
     def _closed(self) -> NDArray[np.object_]:
-        """Obstacles inflated by the path margin."""
+        """Return the obstacles inflated by the path margin."""
         assert self.obstacles is not None
         return grown(self.obstacles.polygons, self._margin_m, inner=False)
 

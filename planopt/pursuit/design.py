@@ -91,7 +91,7 @@ class MoteNetwork(Table):
     """Slot capacity in blocks: 6 for the mean load, with some late rounds; more for the peak load.
     """
     border_relays: bool = True
-    """Whether motes at the border of the nine cells relay records."""
+    """Flag for relaying of records by motes at the border of the nine cells."""
 
     @property
     def motes(self) -> int:
@@ -152,12 +152,12 @@ class DesignTask:
 
     @property
     def bits(self) -> Iterable[int]:
-        """Candidate numbers of bits."""
+        """Return the candidate numbers of bits."""
         return range(1, MAX_BITS + 1) if self.bits_per_axis is None else (self.bits_per_axis,)
 
     @property
     def staleness_per_slot(self) -> float:
-        """Staleness x per slot width s_w at r = 1, in 1/s."""
+        """Return the staleness x per slot width s_w at r = 1, in 1/s."""
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:

@@ -87,7 +87,7 @@ class Fleeing(Table):
 
     kind: Literal["fleeing"] = "fleeing"
     from_aims: bool = False
-    """Whether it flees from the pursuers' aims instead of their positions."""
+    """Flag for fleeing from the pursuers' aims instead of their positions."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the greedy decision function."""
@@ -131,7 +131,7 @@ class Zigzag(Table):
 class Foresighted(Table):
     """An evader that plans two legs to maximise its distance from directly chasing pursuers.
 
-    It does not avoid obstacles.
+    Obstacles are ignored.
     """
 
     kind: Literal["foresighted"] = "foresighted"

@@ -99,7 +99,7 @@ class Guarantee:
 
     @cached_property
     def floor_m(self) -> float:
-        """Largest distance bound W that may fail to decrease; infinite if an inequality fails."""
+        """Return the largest bound W that may fail to decrease; infinite if an inequality fails."""
         floor_m = _floor_m(self.stages) if self.holds else math.inf
         if self.theorem is Theorem.LEMMA and math.isfinite(floor_m):
             return _start_m(self.chase, self.bounds, floor_m)

@@ -99,12 +99,12 @@ class SnapshotService:
 
     @property
     def rounds_s(self) -> NDArray[np.float64]:
-        """``(L + 1,)`` duration of a round of each level, from the sample to the last mote."""
+        """Return the duration of a round from sample to last mote, by level (L + 1,)."""
         return self.hops_per_round * self.frame_s * np.exp2(np.arange(self.levels + 1))
 
     @property
     def periods_s(self) -> NDArray[np.float64]:
-        """``(L + 1,)`` time between samples of each level."""
+        """Return the time between samples, by level (L + 1,)."""
         return self.rate_divisor * self.rounds_s
 
     def sample_numbers(self, time_s: float) -> NDArray[np.int64]:
@@ -167,7 +167,7 @@ class Snapshot:
 
     @property
     def ages_s(self) -> NDArray[np.float64]:
-        """``(L + 1,)`` age of each level's record."""
+        """Return the age of the record, by level (L + 1,)."""
         return self.time_s - self.sampled_s
 
     def shown_at(self, mote: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -181,7 +181,7 @@ class Snapshot:
     def level_map(self) -> NDArray[np.int8]:
         """Return the level (n, n) from which each mote takes its report; rows are y.
 
-        It is -1 if no level shows the object, which happens only on endless grids.
+        The level is -1 if none shows the object, which happens only on endless grids.
         """
         side = self.service.motes_per_side
         found = np.full((side, side), -1, dtype=np.int8)

@@ -80,7 +80,7 @@ class NetworkPicture:
 
     @property
     def busiest(self) -> int:
-        """Last step with the largest number of agents responding to events; 0 without events."""
+        """Return the last step with the most agents responding to events; 0 without events."""
         times_s = self.run.times_s[:-1].tolist()
         there = np.array([any(e.is_there(t) for e in self.events) for t in times_s])
         team = np.where(there, (self.run.states >= 0).sum(axis=1), 0)

@@ -99,7 +99,7 @@ def _certificates(solution: Solution) -> list[str]:
 def draw_run(run: Run) -> Figure:
     """Draw the executed paths; for one robot with a goal, the time series are a separate figure.
 
-    Its map shows the true power; the maps of other runs show the first robot's final belief.
+    The map then shows the true power; maps of other runs show the first robot's final belief.
 
     Parameters
     ----------

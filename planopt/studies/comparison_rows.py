@@ -68,7 +68,7 @@ class Setting:
 
     @property
     def stalled(self) -> int:
-        """Number of runs that did not complete their task."""
+        """Return the number of runs that did not complete their task."""
         return sum(run.exit_code == NOT_DONE for run in self.runs)
 
 

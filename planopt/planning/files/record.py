@@ -77,7 +77,7 @@ class Places(Record):
 
     @property
     def positions_m(self) -> NDArray[np.float64]:
-        """Positions (n, 2)."""
+        """Return the positions (n, 2)."""
         return np.stack([self.x_m, self.y_m], axis=1).reshape(-1, 2)
 
 

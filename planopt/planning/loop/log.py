@@ -131,7 +131,7 @@ class RobotRun:
 
     @property
     def verified_rate(self) -> float:
-        """Share of released steps whose plan was verified (NaN if none was released)."""
+        """Return the share of released steps with a verified plan; NaN without steps."""
         released = self.log.verdict[1:]
         verified = sum(v is Verdict.VERIFIED for v in released)
         return verified / len(released) if released else float("nan")
@@ -170,7 +170,7 @@ class TargetLog:
 
     @property
     def normalised_trace_p(self) -> NDArray[np.float64]:
-        """``(steps + 1,)`` trace of the station's covariance relative to the first estimate."""
+        """Return the trace of the station's covariance over its initial value, (steps + 1,)."""
         return self.station_variance_m2 / self.station_variance_m2[0]
 
 

@@ -150,7 +150,7 @@ class Solution(Result):
 
     @property
     def verdict(self) -> Verdict:
-        """Worst verdict of all plans."""
+        """Return the worst verdict of all plans."""
         return max((plan.verdict for plan in self.plans), key=list(Verdict).index)
 
     @property
@@ -244,12 +244,12 @@ class Run(Result):
 
     @property
     def metrics(self) -> dict[str, float]:
-        """Metrics of all robots combined, by name."""
+        """Return the metrics of all robots combined, by name."""
         return run_metrics(self.problem, self.runs, self.target, self.channel, self.costs)
 
     @property
     def verified_rate(self) -> float:
-        """Share of all released steps whose plan was verified (NaN if none was released)."""
+        """Return the share of all released steps with a verified plan; NaN without steps."""
         return float(np.mean([run.verified_rate for run in self.runs]))
 
     @property

@@ -183,7 +183,7 @@ def fast_cases(
 ) -> tuple[list[Case], list[str]]:
     """Return the cases of the fast subset, and a list of missing references.
 
-    It has plans of `FAST_PLANNERS` and quick runs for library problems with their own settings.
+    The subset covers plans of `FAST_PLANNERS` and quick runs, without changes of the problems.
     """
     cases: list[Case] = []
     missing: list[str] = []

@@ -65,7 +65,7 @@ def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 def any_score_derivatives(
     scores: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return z, its gradient (m, ...) and its Hessian (m, m, ...) by finite scores (m, ...).
+    """Return z with its gradient (m, ...) and Hessian (m, m, ...) for finite scores (m, ...).
 
     With phi the normal density, Q = prod (1 - Phi(z_j)) and h_j = phi(z_j) / (1 - Phi(z_j)):
 
@@ -88,7 +88,7 @@ def _log_normal(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return log P(any) by P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
+    """Return log P(any) from P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
     found = _log_normal(scores[0])
     none = _log_normal(-scores[0])
     with np.errstate(invalid="ignore"):  # NaN scores remain NaN
@@ -117,7 +117,7 @@ def serving_prediction(
     thresholds_dbm: Sequence[float],
     p_min: float,
 ) -> Prediction:
-    """Return the normal law that represents the serving power of m stations at n places."""
+    """Return the normal law that represents the serving power of m stations at n positions."""
     if len(predictions) == 1:
         return predictions[0]
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)

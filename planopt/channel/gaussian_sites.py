@@ -332,9 +332,9 @@ def _conditioned(
 
 
 def needs_site(measurements: Measurements, noise_variance_db2: float) -> NDArray[np.bool_]:
-    """Return a mask of censored measurements and those too coarse for Sheppard's correction.
+    """Return which measurements need a site: censored, or too coarse for Sheppard's correction.
 
-    `noise_variance_db2` is omega^2.
+    `noise_variance_db2` is omega^2; the result is a mask ``(n,)``.
     """
     finest = FINE_STEP * np.sqrt(noise_variance_db2)
     return measurements.censored | (measurements.resolution_db > finest)

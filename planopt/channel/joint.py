@@ -118,7 +118,7 @@ class JointTerms:
 
 
 def joint_terms(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> JointTerms:
-    """Return the terms at `places_m` (h, 2)."""
+    """Return the terms of a joint prediction at positions (h, 2)."""
     parameters = posterior.parameters
     across = whiten(posterior.factor, posterior.covariance_with_db2(places_m))
     covariance = shadow_covariance_db2(places_m, places_m, parameters) - across.T @ across
@@ -431,7 +431,7 @@ def longest_runs(
     leg_sizes: NDArray[np.float64],  # (h - 1,)
     connected: NDArray[np.bool_],  # (count, h)
 ) -> NDArray[np.float64]:
-    """Return the greatest sum of `leg_sizes` over successive disconnected legs; ``(count,)``."""
+    """Return the largest sum of `leg_sizes` over consecutive disconnected legs; ``(count,)``."""
     current = np.zeros(len(connected))
     longest = np.zeros(len(connected))
     for size, now in zip(leg_sizes, connected[:, 1:].T, strict=True):

@@ -2,9 +2,9 @@
 
 :func:`predict` uses all measurements if the posterior has a factor. The local channel model
 (:class:`LocalChannel`) uses the measurements nearest to chosen positions; it serves lattice maps,
-path refinement, the ranking of initial guesses, and long logs. It is an exact posterior given fewer
-measurements, so its variance is never too small. Path loss and receivers' offsets come from all
-measurements, with their uncertainty.
+path refinement, the ranking of initial guesses, and long logs. It is an exact posterior given a
+subset of the measurements, so its variance is at least that given all of them. Path loss and
+receivers' offsets come from all measurements, with their uncertainty.
 """
 
 from __future__ import annotations

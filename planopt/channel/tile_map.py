@@ -32,7 +32,7 @@ REPLACEMENTS_BEFORE_REBUILD = 32
 
 
 class TileMap:
-    """Predicted power and its standard deviation on a lattice, refreshed with each measurement.
+    """Map of predicted power and standard deviation on a lattice, updated by measurements.
 
     Memory is about ``8 neighbours (neighbours + tile**2)`` bytes per tile.
     """
@@ -153,7 +153,7 @@ class TileMap:
         return tiles, newcomer[tiles]
 
     def _put(self, tiles: NDArray[np.intp], terms: KrigingTerms) -> None:
-        """Store the terms of `tiles`, of any leading shape."""
+        """Store the terms of `tiles`; arrays may have any leading shape."""
         shape = len(tiles), self._places_m.shape[1]
         self._terms.data_db[tiles] = terms.data_db.reshape(shape)
         self._terms.trend[tiles] = terms.trend.reshape(*shape, 2)

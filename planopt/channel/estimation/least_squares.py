@@ -226,7 +226,7 @@ def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float
 def _expected_below(
     limit: NDArray[np.float64], mean: NDArray[np.float64], variance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and variance of N(mean, variance) truncated at most to `limit`; (m,) each."""
+    """Return mean and variance of N(mean, variance) truncated above at `limit`; (m,) each."""
     deviation = np.sqrt(max(variance, 1e-12))
     z = (limit - mean) / deviation
     log_below = np.asarray(log_ndtr(z), dtype=np.float64)

@@ -79,7 +79,7 @@ from planopt.channel.neighbours import (
 from planopt.channel.parameters import ChannelParameters, MeanModel
 
 Covariance = tuple[float, float, float]
-"""xi^2 (dB^2), omega^2 (dB^2), beta (m)."""
+"""Covariance parameters xi^2 (dB^2), omega^2 (dB^2) and beta (m)."""
 
 LEAST_FREEDOM = 3
 """Minimum residual degrees of freedom with receivers' offsets in a profiled likelihood."""
@@ -134,7 +134,7 @@ class LikelihoodData:
     def flat_columns(self) -> NDArray[np.float64]:
         """Return a basis of the columns, for offsets under a flat prior; ``(n, k)``.
 
-        Only the mean's columns if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
+        Offsets are left out if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
         """
         mean = self.columns[:, : len(self.line)]
         if self.columns.shape[1] == len(self.line):
@@ -159,7 +159,7 @@ def likelihood_data(
     as_interval: NDArray[np.bool_] | None = None,  # (n,); None for the censored ones
     block_decorrelation_m: tuple[float, float] | None = None,
 ) -> LikelihoodData:
-    """Prepare measurements as one window, or in blocks for a range of decorrelation distances."""
+    """Return measurements as one window, or as blocks for a range of decorrelation distances."""
     chosen = measurements.censored if as_interval is None else as_interval
     origins = measured_origins(measurements, known).without_offsets()
     displaced = measured_path_loss_variance_db2(measurements, known)

@@ -124,7 +124,7 @@ class VarianceRemoved:
         return np.trace(np.linalg.solve(covariance, gathered), axis1=-2, axis2=-1)
 
     def _parts(self, moments: Moments) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
-        """Return C and Y."""
+        """Return the covariance C and the rows Y."""
         covariance = moments.universal if self.universal else moments.covariance
         return covariance, moments.across if self.loading is None else moments.trend @ self.loading
 

@@ -37,7 +37,7 @@ LONGEST_PATH = 512
 """Number of positions above which a list is a log and is compared block by block."""
 
 FEW_KNOWN = 64
-"""Number of measurements up to which no search for nearby ones is made."""
+"""Number of measurements up to which a search for nearby ones does not pay off."""
 
 
 def closing_m(spacing_m: float) -> float:
@@ -71,7 +71,7 @@ class MeasuringRule:
         return OPEN_SPACINGS * self.spacing_m
 
     def near(self, paths_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
-        """Return the rule restricted to positions within `beyond_m` of `paths_m` (..., 2)."""
+        """Return the equivalent rule for positions within `beyond_m` of `paths_m` (..., 2)."""
         places = paths_m.reshape(-1, 2)
         if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
             return self
@@ -83,7 +83,7 @@ class MeasuringRule:
         )
 
     def is_open(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return at which single positions (n, 2) a measurement would be taken; ``(n,)``."""
+        """Return which positions (n, 2) would yield a measurement on their own; ``(n,)``."""
         found = np.zeros(len(places_m), dtype=np.bool_)
         for known in self.near(places_m).known_m:
             distance, _ = _nearest(places_m, known, 1, self.spacing_m)
@@ -92,7 +92,7 @@ class MeasuringRule:
         return found
 
     def takes(self, paths_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return at which positions of paths visited in order a measurement is taken."""
+        """Return which positions of paths, visited in order, yield a measurement."""
         # Shapes: paths_m (..., N, 2); returns (..., N).
         if not paths_m.size:
             return np.zeros(paths_m.shape[:-1], dtype=np.bool_)

@@ -183,10 +183,10 @@ class Retreats:
     """Alternative positions to the end of a path (equation 4.21)."""
 
     places_m: NDArray[np.float64]  # (m, 2)
-    # (m, k) expected information of a packet from each place at each step, per m^2
+    # (m, k) expected information of a packet from each retreat at each step, per m^2
     information: NDArray[np.float64]
     longest_m: float  # Length of the longest step
-    connected: int  # Number of known connected places; they come first
+    connected: int  # Number of known connected retreats; they come first
 
     def nearest_connected(
         self, stops_m: NDArray[np.float64]

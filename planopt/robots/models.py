@@ -478,7 +478,7 @@ def cosine(angle: Any) -> Any:
 
 
 def sinc(angle: Any) -> Any:
-    """Return sin(z) / z, 1 at zero, exact to rounding for angles up to about 3 rad.
+    """Return sin(z) / z, 1 at zero, accurate to rounding error for angles up to about 3 rad.
 
     The identity sin(z) = 2 sin(z/2) cos(z/2) is applied three times; a series gives the rest.
     """

@@ -1,6 +1,6 @@
-"""The workspace: obstacles, clearance, lattices, shortest paths, and readers of maps.
+"""Workspace: obstacles, clearance, lattices, shortest paths, and readers of maps.
 
-Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+Names are imported on first use; the stub ``__init__.pyi`` lists them.
 """
 
 from planopt.lazy_names import lazy_names

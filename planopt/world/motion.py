@@ -160,7 +160,7 @@ class Arc:
         return self.at(np.linspace(0.0, 1.0, count + 1)), self.bulge_m / (count * count)
 
     def clearance_m(self, index: ObstacleIndex) -> float:
-        """Return the exact clearance; a lower bound for arcs straight to rounding error."""
+        """Return the exact clearance, or a lower bound for nearly straight arcs."""
         ends = self.at(np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
         if self.bulge_m <= 1e-9:
             return max(0.0, _polyline_m(index, ends[[0, -1]]) - self.bulge_m)

@@ -86,7 +86,7 @@ def _moving_lines(
     path_m: NDArray[np.float64],
     needed: NDArray[np.bool_] | None = None,
 ) -> SeparatingLines:
-    """Return the lines of a path from the nearest moving discs and from the required ones."""
+    """Return a path's separating lines from the nearest moving discs and from required ones."""
     reach = LINE_REACH_STEPS * problem.step_length_m
     # The pad covers the robot's uncertain position within a step.
     pad_m = problem.robots[0].dynamics.timed_pad_m(problem.planner.step_s)

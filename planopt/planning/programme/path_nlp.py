@@ -188,7 +188,7 @@ DRIVEN_SETTLED: dict[str, Any] = SETTLED | {
     "ipopt.acceptable_iter": 2,
     "ipopt.acceptable_obj_change_tol": 3e-4,
 }
-"""The same with dynamics, where single iterations far from the optimum gain little."""
+"""`SETTLED` for robots with dynamics, where single iterations far from the optimum gain little."""
 
 
 GOAL: dict[str, Any] = {"ipopt.tol": 1e-5, "ipopt.max_soc": 0}

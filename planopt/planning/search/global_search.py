@@ -152,7 +152,7 @@ class GlobalSearch:
         others_m: NDArray[np.float64],
         steps: int,
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Return a path off the others' positions (k, 2); the result is that of :meth:`beside`."""
+        """Return a path to a refuge off the others' positions (k, 2); as :meth:`beside`."""
         problem, scene = self._problem, self._scene
         found = search_room(
             scene.road_map,

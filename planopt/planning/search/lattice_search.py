@@ -440,7 +440,7 @@ class LatticeSearch:
     def __init__(
         self,
         moves: MoveValues,
-        first: NDArray[np.intp],  # (n, 2) nodes (iy, ix), n > 0, where the first step may end
+        first: NDArray[np.intp],  # (n, 2) end nodes (iy, ix) of the first step, n > 0
         first_value: NDArray[np.float64],  # (n,) value of the first step to each node
         horizon: int,
     ) -> None:

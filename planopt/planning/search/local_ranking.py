@@ -88,7 +88,7 @@ class LocalRanking:
         return LocalGrid.of(channel, region.grid_m[::every], every * region.weight[::every])
 
     def __call__(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the objective values of paths (c, N, 2), less the price of a missed bound."""
+        """Return the objective values of paths (c, N, 2), minus the penalty of a violated bound."""
         gate = None
         if self._measures:
             taken = self._context.near_measuring.takes(paths_m)

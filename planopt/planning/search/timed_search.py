@@ -67,7 +67,7 @@ def timed_places(
 
 
 def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) -> bool:
-    """Return whether a timed path keeps clear of all discs, except while it leaves its start."""
+    """Return whether a timed path keeps clear of all discs; its first step may leave one."""
     # Shapes: places_m (T - first + 1, 2).
     if not len(discs):
         return True

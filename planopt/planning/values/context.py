@@ -242,7 +242,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def near_measuring(self) -> MeasuringRule:
-        """The measuring rule restricted to positions that a plan can reach."""
+        """Measuring rule restricted to positions that a plan can reach."""
         reach = self.problem.planner.horizon * self.problem.step_length_m
         return self.measuring.near(self.position_m[None], reach)
 

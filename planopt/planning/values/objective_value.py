@@ -106,7 +106,7 @@ def _named(at: StepContext, number: int) -> Generator[None]:
 
 
 SHARE_IN_DB = 100.0
-"""Cost in dB of a rule over a whole plan that is missed entirely."""
+"""Cost in dB of a rule over a whole plan that is violated entirely."""
 
 
 def slack_cost(at: StepContext, path_m: NDArray[np.float64]) -> float:

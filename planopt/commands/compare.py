@@ -68,9 +68,9 @@ def compare(
     out: OutOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Compare settings over seeds. Exit code 0 all verified, 3 not all, 4 a run not ended.
+    """Compare settings over seeds. Exit code 0 all verified, 3 not all, 4 a run not done.
 
-    Without settings a problem's own comparison is run, which its table compare describes.
+    Without settings, the comparison in the problem's own table compare is run.
     """
     from planopt.problems.load import load
     from planopt.problems.settings import DEFAULT_SEEDS

@@ -1,6 +1,6 @@
-"""Problems: their files, the library, and parts that some have: ground truth, dynamics, tasks.
+"""Problems: files, library, and their parts such as ground truth, dynamics and tasks.
 
-Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
+Names are imported lazily on first use; the stub ``__init__.pyi`` lists them.
 """
 
 from planopt.lazy_names import lazy_names

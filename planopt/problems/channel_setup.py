@@ -1,4 +1,4 @@
-"""The radio of a problem: its base stations, true channel, first measurements and fit."""
+"""Radio setup of a problem: base stations, ground truth, initial measurements and channel fit."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ from planopt.plain_values import make_plain
 from planopt.short_repr import short_repr
 
 MIN_DEVIATION_DB = 0.001
-"""Weaker fading is none; m and K grow with the inverse square of its deviation."""
+"""Standard deviation below which fading counts as absent; m and K grow with its inverse square."""
 
 
 class MultipathTable(Table):
-    """``multipath``: a kind, and exactly one of m, k and std_db (none for rayleigh)."""
+    """Table ``multipath``: a kind, and exactly one of m, k and std_db (none for rayleigh)."""
 
     kind: MultipathKind
-    """nakagami, rician, rayleigh or lognormal."""
+    """Fading distribution: nakagami, rician, rayleigh or lognormal."""
     m: float | None = Field(default=None, ge=0.5, le=1e8)
-    """Nakagami's m (a number, at least 1 for rician)."""
+    """Nakagami parameter m (a number, at least 1 for rician)."""
     k: float | None = Field(default=None, ge=0, le=1e8)
-    """Rician K (linear ratio)."""
+    """Rician K factor (linear ratio)."""
     std_db: float | None = Field(default=None, ge=0, le=100)
-    """omega, deviation of multipath in dB."""
+    """Standard deviation omega of multipath in dB."""
 
     @property
     def law(self) -> Multipath:
-        """Return the law of the multipath."""
+        """Return the fading distribution."""
         return multipath_of(self.kind, m=self.m, k=self.k, std_db=self.std_db)
 
     @model_validator(mode="after")
@@ -56,7 +56,7 @@ class MultipathTable(Table):
         except InputError as error:
             words = error.message if error.remedy is None else f"{error.message}: {error.remedy}"
             raise fault_of(words) from error
-        # Whatever number it was given by, its own one can then be saved.
+        # Above this limit a saved law can be expressed by its own parameter.
         if deviation < MIN_DEVIATION_DB and self.kind != "lognormal":
             raise fault_of(
                 f"is fading of less than {MIN_DEVIATION_DB} dB: leave multipath out, or give more"
@@ -65,7 +65,7 @@ class MultipathTable(Table):
 
 
 def _law_keys(law: Any) -> Any:
-    """Return the table of a law; anything else as it is, for the table to refuse."""
+    """Return the table of a fading law; other values pass unchanged and fail validation."""
     match law:
         case Rician():
             return {"kind": "rician", "k": law.k_factor}
@@ -94,19 +94,19 @@ Floor = Annotated[
 
 
 class RicianKeys(Table):
-    """The fading of a map by its Rician factor."""
+    """Key for the Rician fading of a raster map."""
 
     rician_k: float | None = Field(default=None, gt=0, le=1e8)
-    """Rician K factor (linear ratio) of small-scale fading; left out: no fading."""
+    """Rician K factor (linear ratio) of small-scale fading; default: no fading."""
 
 
 class LawKeys(Table):
-    """The multipath of a drawn channel: its deviation, or a law."""
+    """Keys for the multipath of a simulated channel: a standard deviation or a distribution."""
 
     multipath_std_db: float | None = Field(default=None, ge=0, le=100)
-    """omega, deviation in dB of multipath that is Gaussian in dB."""
+    """Standard deviation omega in dB of multipath that is Gaussian in dB."""
     multipath: Fading | None = None
-    """Multipath of another kind, in place of multipath_std_db."""
+    """Multipath with another distribution, in place of multipath_std_db."""
 
     @model_validator(mode="after")
     def _one_multipath(self) -> LawKeys:
@@ -121,27 +121,27 @@ class LawKeys(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class RasterTruth(Part):
-    """The true channel as a raster of path gains, with seeded small-scale fading on top."""
+    """Ground truth: raster of path gains with added random small-scale fading."""
 
     at = "channel.truth"
     kind = "raster"
     Keys = RicianKeys
 
     file: FilePath
-    """npz (x, y and the variable on [iy, ix], or a radio map of Sionna RT), CSV, NetCDF or GeoTIFF,
-    by ending; relative to the problem file."""
+    """Map file relative to the problem file: npz (x, y and the variable on [iy, ix], or a radio map
+    of Sionna RT), CSV, NetCDF or GeoTIFF, by ending."""
     variable: Annotated[str, Field(min_length=1)] = "path_gain_db"
-    """Name of the path gain in dB."""
+    """Name of the path gain variable in dB."""
     quantity: Literal["gain", "power"] = "gain"
-    """gain (path gain in dB, to which transmit_power_dbm is added) or power (received power in dBm,
-    such as mean_db of planopt map)."""
+    """Quantity: gain (path gain in dB, to which transmit_power_dbm is added) or power (received
+    power in dBm, such as mean_db of planopt map)."""
     floor_db: Decibels
-    """The receiver's floor as a path gain in dB: what is below is clipped and censored."""
+    """Receiver floor as a path gain in dB; smaller gains are clipped and censored."""
     multipath: Fading | None = None
-    """Small-scale fading of another kind than rician_k gives."""
+    """Small-scale fading with another distribution, in place of rician_k."""
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys of its table; Rician fading by its factor."""
+        """Return the keys of the table, with Rician fading as rician_k."""
         keys, law = super().to_keys(), self.multipath
         if isinstance(law, Rician) and law.k_factor > 0.0:
             return {**keys, "multipath": None, "rician_k": law.k_factor}
@@ -149,7 +149,7 @@ class RasterTruth(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields; one of two keys gives the fading."""
+        """Return the fields; fading comes from rician_k or multipath."""
         if table.rician_k is None:
             return super().of_keys(table)
         if table.multipath is not None:
@@ -159,7 +159,7 @@ class RasterTruth(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class ModelTruth(Part):
-    """The true channel drawn from the channel model itself, for synthetic problems."""
+    """Ground truth: realisation of the channel model, for synthetic problems."""
 
     at = "channel.truth"
     kind = "model"
@@ -167,20 +167,20 @@ class ModelTruth(Part):
     not_keys = frozenset({"multipath_std_db", "multipath"})
 
     k_pl_db: Decibels
-    """K_PL as a path gain at one metre, in dB."""
+    """Path gain K_PL at one metre in dB."""
     n_pl: Annotated[float, Field(gt=0, le=20)]
-    """n_PL, path loss exponent (a number)."""
+    """Path loss exponent n_PL (a number)."""
     shadow_std_db: Shadowing
     decorrelation_m: Decorrelation
     multipath_std_db: float
-    """omega, deviation of multipath in dB; of the law in multipath, if there is one."""
+    """Standard deviation omega of multipath in dB; that of `multipath` if it is not None."""
     cell_m: Cell
     floor_db: Floor = None
     multipath: Multipath | None = None
-    """Law of the multipath; None for Gaussian in dB."""
+    """Fading distribution; None for Gaussian in dB."""
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys of its table: a law, or the deviation."""
+        """Return the keys of the table, with a distribution or the standard deviation."""
         keys = super().to_keys()
         if self.multipath is None:
             return {**keys, "multipath_std_db": self.multipath_std_db}
@@ -188,7 +188,7 @@ class ModelTruth(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields; a law has a deviation."""
+        """Return the fields, with the standard deviation of a distribution filled in."""
         law = table.multipath
         deviation = table.multipath_std_db if law is None else law.std_db
         return {**super().of_keys(table), "multipath": law, "multipath_std_db": deviation}
@@ -196,10 +196,10 @@ class ModelTruth(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class FittedTruth(Part):
-    """The true channel drawn from its posterior, given the log of the first measurements.
+    """Ground truth: realisation of the channel posterior conditional on the measurement log.
 
-    Parameters are estimated from the log by ``channel.fit``; path loss, shadowing and multipath are
-    drawn with the seed.
+    The parameters are estimated from the log by ``channel.fit``. Path loss, shadowing and multipath
+    are drawn with the seed.
     """
 
     at = "channel.truth"
@@ -211,17 +211,17 @@ class FittedTruth(Part):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArrayTruth:
-    """The true channel as arrays of received power. Saved results leave it out.
+    """Ground truth: arrays of received power; saved results omit it.
 
     Attributes
     ----------
     x_m, y_m
-        ``(nx,)`` and ``(ny,)`` cell centres, ascending and evenly spaced.
+        Cell centres ``(nx,)`` and ``(ny,)``, ascending and evenly spaced.
     power_dbm
-        ``(ny, nx)`` received power, or ``(stations, ny, nx)`` of several stations; NaN where
-        nothing arrives, for which a floor is needed.
+        Received power ``(ny, nx)``, or ``(stations, ny, nx)`` for several stations; NaN for no
+        reception, which requires a floor.
     floor_dbm
-        The receiver's floor: smaller powers are clipped to it and censored; None for none.
+        Receiver floor, below which powers are clipped and censored; None for no floor.
 
     Examples
     --------
@@ -241,20 +241,20 @@ class ArrayTruth:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FunctionTruth:
-    """The true channel as a function of the place. Saved results leave it out.
+    """Ground truth: received power as a function of position; saved results omit it.
 
-    The function is evaluated once, at the centres of the cells that cover the workspace; a robot
-    receives the power of the cell that it is in.
+    The function is evaluated once at the centres of the cells that cover the workspace. A robot
+    receives the power of its cell.
 
     Attributes
     ----------
     power_dbm
-        From places ``(n, 2)`` in metres to received power ``(n,)``, or ``(stations, n)`` of several
-        stations; NaN where nothing arrives, for which a floor is needed.
+        Function from positions ``(n, 2)`` in metres to received power ``(n,)``, for several
+        stations ``(stations, n)``; NaN for no reception, which requires a floor.
     cell_m
-        Cell side.
+        Side of the cells in metres.
     floor_dbm
-        As in :class:`ArrayTruth`.
+        Receiver floor as in :class:`ArrayTruth`.
 
     Examples
     --------
@@ -277,14 +277,14 @@ class FunctionTruth:
 
 
 ChannelTruth = RasterTruth | ModelTruth | FittedTruth | ArrayTruth | FunctionTruth
-"""Where the true channel comes from."""
+"""Source of the ground truth."""
 
 
 @dataclass(frozen=True)
 class SampledMeasurements(Part):
-    """First measurements taken from the truth at `count` seeded random free places.
+    """Initial measurements sampled from the ground truth at `count` random free positions.
 
-    With a `count` of 0 none are taken: they are given to :func:`planopt.solve`,
+    With `count` 0 there are none; they are then passed to :func:`planopt.solve`,
     :func:`planopt.simulate` or :class:`planopt.Planner`.
     """
 
@@ -295,18 +295,18 @@ class SampledMeasurements(Part):
 
 @dataclass(frozen=True)
 class LoggedMeasurements:
-    """First measurements read from a CSV log.
+    """Initial measurements read from a CSV log.
 
     Attributes
     ----------
     file
-        The log.
+        Path of the log.
     columns
         Column names of x, y and power.
     censored_column
-        Column that marks censored rows, or None.
+        Name of the column that marks censored rows, or None.
     floor_dbm
-        Powers at or below this are censored, or None.
+        Power at or below which rows are censored, or None.
     """
 
     file: Path
@@ -320,28 +320,28 @@ class LoggedMeasurements:
 
 @dataclass(frozen=True, kw_only=True)
 class GivenParameters(Part):
-    """Parameters of the channel that are known, so that they are not estimated."""
+    """Known channel parameters, which are not estimated."""
 
     at = "channel.fit.given"
 
     shadow_std_db: Shadowing
     decorrelation_m: Decorrelation
     multipath_std_db: Annotated[float, Field(ge=0, le=100)]
-    """omega, deviation of multipath in dB."""
+    """Standard deviation omega of multipath in dB."""
     k_pl_db: Decibels | None = None
-    """K_PL as a path gain at one metre in dB; left out, with n_pl: path loss is estimated."""
+    """Path gain K_PL at one metre in dB; default, with n_pl: path loss is estimated."""
     n_pl: Annotated[float | None, Field(gt=0, le=20)] = None
-    """n_PL, path loss exponent (a number)."""
+    """Path loss exponent n_PL (a number)."""
 
     def fault(self) -> str | None:
-        """Return whether one of two keys is missing."""
+        """Return a message if only one of k_pl_db and n_pl is set."""
         if (self.k_pl_db is None) == (self.n_pl is None):
             return None
         return "has one of k_pl_db and n_pl: give both, or none to have path loss estimated"
 
 
 class ColumnsTable(Table):
-    """``columns`` of a log: what its columns are called."""
+    """Table ``columns``: column names of a log."""
 
     x: str = Field(default="x_m", min_length=1)
     """Column of x in metres."""
@@ -352,7 +352,7 @@ class ColumnsTable(Table):
 
 
 class MeasurementsTable(Table):
-    """``[channel.measurements]``: exactly one of ``count`` and ``file``."""
+    """Table ``[channel.measurements]``: exactly one of ``count`` and ``file``."""
 
     count: int | None = Field(
         default=None,
@@ -361,17 +361,17 @@ class MeasurementsTable(Table):
         description=COUNT_WORDS,
     )
     file: FilePath | None = None
-    """CSV log of first measurements, relative to the problem file."""
+    """CSV log of initial measurements, relative to the problem file."""
     columns: ColumnsTable | None = None
-    """Column names of the log, if not x_m, y_m and power_dbm."""
+    """Column names of the log, if they differ from x_m, y_m and power_dbm."""
     censored_column: str | None = Field(default=None, min_length=1)
     """Column of the log that marks censored rows."""
     floor_dbm: Decibels | None = None
-    """Powers in the log at or below this many dBm are censored."""
+    """Power in dBm at or below which log entries are censored."""
     spacing_m: float = Field(default=2.0, ge=0, le=1e6)
-    """A moving robot measures only at this distance in metres from every earlier measurement."""
+    """Minimum distance in metres of a moving robot's new measurement from all earlier ones."""
     shared: bool = False
-    """Whether every robot has the measurements of all robots after each step (true or false)."""
+    """Whether robots share all measurements after each step (true or false)."""
 
     @model_validator(mode="after")
     def _one_source(self) -> MeasurementsTable:
@@ -388,7 +388,7 @@ class MeasurementsTable(Table):
 
     @property
     def source(self) -> SampledMeasurements | LoggedMeasurements:
-        """Return what the table describes."""
+        """Return the source of initial measurements that the table describes."""
         if self.file is None:
             return SampledMeasurements(self.count or 0)
         columns = self.columns or ColumnsTable()
@@ -397,17 +397,17 @@ class MeasurementsTable(Table):
 
 
 class FitTable(Table):
-    """``[channel.fit]``: how parameters are estimated."""
+    """Table ``[channel.fit]``: estimation of the channel parameters."""
 
     method: FitMethod = "reml"
-    """lemma1, capped, convex, nls or reml: docs/channel.md, Fit."""
+    """Estimation method: lemma1, capped, convex, nls or reml (see docs/channel.md, Fit)."""
     given: GivenParameters | None = None
-    """Parameters that are known and not estimated: shadow_std_db, decorrelation_m and
-    multipath_std_db, and k_pl_db and n_pl or neither."""
+    """Known parameters, which are not estimated: shadow_std_db, decorrelation_m and
+    multipath_std_db, and optionally both k_pl_db and n_pl."""
 
 
 def _read_truth(value: object, handler: ValidatorFunctionWrapHandler) -> Any:
-    """Accept a truth from Python as it is, and read the table of another."""
+    """Accept a ground truth object unchanged; otherwise read its table."""
     return value if isinstance(value, ArrayTruth | FunctionTruth) else handler(value)
 
 
@@ -419,36 +419,36 @@ AnyTruth = Annotated[
 
 
 class ChannelKeys(Table):
-    """``[channel]``: how power varies and what is known of it."""
+    """Table ``[channel]``: ground truth, initial measurements and fit."""
 
     truth: AnyTruth | None = None
-    """The true channel, for simulation; may be left out."""
+    """Ground truth for simulations (optional)."""
     measurements: MeasurementsTable
     fit: FitTable = FitTable()
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelSetup(Part):
-    """Sources of ground truth and first measurements, and the fit of the channel."""
+    """Channel setup: ground truth, initial measurements and parameter estimation."""
 
     at = "channel"
     Keys = ChannelKeys
 
     truth: ChannelTruth | None = None
-    """The true channel of simulations; None if there is none."""
+    """Ground truth of simulations; None if there is none."""
     measurements: SampledMeasurements | LoggedMeasurements = field(
         default_factory=SampledMeasurements
     )
-    """The first measurements."""
+    """Source of the initial measurements."""
     fit_method: FitMethod = "reml"
-    """How parameters are estimated from them."""
+    """Method of parameter estimation."""
     given: GivenParameters | None = None
-    """Parameters that are known; None where all are estimated."""
+    """Known parameters; None if all are estimated."""
     measure_spacing_m: float = 2.0
-    """Distance in metres of a new measurement from every earlier one: fading at one position keeps
-    its value, so that measuring it twice gives no information."""
+    """Minimum distance in metres between a new measurement and all earlier ones: fading is constant
+    in time, so a repeated measurement gives no information."""
     share_measurements: bool = False
-    """Whether every robot has the measurements of all robots after each step."""
+    """Whether robots share all measurements after each step."""
 
     not_keys = frozenset(__annotations__)
 
@@ -468,7 +468,7 @@ class ChannelSetup(Part):
         super().__post_init__()
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the table and those in it."""
+        """Return the table with its subtables."""
         source = self.measurements
         measurements: dict[str, Any] = {
             "spacing_m": self.measure_spacing_m,
@@ -484,7 +484,7 @@ class ChannelSetup(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields, from the table and those in it."""
+        """Return the fields from the table and its subtables."""
         return {
             "truth": table.truth,
             "measurements": table.measurements.source,
@@ -496,7 +496,7 @@ class ChannelSetup(Part):
 
 
 def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
-    """Return the map of a station: that of the truth, but for the keys of the station."""
+    """Return the map of a station: the common one, overridden by keys of the station."""
     return replace(
         truth,
         file=radio.gain_file or truth.file,
@@ -505,9 +505,9 @@ def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
 
 
 def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
-    """Return the log of a station: the common log, but for the keys of the station.
+    """Return the log of a station: the common log, overridden by keys of the station.
 
-    The censored rows of a common log are those of the first station's power.
+    The censored column of a common log applies to its default power column only.
     """
     x, y, power = log.columns
     shared = radio.log_file is None and radio.power_column is not None
@@ -521,7 +521,7 @@ def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
 
 @dataclass(frozen=True, kw_only=True)
 class BaseStation(Part):
-    """A fixed station: a base station, access point or gateway.
+    """Base station, access point or gateway at a fixed position.
 
     Examples
     --------
@@ -534,39 +534,38 @@ class BaseStation(Part):
     at = "stations[]"
 
     position_m: Pair
-    """Place [x, y] in metres; it may be outside the bounds."""
+    """Position [x, y] in metres; it may be outside the bounds."""
     height_m: Metres = 0.0
-    """Height of its antenna above the robots' antennas, in metres."""
+    """Height of the station antenna above the robots' antennas in metres."""
     transmit_power_dbm: Decibels
-    """Transmit power in dBm; received power is this plus the path gain."""
+    """Transmit power in dBm; the received power is the sum of transmit power and path gain."""
     threshold_dbm: Decibels
-    """Received power in dBm from which on a robot is connected, as plans and proofs take it."""
+    """Connection threshold in dBm of the received power, as used by planner and verifier."""
     receive_threshold_dbm: Decibels | None = None
-    """Received power in dBm from which on a robot truly is connected in a simulation, where that is
-    not threshold_dbm."""
+    """True connection threshold in dBm in simulations, if it differs from threshold_dbm."""
     name: Name = "station"
-    """What outputs call it."""
+    """Name in outputs."""
     gain_file: FilePath | None = None
-    """Map of its path gains, where channel.truth is a raster: in place of channel.truth.file. Each
-    station needs a map of its own."""
+    """Map of the station's path gains if channel.truth is a raster, in place of channel.truth.file.
+    Each station needs its own map."""
     gain_variable: Annotated[str | None, Field(min_length=1)] = None
-    """Name of its path gain in dB, in place of channel.truth.variable."""
+    """Name of the station's path gain in dB; replaces channel.truth.variable."""
     log_file: FilePath | None = None
-    """CSV log of its first measurements, in place of channel.measurements.file. Each station needs
-    a log or a power_column of its own."""
+    """CSV log of the station's initial measurements, in place of channel.measurements.file. Each
+    station needs its own log or power_column."""
     power_column: Annotated[str | None, Field(min_length=1)] = None
-    """Column of its power in dBm in the log, in place of channel.measurements.columns.power."""
+    """Column of the station's power in dBm; replaces channel.measurements.columns.power."""
     censored_column: Annotated[str | None, Field(min_length=1)] = None
-    """Column that marks its censored rows; of a log of its own, by default that of
+    """Column that marks the station's censored rows; the default for its own log is that of
     channel.measurements."""
 
     @property
     def true_threshold_dbm(self) -> float:
-        """Return the received power from which on a robot truly is connected."""
+        """Return the true connection threshold of the received power."""
         least = self.receive_threshold_dbm
         return self.threshold_dbm if least is None else least
 
     @property
     def site(self) -> Station:
-        """Return the place of its antenna, for the channel model."""
+        """Return the antenna position for the channel model."""
         return Station(self.position_m, self.height_m)

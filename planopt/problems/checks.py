@@ -1,9 +1,9 @@
-"""Check a problem beyond the ranges of single keys; each error carries the key to change.
+"""Consistency checks of a problem beyond the ranges of single keys.
 
-These checks need geometry, or two tables at once: robots start apart from each other and from
-moving obstacles and can stop so; the tables of a channel fit each other; starts and goals are
-clear of obstacles; the ground truth and the lattice fit into memory; each of several stations has a
-channel of its own, and the rule of connectivity can be computed for them.
+The checks involve geometry or several tables: separation and stopping distances of robots at the
+start, consistency of the channel tables, clearance of starts and goals, memory of ground truth and
+lattice, separate channels of several stations, and support of the connectivity rule. Each error
+names the key to change.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ if TYPE_CHECKING:
     from planopt.problems.problem import Problem
 
 CLEARANCE_TO_GOALS_M = 0.01
-"""Goals are this much farther from each other than the separation: planners keep a little more."""
+"""Extra distance between goals beyond the separation, because planners keep a small margin."""
 
 
 def check_apart(problem: Problem) -> None:
-    """Check that robots start apart from each other and from moving obstacles."""
+    """Check the separation of robots from each other and from moving obstacles at the start."""
     separation = problem.constraints.separation_m
     starts = np.array([robot.start_m for robot in problem.robots])
     for number, robot in enumerate(problem.robots):
@@ -81,7 +81,7 @@ def check_apart(problem: Problem) -> None:
 
 
 def _check_goals_apart(problem: Problem, number: int, other: int) -> None:
-    """Check that two robots can stand at their goals at the same time."""
+    """Check that the goals of two robots keep the separation."""
     goal, others, separation = (
         problem.robots[number].goal_m,
         problem.robots[other].goal_m,
@@ -100,7 +100,7 @@ def _check_goals_apart(problem: Problem, number: int, other: int) -> None:
 
 
 def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
-    """Check that two robots keep apart if both stop, so that there is always a safe plan."""
+    """Check that two robots keep their separation while braking, so a safe plan always exists."""
     separation, step_s = problem.constraints.separation_m, problem.planner.step_s
     moving = {
         one: stopping_motion(robot.dynamics, robot.start_state, step_s)
@@ -122,11 +122,11 @@ def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
 
 
 MAX_TRUTH_CELLS = 4_000_000
-"""A drawn truth of more cells than this would not fit the memory of a small machine."""
+"""Maximum number of cells of a simulated ground truth, to limit memory."""
 
 
 def check_channel(problem: Problem) -> None:
-    """Check that measurements have a source and that the floor is below the thresholds."""
+    """Check that measurements have a source and the receiver floor is below the thresholds."""
     truth = problem.channel.truth
     measurements = problem.channel.measurements
     if truth is None:
@@ -165,7 +165,7 @@ def check_channel(problem: Problem) -> None:
 
 
 def _check_cells(problem: Problem, cell_m: float) -> None:
-    """Refuse cells so small that the truth would not fit into memory."""
+    """Raise `InputError` if the cells are so small that the ground truth exceeds the memory."""
     if not 0.0 < cell_m <= LARGEST_COORDINATE_M:
         raise InputError(
             f"is {cell_m!r}, which is no cell side",
@@ -183,7 +183,7 @@ def _check_cells(problem: Problem, cell_m: float) -> None:
 
 
 def _check_spread(problem: Problem, number: int) -> None:
-    """Check that starts are drawn only for sums of terms and single integrators."""
+    """Check that random starts are used only with sums of terms and single integrators."""
     robot = problem.robots[number]
     if robot.start_spread_m > 0.0 and (problem.task == "reach" or not robot.moves_freely):
         raise InputError(
@@ -195,7 +195,7 @@ def _check_spread(problem: Problem, number: int) -> None:
 
 
 def check_bounds(problem: Problem) -> None:
-    """Check that the bounds have an inside."""
+    """Check that the bounds are not empty."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     if not (x_min < x_max and y_min < y_max):
         raise InputError(
@@ -208,7 +208,7 @@ def check_bounds(problem: Problem) -> None:
 def check_place(
     problem: Problem, index: ObstacleIndex, place: tuple[float, float], key: str
 ) -> None:
-    """Check that a position of a robot is within the bounds and clear of every obstacle."""
+    """Check that a robot position is within the bounds and keeps the clearance."""
     positions_m = np.array([place])
     if not inside_bounds(problem.workspace, positions_m).all():
         raise InputError(
@@ -235,14 +235,14 @@ def check_place(
 
 
 NODE_BYTES, STAGE_BYTES = 1700, 8
-"""Memory of a node of the lattice, and of a node at one stage of the horizon, as measured."""
+"""Measured memory in bytes of a lattice node, and of a node at one stage of the horizon."""
 
 LARGEST_LATTICE_BYTES = 4 * 10**9
-"""Limit of the memory that the lattices of all robots take together."""
+"""Memory limit in bytes of the lattices of all robots together."""
 
 
 def check_size(problem: Problem) -> None:
-    """Refuse a step so short for the bounds that the search would take many gigabytes."""
+    """Raise `InputError` if the lattice search would exceed the memory limit."""
     horizon = problem.planner.horizon
     nodes = sum(
         node_estimate(problem.workspace, robot.speed_max_m_s * problem.planner.step_s)
@@ -260,11 +260,11 @@ def check_size(problem: Problem) -> None:
 
 
 LEAST_STEP_M = 1e-3
-"""Shorter steps are lost in the tolerances of planning."""
+"""Least step length, above the tolerances of planning."""
 
 
 def check(problem: Problem) -> None:
-    """Raise the first fault of `problem`."""
+    """Raise an `InputError` for the first fault of `problem`."""
     check_bounds(problem)
     index = index_obstacles(problem.workspace)
     for number, robot in enumerate(problem.robots):
@@ -285,7 +285,7 @@ def check(problem: Problem) -> None:
 
 
 def _check_term(problem: Problem, term: Term, key: str) -> None:
-    """Check that a term can be planned for in its problem."""
+    """Check that the problem supports an objective term."""
     try:
         term.check(problem.term_setting)
     except InputError as error:
@@ -299,7 +299,7 @@ def _check_term(problem: Problem, term: Term, key: str) -> None:
 
 
 def _check_step(problem: Problem, number: int) -> None:
-    """Check that the longest step of a robot is not too short."""
+    """Check that the step length of a robot is not too short."""
     speed_m_s = problem.robots[number].speed_max_m_s
     step_m = speed_m_s * problem.planner.step_s
     if step_m < LEAST_STEP_M:
@@ -314,14 +314,14 @@ ONE_STATION = "leave one entry of stations"
 
 
 def check_stations(problem: Problem) -> None:
-    """Raise what keeps a problem's stations from being planned with."""
+    """Raise an `InputError` if the stations are inconsistent with the rest of the problem."""
     _check_keys(problem)
     if len(problem.stations) > 1:
         _check_own_channels(problem)
 
 
 def _check_keys(problem: Problem) -> None:
-    """Refuse keys of a station that go only with a map or a log."""
+    """Raise `InputError` for keys of a station that require a map or a log."""
     raster = isinstance(problem.channel.truth, RasterTruth)
     logged = isinstance(problem.channel.measurements, LoggedMeasurements)
     for number, radio in enumerate(problem.stations):
@@ -383,7 +383,7 @@ def _no_two_alike(
 
 
 def check_rule(problem: Problem) -> None:
-    """Raise what keeps a problem's rule of connectivity from being planned with."""
+    """Raise an `InputError` if the planner does not support the connectivity rule."""
     rule = problem.constraints.rule
     rule.kind.check(problem)
     if problem.task == "reach" and rule.slack_price > 0.0:
@@ -401,14 +401,14 @@ def check_rule(problem: Problem) -> None:
 
 
 REST_TOLERANCE_M = 1e-6
-"""A robot that rests changes its state by no more than this in a step."""
+"""Largest change of state in metres per step of a robot at rest."""
 
 MOST_CORNERS = 64
-"""Number of corners of the input set that are checked at the start."""
+"""Maximum number of corners of the input set to check at the start."""
 
 
 def check_own_map(problem: Problem, number: int) -> None:
-    """Raise an error if the dynamics of robot number `number` cannot be driven."""
+    """Raise an `InputError` if the dynamics of robot `number` are invalid."""
     robot, step_s = problem.robots[number], problem.planner.step_s
     dynamics, start = robot.dynamics, robot.start_state
     key = f"robots[{number}].dynamics"
@@ -437,7 +437,7 @@ def check_own_map(problem: Problem, number: int) -> None:
 
 
 def check_stopping(problem: Problem, index: ObstacleIndex, number: int) -> None:
-    """Raise an error if robot number `number` cannot brake in time from its start."""
+    """Raise an `InputError` if robot `number` cannot brake in time from its start."""
     robot = problem.robots[number]
     curve = robot.dynamics.stop_curve(robot.start_state, problem.planner.step_s)
     if curve is None:

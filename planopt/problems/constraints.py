@@ -1,7 +1,7 @@
-"""The constraints on every plan of a problem: clearance, and a rule of connectivity.
+"""Constraints on every plan of a problem: clearances and the connectivity rule.
 
-Rules are those of planopt, and those of programs, each one class
-(:class:`planopt.planning.proof.rule.Rule`).
+Each rule is a class (:class:`planopt.planning.proof.rule.Rule`), either built in or registered by a
+program.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ OWN = {
     "outage": f"{_RULES}:Outage",
     "data": f"{_RULES}:Data",
 }
-"""Where the classes of planopt's own rules are, imported when they are needed."""
+"""Import paths of the built-in rules, imported on demand."""
 
 RULES = Registry("a rule", "constraints.connectivity", OWN)
 
 
 def register_rule(rule: type[Any]) -> None:
-    """Let problems name a rule of connectivity of one's own."""
+    """Register a custom connectivity rule, so that problems can name it."""
     RULES.add(getattr(rule, "kind", ""), rule)
 
 
 def registered_rules() -> tuple[type[Any], ...]:
-    """Return what :func:`register_rule` was given, for worker processes."""
+    """Return the rules registered by :func:`register_rule`, for worker processes."""
     return tuple(RULES.registered.values())
 
 
 def rule_kind(name: object) -> type[Any]:
-    """Return the class of the rule of a name."""
+    """Return the class of a rule by name."""
     return RULES.find(name)
 
 
@@ -51,7 +51,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9)]
 
 
 def _known_rule(name: Any) -> str:
-    """Return the name of a rule; stated_times is the former name of each_step with times."""
+    """Return the current name of a rule; stated_times is an old name of each_step with times."""
     try:
         return rule_kind("each_step" if name == "stated_times" else name).kind
     except InputError as error:
@@ -61,7 +61,7 @@ def _known_rule(name: Any) -> str:
 
 
 def _named(settings: Any) -> dict[str, Any]:
-    """Return settings by name, from a table or from pairs of names and values."""
+    """Return settings as a dictionary from a table or from pairs of names and values."""
     try:
         return dict(settings)
     except (TypeError, ValueError):
@@ -72,12 +72,12 @@ def _named(settings: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ConnectivityRule(Part):
-    """The rule of connectivity along a path; a step counts by the place that it ends at.
+    """Connectivity rule along a path; each step is evaluated at its end position.
 
     Raises
     ------
     InputError
-        There is no such rule, or `settings` are not its own.
+        The rule does not exist, or `settings` do not belong to it.
     """
 
     at = "constraints"
@@ -85,31 +85,31 @@ class ConnectivityRule(Part):
     connectivity: Annotated[str, BeforeValidator(_known_rule), Field(examples=list(OWN))] = (
         "each_step"
     )
-    """The event of p_min: each_step, average, joint (all steps of a plan), outage (steps below
-    it in a row), data (delivery; 0: in expectation); or a rule that is registered."""
+    """Event that p_min applies to: each_step, average, joint (all steps of a plan), outage (runs of
+    steps below p_min), data (delivery; p_min 0: in expectation), or a registered rule."""
     connected_times_s: Annotated[
         tuple[Positive, ...], Strict(False), Field(max_length=100_000)
     ] = ()
-    """For each_step, the only times that count: seconds from the start of the run, multiples of
+    """For each_step: the only times that count, in seconds from the start of the run, multiples of
     planner.step_s."""
     outage_max_m: Annotated[float | None, Field(ge=0, le=1e9)] = None
-    """For outage: longest distance in metres driven in steps below p_min in a row."""
+    """For outage: longest distance in metres of consecutive steps below p_min."""
     outage_max_s: Annotated[float | None, Field(ge=0, le=1e9)] = None
-    """For outage: longest time in seconds of steps below p_min in a row."""
+    """For outage: longest duration in seconds of consecutive steps below p_min."""
     data_mbit: Positive | None = None
-    """For data: what must be delivered, in Mbit."""
+    """For data: required amount of delivered data in Mbit."""
     deadline_s: Positive | None = None
-    """For data: until when, in seconds from the start of the run."""
+    """For data: deadline in seconds from the start of the run."""
     rate_mbit_s: Positive | None = None
     """For data: rate of the link while connected, in Mbit/s."""
     slack_max_db: Annotated[float | None, Field(ge=0, le=500)] = None
-    """The connection may fall short of p_min by so many dB; 0 makes it hard. Left out,
-    each_step may be missed where nothing within reach keeps it."""
+    """Maximum shortfall of the chance constraint in dB; 0 makes it hard. By default, each_step may
+    be violated if no reachable position satisfies it."""
     slack_price: Annotated[float, Field(ge=0, le=1e9)] = 0.0
-    """What a dB of slack costs, in the objective's unit; needs slack_max_db."""
+    """Price of a dB of slack in units of the objective; requires slack_max_db."""
     parameter_uncertainty: ParameterUncertainty = "path_loss"
-    """What p_min counts as estimated: path_loss, or all, xi, beta and omega besides. all goes with
-    each_step."""
+    """Parameters treated as uncertain in p_min: path_loss, or all (path loss, xi, beta and omega;
+    only with each_step)."""
     settings: Annotated[
         Mapping[str, float] | tuple[tuple[str, float], ...],
         ValidatedAs(dict[str, float]),
@@ -117,10 +117,10 @@ class ConnectivityRule(Part):
         BeforeValidator(_named),
         AfterValidator(lambda settings: tuple(sorted(settings.items()))),
     ] = ()
-    """Values of the fields of a rule that is registered, by name."""
+    """Field values of a registered rule by name."""
 
     def fault(self) -> str | None:
-        """Refuse settings that do not fit a rule of one's own."""
+        """Return a message if the settings do not fit a registered rule."""
         settings = dict(self.settings)
         if settings or self.connectivity not in OWN:
             with calling(self.kind, "__post_init__", key="constraints.settings"):
@@ -150,39 +150,39 @@ class ConnectivityRule(Part):
 
     @property
     def by_step(self) -> bool:
-        """Return whether the rule holds for single steps, each by itself."""
+        """Return whether the rule constrains steps individually."""
         return self.kind.by_step
 
     @property
     def every_step(self) -> bool:
-        """Return whether p_min is required of every step by itself."""
+        """Return whether p_min applies to every step individually."""
         return self.by_step and not self.connected_times_s
 
     @property
     def is_plain(self) -> bool:
-        """Return whether p_min is required of each step where it is possible, and nothing else."""
+        """Return whether p_min applies to each step where feasible, without a slack limit."""
         return self.every_step and self.slack_max_db is None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Constraints(Part):
-    """The constraints on every plan."""
+    """Constraints on every plan."""
 
     at = "constraints"
     Keys = table_of(ConnectivityRule)
     not_keys = frozenset({"rule"})
 
     p_min: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Least probability of connection at every step where that is possible, or of what connectivity
-    says; 0 requires none. The task reach needs it above 0."""
+    """Required probability of connection at every step where feasible, or of the event selected by
+    connectivity; 0 for none. The task reach needs a value above 0."""
     clearance_m: Annotated[float, Field(ge=0, le=1e4)] = 1.0
-    """Least distance in metres of the swept path from every obstacle, moving ones included."""
+    """Least distance in metres of the swept path from static and moving obstacles."""
     goal_radius_m: Annotated[float, Field(gt=0, le=1e4)] = 1.0
-    """Distance in metres at which the goal is reached."""
+    """Distance in metres at which a goal counts as reached."""
     separation_m: Annotated[float, Field(ge=0, le=1e4)] = 0.0
-    """Least distance in metres of any two robots at equal times; 0 requires none."""
+    """Least distance in metres between any two robots at equal times; 0 for none."""
     rule: ConnectivityRule = field(default_factory=ConnectivityRule)
-    """The event that p_min applies to: by default the connection at each step."""
+    """Event that p_min applies to; default: the connection at each step."""
 
     def __post_init__(self) -> None:
         remedy = 'give ConnectivityRule("joint"), or of another name'
@@ -190,7 +190,7 @@ class Constraints(Part):
         super().__post_init__()
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys of its table: the rule's stand among them, without its defaults."""
+        """Return the keys of the table, including the non-default keys of the rule."""
         default = ConnectivityRule().to_keys()
         rule = {key: value for key, value in self.rule.to_keys().items() if value != default[key]}
         if self.rule.settings:
@@ -199,11 +199,11 @@ class Constraints(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields, the rule among them."""
+        """Return the fields, including the rule."""
         return {**super().of_keys(table), "rule": ConnectivityRule.of_table(table)}
 
     def fault(self) -> str | None:
-        """Return which value does not fit the rule of connectivity."""
+        """Return a message if a value does not fit the connectivity rule."""
         rule, form = self.rule, self.rule.connectivity
         given = [key for key, value in rule.to_keys().items() if value not in (None, ())]
         for other in map(rule_kind, OWN):
@@ -254,5 +254,5 @@ class Constraints(Part):
 
     @property
     def step_p_min(self) -> float:
-        """Return the probability required of single steps; 0 where p_min is of another event."""
+        """Return the required probability of single steps; 0 if p_min applies to another event."""
         return self.p_min if self.rule.kind.holds_steps else 0.0

@@ -1,4 +1,4 @@
-"""The problem library, and the reader of TOML files."""
+"""Problem library and TOML reader."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from planopt.errors import InputError, path_of
 from planopt.files.reading import read_text
 
 LARGEST_TOML_BYTES = 2 * 2**20
-"""Size limit of problem files; obstacles and maps have files of their own."""
+"""Size limit of problem files in bytes; obstacles and maps have their own files."""
 
 FILE_KEYS = ("file", "gain_file", "log_file")
-"""Keys of a problem file that name other files."""
+"""Keys of a problem file that refer to other files."""
 
 DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
-"""A dotted key of so many parts, which the parser takes quadratic time for."""
+"""Pattern of dotted keys with 20 or more parts, for which the parser takes quadratic time."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -42,12 +42,12 @@ def read_toml(path: Path) -> dict[str, Any]:
             file=path,
             remedy="write tables as [table] or [[table]]",
         ) from None
-    except ValueError as error:  # TOMLDecodeError, and integers too long for Python
+    except ValueError as error:  # TOMLDecodeError, or integers too long for Python
         raise _parse_error(str(error), text, path) from None
 
 
 def named_files(value: object) -> tuple[str, ...]:
-    """Return the names of other files in the tables of a problem file, each once."""
+    """Return the distinct names of other files in the tables of a problem file."""
     found: list[str] = []
     if isinstance(value, Mapping):
         for key, part in cast("Mapping[str, object]", value).items():
@@ -62,7 +62,7 @@ def named_files(value: object) -> tuple[str, ...]:
 
 
 def _parse_error(message: str, text: str, path: Path) -> InputError:
-    """Return the error of the parser, with its line number as the row."""
+    """Return an `InputError` for a parser message, with its line number as the row."""
     found = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     row, remedy = None, None
     if found is not None:
@@ -79,16 +79,16 @@ SUFFIX = ".toml"
 
 @dataclass(frozen=True)
 class LibraryEntry:
-    """One problem of the library."""
+    """Entry of the problem library."""
 
-    name: str  # What :func:`planopt.problems.load.load` takes
-    description: str  # For people
-    path: Path  # Its file
-    task: str  # Its task
+    name: str  # Argument of :func:`planopt.problems.load.load`
+    description: str  # Description in one sentence
+    path: Path  # Problem file
+    task: str  # Task of the problem
 
 
 def library_folder() -> Path:
-    """Return the library's folder: beside this file if installed, else in the checkout."""
+    """Return the folder of the library: next to this file if installed, else in the checkout."""
     here = Path(__file__).parent
     installed = here / "library"
     return installed if installed.is_dir() else here.parents[1] / "problems"
@@ -100,7 +100,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
     Raises
     ------
     InputError
-        A file of the library does not parse or has no ``[problem]`` table with a description.
+        A library file cannot be parsed or has no table ``[problem]`` with a description.
     """
     return tuple(
         LibraryEntry(path.stem, _text(path, "description", ""), path, _text(path, "task", "reach"))
@@ -109,7 +109,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
 
 
 def find_problem(path_or_name: Path | str) -> Path:
-    """Return the file of a problem by its path or library name."""
+    """Return the file of a problem with a path or library name."""
     path = path_of("path_or_name", path_or_name, "give the path or name of a problem")
     try:
         if path.is_file():
@@ -119,11 +119,11 @@ def find_problem(path_or_name: Path | str) -> Path:
         if is_name and named.is_file():
             return named
         is_folder = path.is_dir()
-    except OSError:  # a name that the file system does not allow
+    except OSError:  # Name not allowed by the file system
         is_name = is_folder = False
     if is_folder:
         raise InputError("is a folder, not a problem file", file=path, remedy="name its .toml file")
-    from planopt.keys import nearest  # loads pydantic
+    from planopt.keys import nearest  # Imported late because it loads pydantic
 
     known = [entry.stem for entry in library_folder().glob(f"*{SUFFIX}")]
     if is_name:
@@ -135,9 +135,9 @@ def find_problem(path_or_name: Path | str) -> Path:
 
 
 def _text(path: Path, key: str, default: str) -> str:
-    """Return a text of ``[problem]``, without the seconds that validating all of it takes."""
+    """Return a text value of ``[problem]`` without the slow validation of the whole file."""
     head: Any = read_toml(path).get("problem")
-    # Not even a table: the error below names the key.
+    # If this is not a table, the error below names the key.
     tables = cast("dict[str, Any]", head if isinstance(head, dict) else {key: None})
     text = tables.get(key, default)
     if not isinstance(text, str):

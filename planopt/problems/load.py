@@ -1,4 +1,4 @@
-"""Load problems from files or by name, change single settings, and write problems as tables."""
+"""Problem input and output: files, library names, overrides of single keys, and tables."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from planopt.world.workspace import Workspace
 
 
 def check_files(problem: Problem) -> None:
-    """Raise an error for a file that the problem needs for simulation and that is not there.
+    """Raise an `InputError` for a missing file that simulation requires.
 
-    Apart from :func:`planopt.problems.checks.check`, because a saved plan can be verified without
-    these files.
+    :func:`planopt.problems.checks.check` does not include this check, because a saved plan can be
+    verified without these files.
     """
     truth, measurements = problem.channel.truth, problem.channel.measurements
     none_taken = isinstance(measurements, SampledMeasurements) and measurements.count == 0
@@ -70,7 +70,7 @@ def _check_map(problem: Problem, path: Path, key: str) -> None:
 def _check_file(problem: Problem, path: Path, key: str) -> None:
     try:
         there = path.is_file()
-    except OSError:  # a name that the file system does not allow
+    except OSError:  # Name not allowed by the file system
         there = False
     if not there:
         raise InputError(
@@ -87,7 +87,7 @@ def load(path_or_name: Path | str) -> Any:
     Parameters
     ----------
     path_or_name
-        The path of a TOML file, or the name of a library problem such as ``munich_courier``.
+        Path of a TOML file, or name of a library problem such as ``munich_courier``.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def load(path_or_name: Path | str) -> Any:
 
 
 def load_motion(path_or_name: Path | str) -> Problem:
-    """Load a problem of motion planning; parameters and errors as :func:`load`."""
+    """Load a motion planning problem; parameters and errors are those of :func:`load`."""
     problem = load(path_or_name)
     if isinstance(problem, Problem):
         return problem
@@ -132,13 +132,13 @@ def load_motion(path_or_name: Path | str) -> Problem:
 def problem_to_dict(problem: Problem) -> dict[str, Any]:
     """Return `problem` as JSON-serialisable tables; :func:`problem_from_dict` reads them.
 
-    Keys that have no value are left out, as they are in a problem file.
+    Keys without a value are omitted, as in a problem file.
     """
     return {key: saved_table(part) for key, part in tables_of(problem).items()}
 
 
 def saved_table(part: Any) -> Any:
-    """Return a part of a problem as its table, or several of them as an array of tables."""
+    """Return the table of a part of a problem, or an array of tables for several parts."""
     match part:
         case Workspace():
             return world_table(part)
@@ -161,26 +161,26 @@ def saved_table(part: Any) -> Any:
 
 
 def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> Problem:
-    """Return the problem that :func:`problem_to_dict` wrote, validated as a problem file is.
+    """Return the problem in the tables of :func:`problem_to_dict`, validated like a file.
 
     Parameters
     ----------
     data
-        The tables, for instance from ``json.load``.
+        Tables of the problem, for instance from ``json.load``.
     file
-        Where they came from, for messages; relative file names in them start at its folder.
+        Source file, for messages; relative file names start at its folder.
 
     Raises
     ------
     InputError
-        As for a problem file, except that the truth's map and the log need not be there.
+        Errors of a problem file, except for a missing ground-truth map or log.
     """
     folder = Path.cwd() if file is None else file.absolute().parent
     return problem_from_tables(data, folder=folder, file=file)
 
 
 def _without_python(channel: ChannelSetup) -> ChannelSetup:
-    """Return the channel without a truth from Python, nor measurements to be taken from it."""
+    """Return the channel without a ground truth from Python and measurements sampled from it."""
     if not isinstance(channel.truth, ArrayTruth | FunctionTruth):
         return channel
     logged = isinstance(channel.measurements, LoggedMeasurements)
@@ -191,7 +191,7 @@ def _without_python(channel: ChannelSetup) -> ChannelSetup:
 AnyProblem = TypeVar("AnyProblem", bound=Problem | TaskProblem)
 
 _PART = re.compile(r"(\w+)((?:\[(?:\d+|\*)\])*)")
-"""A part of a dotted key: a name, and which entries of a list, if it names one."""
+"""Pattern of a part of a dotted key: a name with optional list indices."""
 
 
 def with_overrides(
@@ -201,9 +201,9 @@ def with_overrides(
     planner: str | None = None,
     cost_to_go: str | None = None,
 ) -> Problem:
-    """Return `problem` with other settings, checked; None keeps its own.
+    """Return `problem` with changed settings, checked; None keeps the present value.
 
-    The whole problem is checked, since :func:`dataclasses.replace` does not check one.
+    The whole problem is checked, since :func:`dataclasses.replace` does not do so.
     """
     require_motion(problem)
     given = {
@@ -232,17 +232,17 @@ def with_overrides(
 
 
 def require_motion(problem: Problem) -> None:
-    """Raise an error for what is no problem of motion planning, whatever its type says."""
+    """Raise an `InputError` if the argument is not a motion planning problem."""
     part_of("problem", problem, Problem, "load or make a Problem")
 
 
 def _overridden(
     problem: Problem, horizon: int | None, planner: str | None, cost_to_go: str | None
 ) -> Problem:
-    """Return `problem` with other settings, each validated by itself."""
+    """Return `problem` with changed settings, each validated individually."""
     changes = {"horizon": horizon, "name": planner}
     changes = {name: value for name, value in changes.items() if value is not None}
-    # The changed part validates itself.
+    # The constructor of the changed part validates it.
     settings = replace(problem.planner, **changes) if changes else problem.planner
     is_reach = isinstance(problem.objective, ReachObjective)
     if is_reach and not planner_kind(settings.name).reaches_goals:
@@ -264,13 +264,13 @@ def _overridden(
 
 
 def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProblem:
-    """Return `problem` with other values for any keys of its problem file, checked."""
+    """Return `problem` with changed values of any keys of its problem file, checked."""
     if not changes:
         return problem
     given = ", ".join(f"{key} = {value}" for key, value in changes.items())
     tables = problem.tables() if isinstance(problem, TaskProblem) else tables_of(problem)
     if not isinstance(problem, TaskProblem):
-        # Only the tables that change are validated again.
+        # Parts without changes stay objects and are not validated again.
         for branch in {re.split(r"[.\[]", key)[0] for key in changes} & tables.keys():
             tables[branch] = saved_table(tables[branch])
     for key, value in changes.items():
@@ -291,7 +291,7 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
 
 
 def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
-    """Return the tables that have a value for a dotted key, with its last part."""
+    """Return the containers of the values at a dotted key, with the last key or index."""
     found: list[tuple[Any, str | int]] = [({"": tables}, "")]
     for part in key.split("."):
         match = _PART.fullmatch(part)
@@ -315,7 +315,7 @@ def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
 
 
 def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
-    """Return the table that a table or list has under a name; a missing one is made."""
+    """Return a subtable by name or index; create a missing one."""
     value: Any = table.setdefault(name, {}) if isinstance(name, str) else table[name]
     if isinstance(value, list):
         raise InputError(
@@ -327,7 +327,7 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
 
 
 def _entries(table: Any, name: str | int, key: str) -> list[Any]:
-    """Return the list that a table or list has under a name."""
+    """Return a list in a table or list by name or index."""
     value: Any = table.get(name) if isinstance(name, str) else table[name]
     if not isinstance(value, list):
         raise InputError(f"{name} is no list", key=key, remedy=f"leave out the index of {name}")

@@ -1,4 +1,4 @@
-"""Objectives of problems: to reach a goal, or a weighted sum of terms."""
+"""Objectives of problems: reaching a goal, or a weighted sum of terms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from planopt.parts import class_name, is_own
 
 
 class AnyTerm:
-    """Marks a place of the schema where a table of any registered kind may stand."""
+    """Schema marker for a table of any registered kind of term."""
 
     def tables(self) -> Sequence[type[BaseModel]]:
         """Return the tables of all kinds."""
@@ -34,7 +34,7 @@ class AnyTerm:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Read a table of the kinds that are registered then."""
+        """Return a schema that reads tables of the kinds registered at validation time."""
         return core_schema.no_info_plain_validator_function(read_term)
 
     def __get_pydantic_json_schema__(
@@ -89,19 +89,18 @@ OutageCharge = Literal["below_p_min", "everywhere"]
 
 
 class TermsKeys(Table):
-    """The key of ``[objective]`` for tasks other than reach."""
+    """Key of ``[objective]`` for tasks other than reach."""
 
     terms: tuple[Annotated[Term, ANY_TERM], ...] = Field(default=(), strict=False)
-    """For tasks other than reach: the weighted sum to be maximised; the first term is the task's.
-    """
+    """Terms of the weighted sum to maximise (not for task reach); the first sets the task."""
 
 
 @dataclass(frozen=True)
 class ReachObjective(Part):
-    """Reach the goal in least time and effort, at a price for driving out of contact.
+    """Objective to reach the goal with least time and effort, with a price on outage.
 
-    The cost is the integral of ``1 + effort_weight * speed**2`` until arrival, in seconds. A metre
-    driven where the probability of connection is P counts ``1 + outage_price (1 - P)`` metres.
+    The cost in seconds is the integral of ``1 + effort_weight * speed**2`` until arrival. A metre
+    driven with connection probability P counts as ``1 + outage_price (1 - P)`` metres.
     """
 
     at = "objective"
@@ -110,26 +109,26 @@ class ReachObjective(Part):
     effort_weight_s2_m2: Annotated[float, Field(ge=0, le=1e6)] = 0.1
     """Weight of speed squared in the cost rate 1 + weight * speed^2, in s^2/m^2."""
     cost_to_go: CostToGo = "connected"
-    """Beyond the horizon: geodesic (shortest path round the obstacles) or connected (cheapest path
-    at the outage price)."""
+    """Cost-to-go beyond the horizon: geodesic (shortest path around the obstacles) or connected
+    (cheapest path at the outage price)."""
     outage_price: Annotated[float, Field(ge=0, le=1e6)] = 10.0
-    """A metre driven where the probability of connection is P counts 1 + outage_price (1 - P)
-    metres (a number). constraints.slack_max_db = 0 forbids holes."""
+    """Price of outage (a number): a metre driven with connection probability P counts as
+    1 + outage_price (1 - P) metres. constraints.slack_max_db = 0 forbids coverage holes."""
     outage_charge: OutageCharge = "everywhere"
-    """Where outage_price is charged: everywhere, so that plans have the least expected cost, or
-    below_p_min, so that places that keep p_min cost nothing."""
+    """Positions at which outage_price applies: everywhere (least expected cost), or below_p_min (no
+    cost at positions that satisfy p_min)."""
 
     @property
     def charges_everywhere(self) -> bool:
-        """Return whether places that keep p_min are charged, too."""
+        """Return whether outage_price also applies at positions that satisfy p_min."""
         return self.outage_charge == "everywhere"
 
 
 @dataclass(frozen=True)
 class TermsObjective:
-    """A weighted sum of named terms over the horizon, to be maximised."""
+    """Objective to maximise a weighted sum of terms over the horizon."""
 
-    terms: tuple[Term, ...]  # At least one; the first is the task's
+    terms: tuple[Term, ...]  # At least one; the first determines the task
 
     def __post_init__(self) -> None:
         if not self.terms:
@@ -137,7 +136,7 @@ class TermsObjective:
 
 
 def _objective_of(table: Any) -> ReachObjective | TermsObjective:
-    """Return the objective that the table describes: its terms, or that of the task reach."""
+    """Return the objective that a table describes: a sum of terms, or that of the task reach."""
     if not table.terms:
         return ReachObjective.of_table(table)
     for key in sorted(table.model_fields_set - {"terms"}):

@@ -1,7 +1,7 @@
-"""The planners that a problem may name: those of planopt, and those that others register.
+"""Registry of planners: built-in planners and registered ones.
 
-A package adds planners by the entry-point group ``planopt.planners``, whose names are the planners'
-and whose objects are a :class:`PlannerKind` or what makes a planner; a program by
+A package adds planners by the entry-point group ``planopt.planners``: the entry-point name is that
+of the planner, the object a :class:`PlannerKind` or a factory. A program uses
 :func:`register_planner`.
 """
 
@@ -16,7 +16,7 @@ from planopt.errors import InputError
 from planopt.parts import Registry, part_of
 
 GROUP = "planopt.planners"
-"""Entry points of planners from outside."""
+"""Entry-point group of external planners."""
 
 _HOME = "planopt.planning.planners"
 _BOUNDS = "planopt.planning.foresight"
@@ -24,32 +24,32 @@ _BOUNDS = "planopt.planning.foresight"
 
 @dataclass(frozen=True)
 class PlannerKind:
-    """A planner that problems may name.
+    """Type of planner that problems can select by name.
 
     Attributes
     ----------
     name
         Value of the key ``planner.name``.
     make
-        Called with the problem of one robot, its geometry and a random generator; gives an object
-        with the method ``plan`` of :class:`planopt.planning.planners.Planner`. Or where that is:
-        ``module:name``, imported when it is needed.
+        Factory, or its import path ``module:name``. It takes the problem of one robot, its geometry
+        and a random number generator, and returns an object with the method ``plan`` of
+        :class:`planopt.planning.planners.Planner`.
     reaches_goals
-        Whether it plans for the task ``reach``; only planopt's own do.
+        Whether the planner supports the task ``reach``; only built-in ones do.
     has_dynamics
-        Whether it plans for robots with dynamics other than the single integrator.
+        Whether the planner supports dynamics other than the single integrator.
     searches
-        Whether it has a global search, whose paths fall back on each other.
+        Whether the planner has a global search with a fallback cascade.
     solves
-        Whether a solver runs: only then may a plan report its termination, iterations and residual.
+        Whether the planner runs a solver, whose termination, iterations and residual plans report.
     foresees
-        Whether it knows the ground truth, as a bound on what planners can do. ``make`` is then
-        called with the problem of all robots, the first station's ground truth, and the target's
-        path; it gives the paths of all robots for the whole run.
+        Whether the planner knows the ground truth and serves as a performance bound. ``make`` then
+        takes the problem of all robots, the first station's ground truth and the target's path, and
+        returns the paths of all robots for the whole run.
     tracks
-        Whether it plans for nothing but tracking a target.
+        Whether the planner supports only target tracking.
     version
-        Of a planner from outside: studies do not take results of another version from a record.
+        Version of an external planner; studies do not reuse recorded results of other versions.
     """
 
     name: str
@@ -63,12 +63,12 @@ class PlannerKind:
     version: str = ""
 
     def maker(self) -> Callable[..., Any]:
-        """Return what makes the planner.
+        """Return the factory of the planner.
 
         Raises
         ------
         InputError
-            It cannot be imported.
+            The factory cannot be imported.
         """
         if not isinstance(self.make, str):
             return self._callable(self.make)
@@ -83,7 +83,7 @@ class PlannerKind:
             ) from None
 
     def _callable(self, make: Any) -> Callable[..., Any]:
-        """Return what makes the planner, which must be a class or function."""
+        """Return the factory, which must be a class or function."""
         if not callable(make):
             raise InputError(
                 f"of {self.name!r} is a {type(make).__name__}, nothing that can be called",
@@ -115,25 +115,25 @@ OWN = {
         PlannerKind("clairvoyant_log", f"{_BOUNDS}:clairvoyant_log_paths", foresees=True),
     )
 }
-"""planopt's own. All from ``one_step`` on are baselines: no goal, and only robots that can turn and
-stop at will. The last four are bounds on tracking, which no robot could follow."""
+"""Built-in planners. From ``one_step`` on they are baselines without goals, for single integrators
+only. The last four are performance bounds for tracking, infeasible for real robots."""
 
 PLANNERS = Registry("a planner", "planner.name", OWN, GROUP)
 
 
 def register_planner(kind: PlannerKind) -> None:
-    """Let problems name a planner from outside, in this process and in workers of its studies.
+    """Register an external planner for this process and the workers of its studies.
 
     Parameters
     ----------
     kind
-        The planner; one that was registered under its name before is replaced.
+        Planner to register; it replaces a planner registered under the same name.
 
     Raises
     ------
     InputError
-        It is no PlannerKind, its name is no word, or one of planopt's own, or the planner is said
-        to reach goals.
+        The argument is not a PlannerKind, its name is not a word or belongs to a built-in planner,
+        or `reaches_goals` is set.
 
     Examples
     --------
@@ -153,22 +153,22 @@ def register_planner(kind: PlannerKind) -> None:
 
 
 def unregister_planner(name: str) -> None:
-    """Forget a registered planner; nothing happens if there is none."""
+    """Remove a registered planner, if it exists."""
     PLANNERS.registered.pop(name, None)
 
 
 def registered_planners() -> tuple[PlannerKind, ...]:
-    """Return what :func:`register_planner` was given, for worker processes."""
+    """Return the planners registered by :func:`register_planner`, for worker processes."""
     return tuple(PLANNERS.registered.values())
 
 
 def planner_names() -> tuple[str, ...]:
-    """Return the names of all planners: planopt's own first."""
+    """Return the names of all planners, built-in ones first."""
     return PLANNERS.names()
 
 
 def planner_kind(name: str) -> PlannerKind:
-    """Return the planner of a name."""
+    """Return the type of planner with a name."""
     found = PLANNERS.find(name)
     if name in OWN or name in PLANNERS.registered:
         return found
@@ -179,7 +179,7 @@ def planner_kind(name: str) -> PlannerKind:
 
 
 def _without_goals(kind: PlannerKind) -> PlannerKind:
-    """Return the planner; only planopt's own may reach goals."""
+    """Return an external planner; raise `InputError` if it claims to reach goals."""
     if kind.reaches_goals:
         raise InputError(
             f"{kind.name} is said to plan for the task reach, "
@@ -191,6 +191,6 @@ def _without_goals(kind: PlannerKind) -> PlannerKind:
 
 
 def names_with(trait: str) -> str:
-    """Return planopt's own planners that have a trait, in words."""
+    """Return text that lists the built-in planners with a trait."""
     *first, last = [name for name, kind in OWN.items() if getattr(kind, trait)]
     return f"{', '.join(first)} or {last}"

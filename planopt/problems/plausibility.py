@@ -1,6 +1,6 @@
-"""Warnings about values that are valid but implausible: a wrong sign, unit, frame or scale.
+"""Warnings about valid but implausible values, such as a wrong sign, unit, frame or scale.
 
-A warning says what is implausible and what to do; it never refuses anything.
+A warning names the implausible value and a remedy; it is never an error.
 """
 
 from __future__ import annotations
@@ -17,42 +17,42 @@ from planopt.problems.problem import Problem
 from planopt.world.occupancy import is_grid, read_grid
 
 DEGREE_NAMES = ("lat", "lon", "lng")
-"""Parts of column names that stand for degrees."""
+"""Parts of column names that indicate degrees."""
 
 DEGREES_SPAN = 0.5
-"""Measurements in metres extend over more than this; a log in degrees rarely does."""
+"""Extent of a log below which its coordinates may be degrees instead of metres."""
 
 THRESHOLDS_DBM = (-150.0, -10.0)
-"""Range of connection thresholds of receivers."""
+"""Plausible range of connection thresholds."""
 
 STRONGEST_DBM = 30.0
-"""No receiver next to an antenna measures more: a watt."""
+"""Largest plausible received power (1 W), next to an antenna."""
 
 LARGEST_STEP_SHARE = 0.5
-"""Length of a step, as a share of the diagonal of the world."""
+"""Largest plausible step length as a share of the diagonal of the world."""
 
 FARTHEST_STATION = 20.0
-"""Distance of a station from the world, in diagonals of the world, and at least 20 km."""
+"""Largest plausible distance of a station in diagonals of the world (at least 20 km)."""
 
 COARSEST_CELL_M = 5.0
-"""Side of the cells of an occupancy grid; robots map at centimetres."""
+"""Largest plausible cell side of an occupancy grid; robots map at centimetres."""
 
 JUMP_STEPS = 10.0
-"""Distance between a robot and its plan, in lengths of a step."""
+"""Largest plausible distance between a robot and its plan in step lengths."""
 
 
 def log_warnings(measurements: Measurements, log_format: LogFormat) -> list[str]:
-    """Return warnings about a log: degrees read as metres, and powers in another unit."""
+    """Return warnings about a log, such as degrees read as metres or powers in another unit."""
     return [*_degrees(measurements, log_format), *_powers(measurements, "the log")]
 
 
 def problem_warnings(problem: Problem) -> list[str]:
-    """Return warnings about the values of a problem and the maps it names."""
+    """Return warnings about the values of a problem and its map files."""
     return [*_scales(problem), *_stations(problem), *_grids(problem)]
 
 
 def measured_warnings(measurements: Measurements) -> list[str]:
-    """Return warnings about the powers that were measured first, or since the last step."""
+    """Return warnings about the powers of initial or new measurements."""
     return list(_powers(measurements, "measurements"))
 
 
@@ -128,7 +128,7 @@ def _stations(problem: Problem) -> Iterator[str]:
 
 
 def _grids(problem: Problem) -> Iterator[str]:
-    """Yield warnings about the occupancy grids that a problem file names."""
+    """Yield warnings about the occupancy grids of a problem file."""
     if problem.file is None:
         return
     try:
@@ -136,7 +136,7 @@ def _grids(problem: Problem) -> Iterator[str]:
         names = [table["file"] for table in tables if is_grid(table.get("file"))]
         grids = {name: read_grid(problem.file.parent / name) for name in names}
     except (InputError, AttributeError, TypeError):
-        return  # a saved problem, or one whose file was changed since
+        return  # Saved problem, or file changed in the meantime
     for name, grid in grids.items():
         share = grid.grey_free_cells / grid.occupied.size
         if grid.grey_free_cells:

@@ -1,7 +1,7 @@
-"""A planning problem as plain frozen data, units in the names. No file, no solver, no truth.
+"""Planning problem as a frozen dataclass, independent of files and solvers.
 
-Its objective has two forms: reach a goal, or a weighted sum of terms. Also the problem at one time
-of a run, and that of one robot.
+The objective is to reach a goal or to maximise a weighted sum of terms. Functions return the
+problem at one time of a run, and that of a single robot.
 """
 
 from __future__ import annotations
@@ -28,46 +28,45 @@ from planopt.world.workspace import Workspace
 
 @dataclass(frozen=True, init=False)
 class Problem:
-    """Everything that defines one planning problem.
+    """Complete definition of one motion planning problem.
 
-    A problem is checked when it is made, as strictly as a problem file. One that
-    :func:`dataclasses.replace` makes of it is checked when it is solved or simulated.
+    The constructor checks a problem as strictly as a problem file. A copy by
+    :func:`dataclasses.replace` is checked when it is solved or simulated.
 
     Parameters
     ----------
     robots, stations
-        At least one of each.
+        Robots and base stations, at least one of each.
     workspace
         Bounds and obstacles.
     planner
         Duration of a step, horizon and further settings.
     objective
-        A :class:`planopt.objectives.ReachObjective`, or terms of :mod:`planopt.objectives` to be
-        maximised, of which the first says what the task is. By default the goal of the robot is to
-        be reached.
+        :class:`planopt.objectives.ReachObjective`, or terms of :mod:`planopt.objectives` whose sum
+        is maximised and the first of which determines the task. The default is to reach the
+        robot's goal.
     constraints
-        What every plan must keep.
+        Constraints on every plan.
     channel
-        Ground truth, first measurements and fit. Without ground truth a problem can be solved, not
-        simulated; without first measurements they are given to :func:`planopt.solve`.
+        Ground truth, initial measurements and fit. A problem without ground truth can be solved but
+        not simulated. Missing initial measurements are arguments of :func:`planopt.solve`.
     targets
-        The target, where an objective tracks one.
+        Target of a tracking objective.
     name, description
-        For people and file names.
+        Name, used in file names, and description.
     report
-        What is drawn.
+        Output settings.
     compare
-        What :func:`planopt.compare` runs where it is given no settings; None if the problem has
-        none of its own.
+        Default settings of :func:`planopt.compare` for this problem, or None.
     file
-        Where it was read from, for messages; None if made in Python.
+        Source file, for messages; None for a problem built in Python.
     checked
-        Whether it has been checked already.
+        Whether the problem has already been checked.
 
     Raises
     ------
     InputError
-        Something is not allowed; the error names the key of the problem file.
+        A value is invalid; the error names its key in the problem file.
 
     Examples
     --------
@@ -132,7 +131,7 @@ class Problem:
             "report": part_of("report", report or ReportSettings(), ReportSettings),
             "targets": parts_of("targets", targets, Target),
             "compare": None if compare is None else part_of("compare", compare, ComparisonSettings),
-            # Copies by dataclasses.replace take it over: they are not checked again and again.
+            # Copies by dataclasses.replace inherit the flag, which avoids repeated checks.
             "checked": True,
         }
         for key, value in parts.items():
@@ -141,7 +140,7 @@ class Problem:
             check_problem(self)
 
     def __repr__(self) -> str:
-        """Return the name, the task, and how many of everything there are."""
+        """Return the name, the task and the number of each kind of part."""
         return wrapped(
             f"Problem(name={self.name!r}, task={self.task!r}, robots: {len(self.robots)}, "
             f"stations: {len(self.stations)}, obstacles: {len(self.workspace.obstacles)}, "
@@ -151,19 +150,19 @@ class Problem:
 
     @property
     def step_length_m(self) -> float:
-        """Return the longest step of the (first) robot."""
+        """Return the maximum step length of the (first) robot."""
         return self.robots[0].speed_max_m_s * self.planner.step_s
 
     @property
     def reach(self) -> ReachObjective:
-        """Return the objective of a problem that is to reach a goal."""
+        """Return the objective of a problem of the task reach."""
         if not isinstance(self.objective, ReachObjective):
             raise AssertionError(f"the task of {self.name} is not to reach a goal")
         return self.objective
 
     @property
     def goal_m(self) -> tuple[float, float]:
-        """Return the (first) robot's goal; only in a problem that is to reach a goal."""
+        """Return the (first) robot's goal; only for the task reach."""
         goal = self.robots[0].goal_m
         if goal is None:
             raise AssertionError(f"the task of {self.name} is not to reach a goal")
@@ -171,27 +170,27 @@ class Problem:
 
     @property
     def sense(self) -> Literal["min", "max"]:
-        """Return whether less or more of the objective is better."""
+        """Return whether the objective is minimised or maximised."""
         return "min" if isinstance(self.objective, ReachObjective) else "max"
 
     @property
     def cost_to_go(self) -> CostToGo | None:
-        """Return the form of the cost-to-go; None where there is no goal."""
+        """Return the form of the cost-to-go; None without a goal."""
         return self.objective.cost_to_go if isinstance(self.objective, ReachObjective) else None
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """Return the terms of the objective as plans use them; none for the task reach."""
+        """Return the terms of the objective as used in planning; empty for the task reach."""
         if isinstance(self.objective, ReachObjective):
             return ()
         return tuple(term.planned(self.term_setting) for term in self.objective.terms)
 
     @property
     def can_be_polished(self) -> bool:
-        """Return whether a solver improves plans by the derivatives of all terms.
+        """Return whether an NLP solver can refine plans with derivatives of all terms.
 
-        Tries are searched only, because the connection at their ends is not smooth; drives of
-        robots with dynamics are refined all the same.
+        Probes are only searched, because the connection at their ends is not smooth. Trajectories
+        of robots with dynamics are refined in any case.
         """
         if any(type(term).derivatives is Term.derivatives for term in self.terms):
             return False
@@ -199,12 +198,12 @@ class Problem:
 
     @property
     def has_dynamics(self) -> bool:
-        """Return whether a robot has dynamics other than the single integrator."""
+        """Return whether any robot has dynamics other than a single integrator."""
         return not all(robot.moves_freely for robot in self.robots)
 
     @property
     def term_setting(self) -> TermSetting:
-        """Return the parts that decide how terms are planned for."""
+        """Return the parts of the problem that affect planning with terms."""
         objective = self.objective
         has_one = isinstance(objective, TermsObjective) and len(objective.terms) == 1
         return TermSetting(
@@ -218,7 +217,7 @@ class Problem:
 
     @property
     def task(self) -> Task:
-        """Return the task of the problem: that of its goal, or of its first term."""
+        """Return the task of the problem: reach, or that of the first term."""
         if isinstance(self.objective, ReachObjective):
             return "reach"
         return cast("Task", self.objective.terms[0].task or "custom")
@@ -227,7 +226,7 @@ class Problem:
 def _objective(
     given: ReachObjective | TermsObjective | Term | Sequence[Term] | None,
 ) -> ReachObjective | TermsObjective:
-    """Return the objective that is given, as terms or by default a goal."""
+    """Return the objective of an argument: one object, terms, or None for the goal."""
     if given is None:
         return ReachObjective()
     if isinstance(given, ReachObjective):
@@ -244,11 +243,11 @@ PARTS = (
     *("channel", "robots", "stations", "targets", "objective", "constraints", "planner"),
     *("report", "compare"),
 )
-"""Parts of a problem that are tables of the same name."""
+"""Parts of a problem with tables of the same name."""
 
 
 def tables_of(problem: Problem) -> dict[str, Any]:
-    """Return the tables of a problem, as the parts that it is made of."""
+    """Return the tables of a problem, with its parts as values."""
     tables: dict[str, Any] = {
         "problem": {
             "schema": SCHEMA_VERSION,
@@ -263,14 +262,14 @@ def tables_of(problem: Problem) -> dict[str, Any]:
 
 
 def check_problem(problem: Problem) -> None:
-    """Raise the first fault of a problem: of its tables, or of several of them together."""
+    """Raise an `InputError` for the first fault of a problem, within or across its tables."""
     with located(ProblemFile, problem.file):
         ProblemFile.model_validate(tables_of(problem))
         check(problem)
 
 
 def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Problem:
-    """Return the problem in the tables of a file, or in parts, validated and checked."""
+    """Build a validated and checked problem from the tables of a file or from parts."""
     with located(ProblemFile, file):
         tables = ProblemFile.model_validate(data, context={"folder": folder})
         problem = Problem(
@@ -286,9 +285,9 @@ def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Pro
 
 
 def problem_at(problem: Problem, steps: int) -> Problem:
-    """Return `problem` with the obstacles that are known after so many steps.
+    """Return `problem` with the obstacles known after a number of steps.
 
-    The problem itself where these are its obstacles.
+    If these are its own obstacles, the problem itself is returned.
     """
     workspace = problem.workspace
     if not workspace.timed:
@@ -300,7 +299,7 @@ def problem_at(problem: Problem, steps: int) -> Problem:
 
 
 def problem_of_robot(problem: Problem, number: int) -> Problem:
-    """Return `problem` with one robot alone, and the terms by its weights."""
+    """Return `problem` reduced to one robot, with that robot's weights applied to the terms."""
     robot = problem.robots[number]
     alone = replace(problem, robots=(robot,))
     if not robot.weights:
@@ -310,7 +309,7 @@ def problem_of_robot(problem: Problem, number: int) -> Problem:
         for term, weight in zip(problem.terms, robot.weights, strict=True)
         if weight > 0.0
     )
-    # Its weights are those of its terms now.
+    # The weights are now part of the terms.
     return replace(
         alone, robots=(replace(robot, weights=()),), objective=replace(problem.objective, terms=own)
     )

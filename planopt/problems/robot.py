@@ -1,4 +1,4 @@
-"""A robot of a problem: where it starts, and how it may move."""
+"""Robot of a problem: initial state, dynamics and goal."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ KEYS: dict[DynamicsName, tuple[str, ...]] = {
     "double_integrator": ("acceleration_max_m_s2", "start_velocity_m_s"),
     "unicycle": ("turn_rate_max_rad_s", "speed_min_m_s", "start_heading_rad"),
 }
-"""The keys that go only with some dynamics."""
+"""Keys specific to each type of dynamics."""
 
 NEEDED: dict[DynamicsName, str] = {
     "double_integrator": "acceleration_max_m_s2",
     "unicycle": "turn_rate_max_rad_s",
 }
-"""The key that each requires."""
+"""Key required by each type of dynamics."""
 
 LEAST_LIMIT = 1e-6
-"""In m/s^2 or rad/s: solvers divide by the square of it."""
+"""Least acceleration or turn rate limit (m/s^2 or rad/s), since solvers divide by its square."""
 
 
 class DynamicsKeys(Table):
-    """The keys of ``[[robots]]`` that describe its dynamics and its state at the start."""
+    """Keys of ``[[robots]]`` for dynamics and initial state."""
 
     dynamics: DynamicsName = "single_integrator"
-    """How it moves: single_integrator (turns and stops at will), double_integrator (bounded
-    acceleration) or unicycle (drives where it faces)."""
+    """Dynamics: single_integrator (holonomic), double_integrator (bounded acceleration) or unicycle
+    (drives along its heading)."""
     acceleration_max_m_s2: float | None = Field(default=None, gt=0, le=1e4)
-    """Largest acceleration of a double integrator."""
+    """Largest acceleration of a double integrator in m/s^2."""
     start_velocity_m_s: Pair | None = None
-    """Velocity [x, y] of a double integrator at the start in m/s; 0 if absent."""
+    """Initial velocity [x, y] of a double integrator in m/s; default: 0."""
     turn_rate_max_rad_s: float | None = Field(default=None, gt=0, le=1e3)
     """Largest turn rate of a unicycle in rad/s."""
     speed_min_m_s: float | None = Field(default=None, ge=-1000, le=0)
-    """Least speed of a unicycle in m/s, below 0 if it drives backward; 0 if absent."""
+    """Least speed of a unicycle in m/s, negative for reverse driving; default: 0."""
     start_heading_rad: Annotated[float, Field(ge=-100, le=100)] | None = None
-    """Heading of a unicycle at the start in rad, from the x axis; 0 if absent."""
+    """Initial heading of a unicycle in rad from the x axis; default: 0."""
 
     @model_validator(mode="after")
     def _fits_the_dynamics(self) -> DynamicsKeys:
@@ -75,7 +75,7 @@ class DynamicsKeys(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class Robot(Part):
-    """One robot, how it moves, and where it must go.
+    """Robot with its initial state, dynamics and goal.
 
     Examples
     --------
@@ -95,17 +95,17 @@ class Robot(Part):
     speed_max_m_s: Annotated[float, Field(gt=0, le=1000)]
     """Largest speed in m/s."""
     name: Name = "robot"
-    """What outputs call it."""
+    """Name in outputs."""
     dynamics: Dynamics = field(default_factory=SingleIntegrator)
-    """How it moves; a single integrator has its speed_max_m_s."""
+    """Dynamics; a single integrator uses speed_max_m_s."""
     start_rest: tuple[float, ...] = ()
-    """State at the start beyond its position, in the order of dynamics.state_names; 0 if absent."""
+    """Initial state without the position, in the order of dynamics.state_names; default: 0."""
     start_spread_m: Annotated[float, Field(ge=0, le=1e6)] = 0.0
-    """It starts at a place within so many metres of start_m, drawn with the random seed; not for
-    the task reach."""
+    """Radius in metres around start_m within which the start is drawn with the random seed; not
+    for the task reach."""
     weights: Annotated[tuple[Annotated[float, Field(ge=0, le=1e9)], ...], Strict(False)] = ()
-    """For tasks other than reach: weight of each of objective.terms for this robot, in their order,
-    in place of their own. A term of weight 0 is none of its terms."""
+    """For tasks other than reach: weights of objective.terms for this robot, in their order and in
+    place of their own. A weight of 0 removes the term."""
 
     def __post_init__(self) -> None:
         rest = _start_rest(self.dynamics, cast("object", self.start_rest))
@@ -115,7 +115,7 @@ class Robot(Part):
             object.__setattr__(self, "dynamics", SingleIntegrator(self.speed_max_m_s))
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys of its table; dynamics from Python have none."""
+        """Return the keys of the table; dynamics from Python have none."""
         keys, rest = super().to_keys(), self.start_rest
         match self.dynamics:
             case DoubleIntegrator(acceleration_max_m_s2=largest):
@@ -132,7 +132,7 @@ class Robot(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the robot's fields, its dynamics among them."""
+        """Return the fields of the robot, including its dynamics."""
         speed = table.speed_max_m_s
         match table.dynamics:
             case "double_integrator":
@@ -146,7 +146,7 @@ class Robot(Part):
         return {**super().of_keys(table), "dynamics": dynamics, "start_rest": rest}
 
     def fault(self) -> str | None:
-        """Return why it cannot start as it is said to."""
+        """Return a message if the initial state is invalid."""
         rest = self.start_rest if isinstance(self.dynamics, DoubleIntegrator) else ()
         if sum(each * each for each in rest) > self.speed_max_m_s**2:
             return (
@@ -157,17 +157,17 @@ class Robot(Part):
 
     @property
     def moves_freely(self) -> bool:
-        """Return whether positions alone describe how it moves: it turns and stops at will."""
+        """Return whether the robot is a single integrator, whose state is its position."""
         return isinstance(self.dynamics, SingleIntegrator)
 
     @property
     def start_state(self) -> NDArray[np.float64]:
-        """Return the state at the start ``(s,)``, its position first."""
+        """Return the initial state ``(s,)``, position first."""
         return np.array([*self.start_m, *self.start_rest], dtype=np.float64)
 
 
 def _start_rest(dynamics: Dynamics, given: object) -> tuple[float, ...]:
-    """Return the state at the start beyond the place, as the dynamics need it."""
+    """Return the initial state without the position, as required by the dynamics."""
     _require_dynamics(dynamics)
     rest = dynamics.state_names[2:]
     values = tuple(cast("Any", given)) if isinstance(given, list | tuple | np.ndarray) else None
@@ -189,12 +189,12 @@ def _are_finite(values: tuple[Any, ...]) -> bool:
 
 
 def _require_dynamics(given: object) -> None:
-    """Refuse what has not all attributes and methods of dynamics."""
+    """Raise an error if an object lacks attributes or methods of dynamics."""
     named = {name: part for name, part in vars(Dynamics).items() if not name.startswith("_")}
     if isinstance(given, str | type):
         missing = list(named)
     else:
-        # A class that derives from the protocol has its empty methods.
+        # A subclass of the protocol inherits its empty methods.
         missing = [
             name
             for name, part in named.items()

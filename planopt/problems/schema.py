@@ -1,9 +1,9 @@
-"""The tables of a problem file: every key with its type, range, default and meaning.
+"""Schema of problem files: every key with its type, range, default and meaning.
 
-This is the definition that ``planopt schema`` prints and that every problem is validated against,
-whether it comes from TOML, from a saved plan or from an override. What a task requires of several
-tables at once is here as well; what needs geometry or two places at once (a start inside an
-obstacle) is in :mod:`planopt.problems.checks`.
+``planopt schema`` prints this definition. Every problem is validated against it, whether it comes
+from TOML, a saved plan or an override. The requirements of a task on several tables are here as
+well. Checks that need geometry, such as a start inside an obstacle, are in
+:mod:`planopt.problems.checks`.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from planopt.world.workspace import MovingObstacle, Obstacle, Workspace, footpri
 
 
 class ObstacleTable(Table):
-    """One entry of ``obstacles``: exactly one of ``file``, ``polygon`` and ``wkt``."""
+    """Entry of ``obstacles`` with exactly one of ``file``, ``polygon`` and ``wkt``."""
 
     name: str | None = None
-    """What messages call it, for polygon and wkt; a file's obstacles have names."""
+    """Name in messages, for polygon and wkt; obstacles in files have their own names."""
     file: FileName | None = None
     """GeoJSON (.geojson), WKT (.wkt), building file (.json) or occupancy grid (.yaml as in ROS,
     .csv), in metres, relative to the problem file."""
     unknown: UnknownCells = "occupied"
-    """What unknown cells of an occupancy grid are taken for: occupied or free."""
+    """State assumed for unknown cells of an occupancy grid: occupied or free."""
     polygon: list[Pair] | None = Field(default=None, min_length=3)
     """Outer ring, a list of [x, y] in metres."""
     holes: tuple[Annotated[list[Pair], Field(min_length=3)], ...] = Field(default=(), strict=False)
     """Rings of holes in polygon, each a list of [x, y] in metres."""
     wkt: str | None = Field(default=None, min_length=1)
-    """A POLYGON in metres."""
+    """Polygon in well-known text (POLYGON), in metres."""
     known_from_s: float = Field(default=Obstacle.known_from_s, ge=0, le=1e9)
-    """Time of the run in seconds from which on it stands there; no plan made before knows of it."""
+    """Time in seconds at which the obstacle appears; earlier plans do not know of it."""
     until_s: float | None = Field(default=None, gt=0, le=1e9)
-    """Time in seconds from which on it is gone, which nobody knows before; without it, it stays."""
+    """Time in seconds at which the obstacle vanishes, unknown to earlier plans; default: never."""
 
     @model_validator(mode="after")
     def _one_source(self) -> ObstacleTable:
@@ -78,18 +78,18 @@ class ObstacleTable(Table):
 
 
 class WorldTable(Table):
-    """``[world]``: where robots may be."""
+    """Table ``[world]``: bounds and obstacles."""
 
     bounds_m: Quad
     """[x_min, y_min, x_max, y_max] in metres."""
     obstacles: tuple[ObstacleTable, ...] = Field(default=(), strict=False)
-    """The forbidden areas."""
+    """Forbidden areas."""
     moving: tuple[MovingObstacle, ...] = Field(default=(), strict=False, max_length=50)
-    """Obstacles that move as predicted."""
+    """Moving obstacles with predicted trajectories."""
 
 
 def _workspace_of(table: WorldTable, folder: Path) -> Workspace:
-    """Return the workspace that a table describes, its obstacles read from their files."""
+    """Return the workspace that a table describes, with obstacles read from their files."""
     obstacles = [
         replace(
             obstacle,
@@ -103,7 +103,7 @@ def _workspace_of(table: WorldTable, folder: Path) -> Workspace:
 
 
 def _world_keys(workspace: Workspace) -> dict[str, Any]:
-    """Return the keys of a workspace from Python, but for its obstacles, which are checked."""
+    """Return the keys of a workspace from Python without its obstacles, which are validated."""
     return {"bounds_m": workspace.bounds_m, "moving": workspace.moving}
 
 
@@ -111,7 +111,7 @@ WORLD = ReadAs(WorldTable, _workspace_of, Workspace, to_keys=_world_keys, needs_
 
 
 def obstacles_of(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
-    """Return the obstacles of one entry of ``world.obstacles``; errors carry its key."""
+    """Return the obstacles of one entry of ``world.obstacles``; errors name its key."""
     key = f"world.obstacles[{index}]"
     name = f"obstacle {index}" if table.name is None else table.name
     try:
@@ -131,7 +131,7 @@ def obstacles_of(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstac
 
 
 def world_table(workspace: Workspace) -> dict[str, Any]:
-    """Return ``[world]`` in full, with obstacles as polygons."""
+    """Return the complete table ``[world]`` with obstacles as polygons."""
     return {
         "bounds_m": list(workspace.bounds_m),
         "obstacles": [obstacle_table(each) for each in (*workspace.lasting, *workspace.timed)],
@@ -158,17 +158,17 @@ def _ring(ring: shapely.LinearRing) -> list[list[float]]:
 Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
 
 MOST_TURN_RAD = 2.0 * math.pi
-"""What a robot may turn in a step: more than a circle of the same input is nothing to plan."""
+"""Largest turn of a robot in a step: a full circle."""
 
 
 def task_fault(tables: ProblemFile) -> str | None:
-    """Return why tables are no problem of their task, in words; None if they are one."""
+    """Return a message if tables do not define a problem of their task; otherwise None."""
     fault = _reach_fault(tables) if tables.problem.task == "reach" else _terms_fault(tables)
     return fault or _same_name("world.moving", tables.world.moving)
 
 
 def _reach_fault(tables: ProblemFile) -> str | None:
-    """Return why tables are no problem that is to reach a goal."""
+    """Return a message if tables do not define a problem of the task reach."""
     for number, robot in enumerate(tables.robots):
         if robot.goal_m is None:
             return (
@@ -198,7 +198,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
 
 
 def _terms_fault(tables: ProblemFile) -> str | None:
-    """Return why tables are no problem whose objective is a sum of terms."""
+    """Return a message if tables do not define a problem with a sum of terms."""
     task, objective = tables.problem.task, tables.objective
     terms = objective.terms if isinstance(objective, TermsObjective) else ()
     if not terms or terms[0].task != task:
@@ -235,7 +235,7 @@ def _terms_fault(tables: ProblemFile) -> str | None:
 
 
 def _fault_of_robot(terms: Sequence[Term], robot: Robot, number: int) -> str | None:
-    """Return why the terms of one robot cannot be planned for."""
+    """Return a message if the terms of one robot are inconsistent."""
     key, weights = f"robots[{number}]", robot.weights
     if weights and len(weights) != len(terms):
         return (
@@ -262,7 +262,7 @@ def _fault_of_robot(terms: Sequence[Term], robot: Robot, number: int) -> str | N
 
 
 def _dynamics_fault(tables: ProblemFile) -> str | None:
-    """Return why robots with dynamics cannot be planned for."""
+    """Return a message if the settings do not support the dynamics of the robots."""
     for number, robot in enumerate(tables.robots):
         dynamics = robot.dynamics
         if robot.moves_freely:
@@ -283,7 +283,7 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
 
 
 def _same_name(table: str, entries: Sequence[Robot] | Sequence[MovingObstacle]) -> str | None:
-    """Return which two entries of a table have one name."""
+    """Return a message if two entries of a table have the same name."""
     names = [entry.name for entry in entries]
     for number, name in enumerate(names):
         if names.index(name) < number:
@@ -297,35 +297,35 @@ def _same_name(table: str, entries: Sequence[Robot] | Sequence[MovingObstacle]) 
 SCHEMA_VERSION = 1
 
 MAX_STATIONS = 20
-"""Each has a channel of its own, with a fit and a posterior."""
+"""Maximum number of stations, since each has its own channel fit and posterior."""
 
 
 class ProblemTable(Table):
-    """``[problem]``: the name and the task of the problem."""
+    """Table ``[problem]``: name and task of the problem."""
 
     schema_version: Literal[1] = Field(alias="schema")
     """Version of this schema; it is 1."""
     name: Name
     """Name: letters, digits, '_' and '-'."""
     task: Task = "reach"
-    """What the robots must do: reach a goal, track a target, learn the path loss, map the channel,
-    connect after a short path, or custom: what one's own terms say."""
+    """Task of the robots: reach a goal, track a target, learn the path loss, map the channel,
+    connect after a short path, or custom (defined by registered terms)."""
     description: str = ""
-    """One sentence for people."""
+    """Description in one sentence."""
 
 
 class ProblemFile(Table):
-    """A planopt problem file (TOML)."""
+    """Problem file (TOML) of motion planning."""
 
     problem: ProblemTable
     world: Annotated[Workspace, WORLD]
     channel: ChannelSetup
     robots: tuple[Robot, ...] = Field(strict=False, min_length=1, max_length=20)
-    """The robots; each has a goal for the task reach."""
+    """List of robots; each needs a goal for the task reach."""
     stations: tuple[BaseStation, ...] = Field(strict=False, min_length=1, max_length=MAX_STATIONS)
-    """The fixed stations; connected is who reaches the threshold of any of them."""
+    """Fixed base stations; a robot is connected if the power of any one reaches its threshold."""
     targets: tuple[Target, ...] = Field(default=(), strict=False, max_length=1)
-    """The target, for the task track."""
+    """List with the target, for the task track."""
     objective: Annotated[ReachObjective | TermsObjective, OBJECTIVE] = Field(
         default_factory=ReachObjective
     )
@@ -343,7 +343,7 @@ class ProblemFile(Table):
 
 
 def json_schema(model: type[Table] = ProblemFile) -> dict[str, Any]:
-    """Return the JSON schema of problem files (draft 2020-12), as ``planopt schema`` prints it."""
+    """Return the JSON schema of problem files (draft 2020-12) that ``planopt schema`` prints."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **model.model_json_schema(),

@@ -1,4 +1,4 @@
-"""Settings of a problem: target, planner, report, and what a comparison runs."""
+"""Settings of a problem: target, planner, report and comparison."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Coordination = Literal["joint", "decoupled"]
 
 
 def known_planner(name: str) -> str:
-    """Refuse the name of a planner that does not exist, in words of the schema."""
+    """Validate the name of a planner for the schema."""
     known = planner_names()
     if name not in known:
         listed = ", ".join(f"'{each}'" for each in known[:-1])
@@ -33,7 +33,7 @@ def known_planner(name: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerSettings(Part):
-    """The settings of the planner."""
+    """Planner settings."""
 
     at = "planner"
 
@@ -52,80 +52,80 @@ class PlannerSettings(Part):
         ),
     ] = "auto"
     horizon: Annotated[int, Field(ge=MIN_HORIZON, le=MAX_HORIZON)] = 10
-    """Steps ahead (N)."""
+    """Horizon N in steps."""
     neighbours: Annotated[int, Field(ge=4, le=512)] = 48
-    """Measurements that the solver conditions each stage on (a number)."""
+    """Number of nearest measurements on which the solver conditions each stage."""
     max_steps: Annotated[int, Field(ge=1, le=100_000)] = 400
-    """A closed loop that has not arrived after this many steps ends."""
+    """Maximum number of steps of a closed-loop run."""
     budget_s: Annotated[float | None, Field(gt=0, le=1e6)] = None
-    """Seconds that a plan should take: the last polish begins, and ends, early enough for its
-    proof; left out: no limit."""
+    """Computing time of a plan in seconds: local refinement ends early enough for verification;
+    default: no limit."""
     coordination: Coordination = "joint"
-    """For several robots: joint (each knows what the others plan to measure, and counts what it
-    adds) or decoupled (each counts as if it were alone)."""
+    """Coordination of several robots: joint (each robot accounts for the others' planned
+    measurements and maximises its additional gain) or decoupled (each plans as if alone)."""
     rounds: Annotated[int, Field(ge=1, le=10)] = 1
-    """How often the robots of a joint team plan in one step, in turn (a number); later rounds take
-    time, and never lessen the team's objective."""
+    """Number of rounds in which the robots of a joint team plan in turn in one step; later rounds
+    take time and never decrease the team's objective."""
 
 
 @dataclass(frozen=True)
 class ReportSettings(Part):
-    """The settings of the report."""
+    """Report settings."""
 
     at = "report"
 
     figures: bool = True
-    """Draw the pictures (true or false)."""
+    """Whether figures are drawn (true or false)."""
 
 
 Packets = Literal["measurements", "estimates"]
-"""What a packet to the station has of the target."""
+"""Content of a packet to the base station about the target."""
 
 LEAST_STD = 1e-6
-"""Of a first estimate in metres or m/s: its information is still a number that can be inverted."""
+"""Least standard deviation of an initial estimate (m or m/s), so its information is finite."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Target(Part):
-    """A moving target and what is known of it at the start (equation 4.7)."""
+    """Moving target and its initial estimate (equation 4.7)."""
 
     at = "targets[]"
 
     name: Name = "target"
-    """What outputs call it."""
+    """Name in outputs."""
     start_m: Pair
-    """Where it truly starts, [x, y] in metres."""
+    """True initial position [x, y] in metres."""
     velocity_m_s: Pair
-    """Its true velocity at the start, [x, y] in m/s."""
+    """True initial velocity [x, y] in m/s."""
     acceleration_std_m_s2: Annotated[float, Field(ge=0, le=1e6)] = 0.03
-    """Deviation of its white acceleration along an axis, in m/s^2."""
+    """Standard deviation of the white acceleration along each axis in m/s^2."""
     position_std_m: Annotated[float, Field(ge=LEAST_STD, le=1e6)] = 1.0
-    """Deviation of its first estimated position, in m."""
+    """Standard deviation of the initial position estimate in metres."""
     velocity_std_m_s: Annotated[float, Field(ge=LEAST_STD, le=1e6)] = 0.3
-    """Deviation of its first estimated velocity, in m/s."""
+    """Standard deviation of the initial velocity estimate in m/s."""
     start_distance_m: Annotated[float | None, Field(ge=0, le=1e6)] = None
-    """Where given, it starts so many metres from start_m in a direction drawn with the random seed,
-    and moves away from there at the speed of velocity_m_s."""
+    """Optional distance in metres of the start from start_m, in a direction drawn with the random
+    seed; the target then moves away from start_m at the speed of velocity_m_s."""
     heading_spread_rad: Annotated[float, Field(ge=0, le=3.2)] = 0.0
-    """Its first heading is then off that direction by up to so many rad."""
+    """Maximum random deviation in rad of the initial heading from that direction."""
     stays_free: bool = False
-    """Draw its path again until it stays within the bounds and out of obstacles (true or false)."""
+    """Whether paths that leave the bounds or enter obstacles are drawn again (true or false)."""
     packets: Packets = "measurements"
-    """measurements (a packet has the robot's last measurement of the target) or estimates (it has
-    the robot's own estimate: the station then knows all that the robot has measured)."""
+    """Content of packets: measurements (the robot's last measurement of the target) or estimates
+    (the robot's own estimate, which contains the information of all its measurements)."""
     packet_delay_steps: Annotated[int, Field(ge=0, le=1000)] = 0
-    """The station has a packet so many steps after it is sent."""
+    """Delay of packets to the station in steps."""
 
 
 DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000
-"""Where neither the command nor the problem says anything else, and at most."""
+"""Default and maximum number of seeds."""
 
 OF_NO_RUN = ("compare", "problem", "report")
-"""Tables of a problem file that cannot be swept: who reads a run looks there for what it was."""
+"""Tables of a problem file that cannot be swept, because they identify a run."""
 
 
 def known_seeds(given: object) -> object:
-    """Refuse what is no number of seeds and no range of them, in words of the schema."""
+    """Validate a number or range of seeds for the schema."""
     is_text = isinstance(given, str) and ":" in given
     if is_text or (isinstance(given, int) and not isinstance(given, bool)):
         with contextlib.suppress(InputError):
@@ -139,7 +139,7 @@ def known_seeds(given: object) -> object:
 
 
 def require_swept(key: str, at: str | None = None) -> None:
-    """Raise an error for a key of a problem file that cannot be swept."""
+    """Raise an `InputError` for a key of a problem file that cannot be swept."""
     table = key.partition(".")[0].partition("[")[0]
     if table in OF_NO_RUN:
         raise InputError(
@@ -152,44 +152,44 @@ def require_swept(key: str, at: str | None = None) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class SettingGroup(Part):
-    """Settings of a comparison: the product of all lists."""
+    """Group of settings of a comparison: the Cartesian product of all lists."""
 
     at = "compare.settings[]"
 
-    # In place of the problem's own, which are kept where there is none
+    # Replacements of the problem's own values; empty lists keep these
     horizons: Annotated[tuple[int, ...], Strict(False)] = ()
-    """Steps ahead; left out: the problem's own."""
+    """Horizons in steps; default: the problem's own."""
     planners: Annotated[tuple[str, ...], Strict(False)] = ()
-    """Names of planners; left out: the problem's own."""
+    """Names of planners; default: the problem's own."""
     costs_to_go: Annotated[tuple[str, ...], Strict(False)] = ()
-    """geodesic, connected; left out: both where there is a goal."""
-    # Values of further keys of the problem file, by dotted key
+    """Costs-to-go (geodesic, connected); default: both for problems with a goal."""
+    # Values of other keys of the problem file by dotted key
     sweep: Mapping[str, Annotated[list[Any], Field(min_length=1)]] | None = field(
         default=None, hash=False
     )
-    """Values of any keys of this file, such as { "constraints.p_min" = [0.5, 0.8] }."""
+    """Lists of values for any keys of this file, e.g. { "constraints.p_min" = [0.5, 0.8] }."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonSettings(Part):
-    """The settings of ``planopt compare`` where it is given none."""
+    """Default settings of ``planopt compare``."""
 
     at = "compare"
 
-    # How many random seeds, or a range such as 100:120, its end left out
+    # Number of random seeds, or a half-open range such as 100:120
     seeds: Annotated[
         Annotated[int, Field(ge=1, le=MOST_SEEDS)]
         | Annotated[str, Field(pattern=r"^\d{1,9}:\d{1,9}$")],
         BeforeValidator(known_seeds),
     ] = DEFAULT_SEEDS
-    """How many random seeds (30: 0 to 29), or "100:120" (100 to 119)."""
-    # Groups of settings, which stand one after the other; the first setting of the first group is
-    # what others are paired with
+    """Number of random seeds (30: 0 to 29), or a range "100:120" (100 to 119)."""
+    # Groups of settings in sequence; the first setting of the first group is the reference of the
+    # paired comparison
     settings: Annotated[
         tuple[SettingGroup, ...], Strict(False), Field(min_length=1, max_length=100)
     ]
-    """Groups of settings, one after the other; the first setting is what the others are paired
-    with."""
+    """Groups of settings in sequence; the first setting is the reference of the paired
+    comparison."""
 
     def __post_init__(self) -> None:
         remedy = "give groups, [SettingGroup(horizons=[1, 10])]"
@@ -198,7 +198,7 @@ class ComparisonSettings(Part):
         super().__post_init__()
 
     def fault(self) -> str | None:
-        """Refuse a key that cannot be swept."""
+        """Return a message if a key cannot be swept."""
         for number, group in enumerate(self.settings):
             for key in group.sweep or {}:
                 require_swept(key, f"compare.settings[{number}].sweep")
@@ -206,7 +206,7 @@ class ComparisonSettings(Part):
 
 
 def seeds_of(text: str | int, key: str = "seeds") -> range:
-    """Return the seeds of a number of them, or of a range such as ``100:200``, its end left out."""
+    """Return the range of seeds for a count or a half-open range such as ``100:200``."""
     begin, colon, end = str(text).partition(":")
     try:
         chosen = range(int(begin), int(end)) if colon else range(int(begin))

@@ -1,9 +1,8 @@
-"""Tasks: the kinds of problems, each an entry of one registry.
+"""Registry of tasks, the classes of problems.
 
-``[problem] task`` names the task. Those of planopt are in :mod:`planopt.tasks`; a package adds
-others by the entry-point group ``planopt.tasks``: the name of an entry point is that of the task,
-and its object is a :class:`planopt.tasks.task.Task`. Every function and command finds the task of a
-problem here.
+The key ``problem.task`` names the task. Built-in tasks are in :mod:`planopt.tasks`. A package adds
+tasks by the entry-point group ``planopt.tasks``: the entry-point name is that of the task, the
+object a :class:`planopt.tasks.task.Task`. All functions and commands look up tasks here.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from planopt.parts import Registry
 from planopt.short_repr import short_repr
 
 GROUP = "planopt.tasks"
-"""Entry points of tasks from outside."""
+"""Entry-point group of external tasks."""
 
 MOTION = ("reach", "track", "learn", "map", "connect", "custom")
-"""Tasks of motion planning, which share their tables; a file without a task has the first."""
+"""Tasks of motion planning, which share their tables; the first one is the default."""
 
 OWN = {
     **dict.fromkeys(MOTION, "planopt.tasks.motion:TASK"),
@@ -30,7 +29,7 @@ OWN = {
     "pursuit": "planopt.tasks.pursuit:TASK",
     "pursuit_design": "planopt.tasks.pursuit_design:TASK",
 }
-"""Where planopt's own tasks are; each is imported when a problem of it is met."""
+"""Import paths of the built-in tasks, imported on demand."""
 
 
 TASKS = Registry("a task", "problem.task", OWN, GROUP)
@@ -38,14 +37,14 @@ TASKS = Registry("a task", "problem.task", OWN, GROUP)
 
 @dataclass(frozen=True, eq=False)
 class TaskProblem:
-    """A problem of a task other than motion planning; tasks derive their own class from it.
+    """Base class of problems of tasks other than motion planning.
 
     Attributes
     ----------
     given
-        The validated tables.
+        Validated tables of the problem file.
     file
-        Where it came from; None if from no file.
+        Source file, or None.
     """
 
     given: Any = field(repr=False)
@@ -60,25 +59,25 @@ class TaskProblem:
 
     @property
     def task(self) -> str:
-        """Name of its task."""
+        """Name of the problem's task."""
         return self.given.problem.task
 
     @property
     def description(self) -> str:
-        """Return the description of the problem in a sentence."""
+        """Return the one-sentence description of the problem."""
         return self.given.problem.description
 
     @property
     def has_figures(self) -> bool:
-        """Return whether results are drawn: the key ``report.figures``."""
+        """Return whether figures are drawn (key ``report.figures``)."""
         return self.given.report.figures
 
     def tables(self) -> dict[str, Any]:
-        """Return the problem in full: tables that can be read without other files."""
+        """Return the complete tables of the problem, which refer to no other files."""
         return self.given.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def words(self) -> Sequence[str]:
-        """Return the problem in lines of text."""
+        """Return a text summary of the problem, line by line."""
         return (f"{self.name}: {self.description}", f"  task        {self.task}")
 
     def with_planner(
@@ -87,9 +86,9 @@ class TaskProblem:
         planner: str | None = None,
         looking_ahead: Sequence[str] = ("receding",),
     ) -> Self:
-        """Return the problem with another table ``planner``.
+        """Return the problem with a changed table ``planner``.
 
-        The horizon is 1 for planners that are not `looking_ahead`.
+        The horizon becomes 1 for planners not in `looking_ahead`.
         """
         now = self.given.planner
         model = cast("Any", type(now))
@@ -103,7 +102,7 @@ class TaskProblem:
 
 
 def task_named(name: object) -> Any:
-    """Return the :class:`planopt.tasks.task.Task` of a name."""
+    """Return the :class:`planopt.tasks.task.Task` with a name."""
     found = TASKS.find(name)
     if not hasattr(found, "problem_from"):
         raise InputError(
@@ -123,19 +122,19 @@ def task_of(problem: object) -> Any:
 
 
 def named_task(tables: object) -> str:
-    """Return the task that tables of a problem file name, by default the first of `MOTION`."""
+    """Return the task named in the tables of a problem file; default: the first of `MOTION`."""
     name = _entry(_entry(tables, "problem"), "task")
-    # The model of motion planning refuses a task that is no text.
+    # A task that is not text fails validation by the motion planning model.
     return name if isinstance(name, str) else MOTION[0]
 
 
 def _entry(table: object, key: str) -> object:
-    """Return an entry of a table; None if there is no table."""
+    """Return an entry of a table; None if the object is not a table."""
     return cast("dict[str, object]", table).get(key) if isinstance(table, dict) else None
 
 
 def problem_from(tables: object, *, folder: Path, file: Path | None) -> Any:
-    """Return the problem of any task in tables, validated."""
+    """Build a validated problem of any task from tables."""
     try:
         task = task_named(named_task(tables))
     except InputError as error:

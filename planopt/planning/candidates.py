@@ -187,7 +187,7 @@ class Judge:
         return 1.0 if self.problem.sense == "max" else -1.0
 
     def worth(self, candidate: Candidate) -> float:
-        """Return the objective value, with its sign changed if it is minimised."""
+        """Return the objective value, negated if it is minimised."""
         return self.sense * candidate.objective
 
     def judged(self, candidate: Candidate) -> Candidate:

@@ -68,7 +68,7 @@ class Relaxation:
 
 @dataclass(frozen=True)
 class Crossing:
-    """Coverage holes on a path to a goal, and the path that stays connected longest.
+    """Coverage holes on a path to a goal, and the path with the least outage.
 
     Attributes
     ----------

@@ -535,7 +535,7 @@ def prepare(
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Return a belief updated with measurements by station, except those below the spacing."""
+    """Return a belief updated with measurements by station, except those within the spacing."""
     if not any(len(each) for each in measured):
         return belief
     rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)

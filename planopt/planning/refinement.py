@@ -503,7 +503,7 @@ class GoalRefinement:
         return self._margins_db(self._cost.power(path_m))
 
     def _look_at(self, path_m: NDArray[np.float64]) -> None:
-        """Update the rule's rows to a path."""
+        """Update the rule's rows for a path."""
         if self._rows_of is not None:
             self._rows = self._rows_of(path_m)
 

@@ -28,7 +28,7 @@ from planopt.world.workspace import Obstacle
 
 @dataclass(frozen=True, eq=False)
 class TeamMoment:
-    """Information of all robots at one step."""
+    """States, beliefs, tracks and previous plans of all robots at one step."""
 
     beliefs: Sequence[Belief]
     states: Sequence[NDArray[np.float64]]  # (s,)

@@ -134,7 +134,7 @@ TERMINATIONS: dict[str, Termination] = {
 """Termination for every status of Clarabel."""
 
 BIG = 1e12
-"""Replaces infinite limits in sums."""
+"""Replacement of infinite limits in sums."""
 
 USABLE = (Termination.CONVERGED, Termination.ACCEPTABLE)
 """Terminations after which the merit function tests the step."""
@@ -345,7 +345,7 @@ class _Climb:
         self._penalty = FIRST_PENALTY
 
     def run(self, start: NDArray[np.float64], until: float) -> NlpPoint:
-        """Iterate until the model predicts no gain, or until a time of `perf_counter`."""
+        """Iterate until the model predicts no gain, or until a deadline by `perf_counter`."""
         x = np.clip(start, self._variable_bounds.lower, self._variable_bounds.upper)
         value, rows = self._at(x)
         last = Step(np.zeros(len(x)), np.zeros(len(rows)), np.zeros(len(x)), Termination.STOPPED)

@@ -279,12 +279,12 @@ class Outage(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the negative longest outage, including an ongoing outage of the run."""
+        """Return the negated longest outage, including an ongoing outage of the run."""
         missed = probability < self.p_min - RULE_TOLERANCE
         return -longest_run(self.sizes, missed, self._begun(history))
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the negative limit."""
+        """Return the negated limit."""
         return -self.limit
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
@@ -383,7 +383,7 @@ class Data(Rule):
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
 
     def pace_mbit(self, history: History, count: int) -> float:
-        """Return the data that keep pace: the missing data, spread over the remaining time."""
+        """Return the data required of `count` steps: missing data spread over the remaining time."""
         left_s = self.deadline_s - history.steps * self.problem.planner.step_s
         missing = max(self.data_mbit - history.delivered_mbit, 0.0)
         if left_s <= 0.0 or missing == 0.0:

@@ -172,7 +172,7 @@ class Rule(ABC):
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return a run's named metric of the worst robot; `connected` has (n,) per robot."""
+        """Return the worst robot's metric by name; `connected` has one mask (n,) per robot."""
         return {}
 
 

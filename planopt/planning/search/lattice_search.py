@@ -67,7 +67,7 @@ REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
 def window_around(
     low: NDArray[np.intp], high: NDArray[np.intp], grown: int, shape: tuple[int, int]
 ) -> Window:
-    """Return the nodes from `low` to `high`, grown to all sides, in the lattice with its margin."""
+    """Return the window from `low` to `high`, grown on all sides, in the lattice with margin."""
     rows, columns = (
         slice(
             max(int(low[axis]) - grown, 0) + REACH,
@@ -328,7 +328,7 @@ class StageFrame:
         best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
     def _list_nodes(self) -> None:
-        """List the nodes that compare predecessors, ordered by the first stage that needs them."""
+        """List the nodes with a one-by-one maximum, ordered by the first stage that uses them."""
         widest, first, table = self._windows[-1], self._windows[0], self._moves.table
         listed = table.hindered if self._moves.are_free else table.lattice.free
         rows, columns = np.nonzero(listed[without_margin(widest)])

@@ -99,7 +99,7 @@ class LocalRanking:
     def slopes(
         self, paths_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return values with smooth gates, and their gradients by the positions ``(c, N, 2)``."""
+        """Return the smoothed values of paths, and their gradients by position ``(c, N, 2)``."""
         at = self._context
         gates = at.near_measuring.gates(paths_m) if self._measures else None
         measured = self._along(self._expected, paths_m, climbed=True)

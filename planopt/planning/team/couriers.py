@@ -93,7 +93,7 @@ class Couriers:
         )
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
-        """Return whether plans are separated, how many progress if some must, and are verified.
+        """Return a rank: whether separated, number in progress if some must move, number verified.
 
         Without the count of progress two robots could block each other forever, because waiting is
         verified and giving way would leave contact at a price.

@@ -255,9 +255,9 @@ class StepContext(VerifierContext):
     def probing(self) -> MeasuringRule:
         """Return the rule that decides which positions are probed for connection.
 
-        Probes are excluded near measurements without connection, where multipath is known. They are
-        also excluded at the robot, unless its last step was connected, and at past failures without
-        a measurement (near a measurement with connection no other is taken).
+        Positions are excluded near measurements without connection, where multipath is known, near
+        the robot, unless its last step was connected, and near earlier failures that were not
+        measured because a measurement with connection was close by.
         """
         history = self.history
         lost = history.steps == 0 or history.outage_steps > 0

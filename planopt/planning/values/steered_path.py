@@ -99,7 +99,7 @@ class SteeringWay:
         return np.array(found[:steps])
 
     def gained_m(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the distance to the end gained at positions (..., N, 2), summed, in metres."""
+        """Return the reduction of the distance to the end, summed over positions (..., N, 2)."""
         distance = self.distance_m(paths_m.reshape(-1, 2)).reshape(paths_m.shape[:-1])
         return (self.rest_m[0] - distance).sum(axis=-1)
 

@@ -32,7 +32,7 @@ class RefinedPath:
     """Result of a refinement, not yet verified."""
 
     path_m: NDArray[np.float64]  # (N, 2)
-    slack_db: NDArray[np.float64]  # (N,) shortfall
+    slack_db: NDArray[np.float64]  # (N,) shortfall in dB
     termination: Termination
     iterations: int
     kkt_residual: float  # KKT residual of the unscaled programme
@@ -53,7 +53,7 @@ class PathTask:
     bounds_m: tuple[float, float, float, float]  # The workspace (x_min, y_min, x_max, y_max)
     evaluate: EvaluatePath  # Function from a path to its value and margins
     scale: float  # Factor of the value, as solver tolerances are absolute
-    # (N,) lower bounds of the margins; None if connectivity is unbounded
+    # (N,) lower bounds of the margins; None if connectivity is unconstrained
     bound_db: NDArray[np.float64] | None = None
     # (N,) upper bounds of the slack in dB, zero for a hard bound; (1,) for a total
     slack_limit_db: NDArray[np.float64] | None = None

@@ -383,7 +383,7 @@ class Data(Rule):
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
 
     def pace_mbit(self, history: History, count: int) -> float:
-        """Return the data required of `count` steps: missing data spread over the remaining time."""
+        """Return the data required of `count` steps: missing data spread over the time left."""
         left_s = self.deadline_s - history.steps * self.problem.planner.step_s
         missing = max(self.data_mbit - history.delivered_mbit, 0.0)
         if left_s <= 0.0 or missing == 0.0:

@@ -233,7 +233,7 @@ class MoveValues:
     factor: NDArray[np.float64] | None = None
     charge: NDArray[np.float64] | None = None
     rest: Node | None = None  # Node where waiting is free
-    moving: MovingMoves | None = None  # Closes moves for single steps
+    moving: MovingMoves | None = None  # Blocks moves in single steps
 
     @property
     def are_free(self) -> bool:

@@ -132,7 +132,7 @@ class Aim:
 Made = TypeVar("Made")
 
 if TYPE_CHECKING:
-    # Protocols of term inputs require properties; type checkers know cached ones only by name.
+    # Type checkers do not accept a cached property for a property of a protocol.
     cached_property = property
 else:
     from functools import cached_property
@@ -145,7 +145,7 @@ class StepContext(VerifierContext):
     # (N, 2) expected target position at the end of each step; None without a target
     target_m: NDArray[np.float64] | None = None
     region: Region  # Region of the map, for terms that average over it
-    # The steering path; None if no steering is active or no target of it is reachable
+    # The steering path; None if no term steers or nothing to steer to is reachable
     steering: SteeringWay | None = None
     # (4, 4) J_{t|t} of the station's filter; None without a target
     information: NDArray[np.float64] | None = None

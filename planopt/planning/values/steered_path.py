@@ -18,7 +18,7 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, segments_clear
 
 if TYPE_CHECKING:
-    # Protocols of term inputs require properties; type checkers know cached ones only by name.
+    # Type checkers do not accept a cached property for a property of a protocol.
     cached_property = property
 else:
     from functools import cached_property

@@ -179,7 +179,7 @@ class IntervalSites:
     precision: NDArray[np.float64]
     shift: NDArray[np.float64]
     log_evidence: float  # EP's log of the product's integral over f and delta
-    evidence_slope: float  # Direct derivative of `log_evidence` by omega^2, with sites fixed
+    evidence_slope: float  # d log_evidence / d omega^2, with sites fixed
 
     def as_measurements(self) -> Sites:
         """Return the sites as Gaussian measurements of f."""

@@ -75,7 +75,7 @@ def predictors_of(
         parameters = fit(measurements).parameters
         return {
             "channel": partial(predict_readings, condition(parameters, measurements)),
-            # With the uncertainty of xi, beta and omega.
+            # Includes the uncertainty of xi, beta and omega.
             "marginal": partial(
                 predict_readings, marginalise(parameters, measurements, MARGINAL_EXACT_LIMIT)
             ),

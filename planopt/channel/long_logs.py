@@ -229,7 +229,7 @@ class WindowSites:
     # Log of the factor that converts the density of the measurements, with sites in place of the
     # intervals, into the probability of the intervals
     log_factor: float
-    slope: float  # Direct derivative of `log_factor` by omega^2, with sites fixed
+    slope: float  # Derivative of `log_factor` with respect to omega^2, with sites fixed
 
     @property
     def values_db(self) -> NDArray[np.float64]:

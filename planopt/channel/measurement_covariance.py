@@ -39,7 +39,7 @@ from planopt.channel.parameters import ChannelParameters, Station
 Real = TypeVar("Real", np.float32, np.float64)
 
 BLUR_SHARE = 1.2
-"""Ratio of the addition to squared distances to the variance of a coordinate's error."""
+"""Increase of a squared distance per variance of a coordinate's position error."""
 
 RECEIVER_OFFSET_STD_DB = 20.0
 """Prior standard deviation s of a receiver's offset, large enough to be uninformative."""
@@ -122,9 +122,9 @@ class Origins:
     """Positions, times and receivers of measured or predicted powers."""
 
     positions_m: NDArray[np.float64]  # (..., n, 2)
-    # (..., n) addition to squared distances from position errors; None without errors
+    # (..., n) increase of squared distances due to position errors; None without errors
     blur_m2: NDArray[np.float64] | None = None
-    # (..., n), or (1,) for all; None without forgetting
+    # (..., n), or (1,) for all; None for a static channel
     time_s: NDArray[np.float64] | None = None
     receiver: NDArray[np.intp] | None = None  # (..., n); None if all are 0
 
@@ -179,7 +179,7 @@ def covariance_db2(
 def covariance_over_db2(
     distance_m: NDArray[np.float64], first: Origins, second: Origins, parameters: ChannelParameters
 ) -> NDArray[np.float64]:
-    """Overwrite blurred distances (..., n, m) with :func:`covariance_db2`."""
+    """Overwrite blurred distances (..., n, m) with the covariances of :func:`covariance_db2`."""
     covariance = decayed_db2(distance_m, parameters)
     if first.time_s is not None and second.time_s is not None:
         covariance *= ageing(first.time_s[..., :, None], second.time_s[..., None, :], parameters)
@@ -246,7 +246,7 @@ def ageing(
 
 
 def _blur_m2(first: Origins, second: Origins) -> NDArray[np.float64] | None:
-    """Return the addition to squared distances from position errors; broadcasts to (..., n, m)."""
+    """Return the increase of squared distances due to position errors, shaped for (..., n, m)."""
     if first.blur_m2 is None:
         return None if second.blur_m2 is None else second.blur_m2[..., None, :]
     if second.blur_m2 is None:

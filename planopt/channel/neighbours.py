@@ -69,7 +69,7 @@ class PlaceIndex:
 
     @staticmethod
     def of(positions_m: NDArray[np.float64]) -> PlaceIndex:
-        """Index `positions_m` (n, 2)."""
+        """Return the index of `positions_m` (n, 2)."""
         return PlaceIndex(positions_m).grown(positions_m)
 
     def grown(self, positions_m: NDArray[np.float64]) -> PlaceIndex:
@@ -183,7 +183,7 @@ def surrounding_windows(
 def _coarse_to_fine(
     coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...]
 ) -> list[int]:
-    """Return the order of blocks: the most central first, then always the farthest from all."""
+    """Return the order of blocks: the most central first, then the farthest from all before it."""
     if not blocks:
         return []
     centres = np.array([coordinates[own].mean(axis=0) for own in blocks])

@@ -114,8 +114,8 @@ def marginalise(
         Estimated parameters, preferably by ``reml``, at the centre of the design. Their theta is
         used as in :func:`planopt.channel.condition`.
     measurements
-        Measurements of the estimate. Censored ones enter the predictions but not the weights; alpha
-        is then scaled to the estimate. The weights use a fixed random subset of at most
+        Measurements used for the estimate. Censored ones enter the predictions but not the weights;
+        alpha is then scaled to the estimate. The weights use a fixed random subset of at most
         `MOST_DENSE` measurements.
     exact_limit
         Maximum number of measurements with a factor, as in :func:`planopt.channel.condition`; each

@@ -91,7 +91,7 @@ def _array(values: object) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class PrefixProbabilities:
-    """P(X_1 <= u_1, ..., X_k <= u_k) for k = 1 .. h."""
+    """Probabilities P(X_1 <= u_1, ..., X_k <= u_k) for k = 1 .. h."""
 
     probability: NDArray[np.float64]  # (h,) non-increasing
     error: NDArray[np.float64]  # (h,) three standard errors; zero if exact
@@ -285,9 +285,9 @@ def joint_connectivity(
         )
     else:
         slepian = Bound(product, "valid: no two places are negatively correlated (Slepian)")
-    # Scale all correlations from 0 to their values. By Plackett's identity the derivative by each
-    # is between 0 and the bivariate density, whose integral is P(both out) - q_i q_j with
-    # q = 1 - p; positive correlations only increase the probability.
+    # Scale all correlations from 0 to their values. By Plackett's identity, the derivative with
+    # respect to each is between 0 and the bivariate density, whose integral is
+    # P(both out) - q_i q_j, q = 1 - p. Positive correlations only increase the probability.
     cost = float(np.maximum((np.outer(out, out) - both_out)[negative], 0.0).sum())
     return JointConnectivity(
         at_each,

@@ -70,7 +70,7 @@ def bound_margin_db(
 ) -> NDArray[np.float64]:
     """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2).
 
-    It is negative if the chance constraint P(power >= threshold) >= `p_min` is violated.
+    It is negative if P(power >= threshold) < `p_min`, and NaN if the prediction is NaN.
     """
     return mean_db - bound_quantile(p_min) * deviation_db - threshold_dbm
 

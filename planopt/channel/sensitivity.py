@@ -1,4 +1,4 @@
-"""Sensitivity of predictions: derivatives by position, and errors due to wrong parameters.
+"""Sensitivity of predictions: spatial derivatives, and errors due to wrong parameters.
 
 Derivatives are those of the exact posterior, with the uncertainty of theta. The kernel
 exp(-d / beta) has a cusp at every measured position, where an error is raised because there is no
@@ -35,7 +35,7 @@ ELEMENTS = 2**17
 
 @dataclass(frozen=True)
 class PosteriorDerivatives:
-    """Predicted power at n positions with derivatives by position."""
+    """Predicted power at n positions with spatial derivatives."""
 
     mean_db: NDArray[np.float64]  # (n,) as in :func:`planopt.channel.kriging.predict`
     deviation_db: NDArray[np.float64]
@@ -48,7 +48,7 @@ class PosteriorDerivatives:
 def posterior_derivatives(
     posterior: ChannelPosterior, positions_m: ArrayLike
 ) -> PosteriorDerivatives:
-    """Return first and second derivatives of mean and standard deviation (equation 1.8).
+    """Return spatial derivatives of mean and standard deviation up to second order (equation 1.8).
 
     With r = U^-1 (y - Gamma theta), c = U^-1 phi, A = U^-1 Gamma and b = gamma - A' phi:
 
@@ -124,7 +124,7 @@ def posterior_derivatives(
 def _kernel_derivatives(
     posterior: ChannelPosterior, places_m: NDArray[np.float64], first_index: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the kernel phi (kappa, n) with gradient (.., 2) and Hessian (.., 2, 2) by position.
+    """Return the kernel phi (kappa, n) with spatial gradient (.., 2) and Hessian (.., 2, 2).
 
     With u the unit vector from the measurement they are -phi u / beta and
     phi (u u' / beta^2 - (I - u u') / (beta r)). A position error enlarges r and smooths the cusp.

@@ -108,7 +108,7 @@ class TileMap:
 
     @property
     def trend(self) -> NDArray[np.float64]:
-        """Derivative varphi of the mean by theta at every node, ``(ny, nx, 2)``."""
+        """Derivative varphi of the mean with respect to theta at every node, ``(ny, nx, 2)``."""
         trend = np.full((self.mean_db.size, 2), np.nan)
         trend[self._lattice_index] = self._terms.trend.reshape(-1, 2)[self._tile_index]
         return trend.reshape(*self.mean_db.shape, 2)

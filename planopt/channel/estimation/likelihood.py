@@ -237,7 +237,7 @@ class Evaluation:
     """Value and derivatives of the restricted likelihood at a point."""
 
     log_likelihood: float  # Log L, constants included
-    gradient: NDArray[np.float64]  # (3,) by xi^2, omega^2, beta
+    gradient: NDArray[np.float64]  # (3,) with respect to xi^2, omega^2, beta
     # (3, 3) approximate negative Hessian, positive semidefinite, with sites as measurements: the
     # average of observed and expected information, y' P dV_i P dV_j P y / 2, for one window;
     # the expected information for several
@@ -331,7 +331,7 @@ class RestrictedLikelihood:
         )
 
     def _blocks(self, covariance: Covariance) -> Evaluation:
-        """Evaluate sites, windows and mean in turn until the mean has converged."""
+        """Evaluate the likelihood of several windows, iterating sites and mean to convergence."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
         sites = self._sites if isinstance(self._sites, WindowSites) else None
@@ -394,7 +394,7 @@ def _evaluation(
     data: LikelihoodData,
     sums: _Sums,
     estimate: tuple[NDArray[np.float64], NDArray[np.float64]],  # From `_Sums.estimate`
-    nugget_slope: float,  # Direct derivative of the intervals' log probability by omega^2
+    nugget_slope: float,  # d(log probability of the intervals) / d omega^2, with sites fixed
     log_likelihood: float | None,  # None: computed from the sums
     log_factor: float,  # Log of the factor that turns sites as measurements into intervals
     precision: Precision | None,

@@ -245,7 +245,7 @@ def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> V
         else (0.5 * total, 0.5 * total, 2.0 * beta)
     )
     logs = np.clip(np.log(there), *box.T)
-    # Slope of log L by log omega^2 along the ridge near this point.
+    # d log L / d log omega^2 along the ridge near this point.
     at, values = likelihood.at(variances(logs)), np.exp(logs)
     gradient = at.gradient * values
     information = values[:, None] * at.information * values + FLAT * np.eye(3)

@@ -15,12 +15,12 @@ V does not depend on q, so one factor serves every position. A prior on n_PL ent
 measurement of n_PL.
 
 The position covariance of ``line`` is, to first order, the sandwich A J' W V W J A with
-A = (J' W J)^-1, J the derivatives of the mean by (K_PL, n_PL, x, y), W the weights of the line and
-V the fitted covariance of the measurements. A alone would assume independent errors and be several
-times too small. The position covariance of ``joint`` is the likelihood's second moment about the
-estimate, over the positions that a likelihood-ratio test does not reject, with the total variance
-integrated out as in :mod:`planopt.channel.parameter_uncertainty`. On a paraboloid it equals the
-inverse of the expected (Fisher) information J' V^-1 J within 1 %.
+A = (J' W J)^-1, J the Jacobian of the mean with respect to (K_PL, n_PL, x, y), W the weights of the
+line and V the fitted covariance of the measurements. A alone would assume independent errors and be
+several times too small. The position covariance of ``joint`` is the likelihood's second moment
+about the estimate, over the positions that a likelihood-ratio test does not reject, with the total
+variance integrated out as in :mod:`planopt.channel.parameter_uncertainty`. On a paraboloid it
+equals the inverse of the expected (Fisher) information J' V^-1 J within 1 %.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ Array = NDArray[np.float64]
 StationMethod = Literal["line", "joint"]
 
 DB_PER_NEPER = 10.0 / math.log(10.0)
-"""Derivative of 10 log10 d by ln d."""
+"""Derivative of 10 log10 d with respect to ln d."""
 
 MIN_N_PL = 1e-3
 """Minimum n_PL of a candidate position: power must fall with the distance from it."""
@@ -130,7 +130,7 @@ def fit_channel_and_station(
     height_m
         Height of the station's antenna above the robots'; not estimated.
     forgetting_s
-        As in :func:`planopt.channel.fit_channel`.
+        Time scale of the channel, as in :func:`planopt.channel.fit_channel`.
     station_method
         ``joint``: maximum likelihood over position, theta and covariance. ``line``: the position
         with the best least-squares fit of the path loss line. A fixed random subset of
@@ -270,9 +270,9 @@ def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
 
 
 def _mean_jacobian(positions_m: Array, station: Station, n_pl: float) -> Array:
-    """Return J, derivatives of the mean by K_PL, n_PL and the station's x and y; ``(n, 4)``.
+    """Return the Jacobian J of the mean by K_PL, n_PL and the station's x and y; ``(n, 4)``.
 
-    For a measurement at p the derivative by q is ``10 n_PL / ln 10 (p - q) / d^2``.
+    For a measurement at p the gradient with respect to q is ``10 n_PL / ln 10 (p - q) / d^2``.
     """
     offset = positions_m - np.asarray(station.position_m)
     square = (offset**2).sum(axis=1) + station.height_m**2
@@ -463,7 +463,7 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
 
 
 def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Array:
-    """Return derivatives B (2, 2) of the generalised least-squares theta by the station's x and y.
+    """Return the Jacobian B (2, 2) of the least-squares theta by the station's x and y.
 
     With S the position's covariance, theta's covariance grows by B S B', because the position's
     error is uncorrelated with theta's error at the true position.

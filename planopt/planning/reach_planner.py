@@ -75,7 +75,7 @@ FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
 that it does not brake at the end, and below one for sharp turns."""
 
 GAIN_SHARE = 0.15
-"""Expected gain of a refinement over the followed path, relative to the longest plan."""
+"""Distance that a refinement may gain on the followed path, relative to the longest plan."""
 
 STAGNANT_STEPS = 0.1
 """A plan stagnates if it moves the resting position by at most this many longest steps."""

@@ -60,7 +60,7 @@ class GoalValue:
     """Objective of a single integrator's path to a goal, with connectivity margins."""
 
     start_m: NDArray[np.float64]  # (2,) position of the robot
-    pivot_m: NDArray[np.float64]  # (2,) target of the last position
+    pivot_m: NDArray[np.float64]  # (2,) terminal waypoint of the cost-to-go
     effort_s_m2: float  # Cost per squared step length, and per metre beyond the horizon
     rate_s_m: float
     outage: OutagePrice

@@ -144,7 +144,7 @@ def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def drawing(folder: Path | None, files: Patterns, *, wanted: bool) -> Generator[Path | None]:
-    """Yield the folder for figures, after the results are saved; None if none are drawn."""
+    """Yield a folder whose figures are added to the saved results; None if none are drawn."""
     if folder is None or not wanted:
         yield None
         return

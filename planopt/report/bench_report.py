@@ -37,11 +37,11 @@ LEAST_EXCESS = 1e-6
 """Smallest relative excess over the best known objective that is plotted."""
 
 SHOWN = 20
-"""Maximum number of regressions and rejections in the text; the JSON file lists all."""
+"""Maximum number of entries of each kind in the text; the JSON file lists all."""
 
 
 def bench_text(data: Mapping[str, Any]) -> str:
-    """Return a report as plain text: scores, regressions, and the software and machine."""
+    """Return a report as plain text: scores, software, machine, and notable cases."""
     header = [
         *("planner", "cases", "solved [%]", "correct [%]", "verified [%]", "rejected", "errors"),
         *("fallback [%]", "median excess [%]", "largest excess [%]", "iterations", "mean [s]"),

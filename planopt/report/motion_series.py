@@ -248,7 +248,7 @@ def _draw_fallbacks(panel: Panel, run: Run) -> None:
 def _draw_rows(
     panel: Panel, rows: Sequence[NDArray[np.float64]], label: str, **look: object
 ) -> None:
-    """Mark the times (n,) of each robot in its row; the label has their number."""
+    """Mark the times (n,) of each robot in its row; the label includes their count."""
     counts = [len(times) for times in rows]
     if sum(counts):
         at = np.repeat(np.arange(len(rows), dtype=np.float64), counts)

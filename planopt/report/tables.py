@@ -228,7 +228,7 @@ def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 def _cells(setting: Setting, shown: Sequence[str]) -> list[str]:
-    """Return the numbers of a line; entries not tied to a metric are equal in all rows."""
+    """Return the cells of a setting: runs, stalled runs, metrics and step times."""
     one = next(iter(setting.rows.values()))
     verified = MISSING if one.verified_rate is None else f"{100.0 * one.verified_rate:.1f}"
     cells = [str(one.seeds), str(one.stalled)]

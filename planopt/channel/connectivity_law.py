@@ -99,7 +99,7 @@ def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the score from the smaller tail, which has full precision."""
+    """Return the combined score from the smaller tail, for full precision."""
     low = np.asarray(ndtri_exp(np.minimum(log_any, log_none)), dtype=np.float64)
     return np.where(log_any < log_none, low, -low)
 

@@ -207,7 +207,7 @@ measurements. It takes about ten sweeps."""
 
 @dataclass(frozen=True, eq=False)
 class IntervalRows:
-    """The m of n measurements that are known as intervals."""
+    """Interval measurements (m among n) with the windows in which their sites are matched."""
 
     rows: NDArray[np.intp]  # (m,) indices, ascending
     known: Intervals

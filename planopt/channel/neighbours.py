@@ -160,7 +160,7 @@ def earlier_windows(
 def later_windows(
     coordinates: NDArray[np.float64], index: PlaceIndex, count: int
 ) -> tuple[Window, ...]:
-    """Return a window for each row of `coordinates` (n, 2) not in `index`, from earlier rows."""
+    """Return a window for each position (n, 2) after those in `index`, with earlier neighbours."""
     windows: list[Window] = []
     for row in range(len(index.positions_m), len(coordinates)):
         index = index.grown(coordinates[:row])

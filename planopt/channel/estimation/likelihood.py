@@ -448,7 +448,7 @@ def _interval_prior(
     latent_db2: NDArray[np.float64],  # (n, n) covariance of shadowing
     noise_db2: NDArray[np.float64],  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the intervals' prior given the Gaussian measurements, and the latter's log L.
+    """Return the prior of intervals given the Gaussian measurements, and log L of the latter.
 
     If rounded intervals may be needed to determine theta, log L is taken at the line; the integral
     over theta is left to the prior's score and information.

@@ -232,9 +232,9 @@ def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[M
 
 
 def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> Vector | None:
-    """Return a guess with the opposite multipath share, None unless L rises there away from `best`.
+    """Return a point with little instead of much multipath, or vice versa, as an initial guess.
 
-    Shadowing with a short decorrelation distance resembles multipath, and vice versa.
+    Returns None unless the likelihood there increases away from `best`.
     """
     shadow, nugget, beta = best.covariance
     total = shadow + nugget

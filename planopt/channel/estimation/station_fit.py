@@ -219,7 +219,7 @@ class StationSurface:
         return float(np.hypot(*np.ptp(self.positions_m, axis=0)))
 
     def box_m(self, margin: float) -> tuple[Array, Array]:
-        """Return the corners of the measurements' bounding box, `margin` extents larger."""
+        """Return the corners of the measurements' bounding box with a margin of `margin` extents."""
         low, high = self.positions_m.min(axis=0), self.positions_m.max(axis=0)
         return low - margin * self.extent_m, high + margin * self.extent_m
 
@@ -270,7 +270,7 @@ def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
 
 
 def _mean_jacobian(positions_m: Array, station: Station, n_pl: float) -> Array:
-    """Return the Jacobian J of the mean by K_PL, n_PL and the station's x and y; ``(n, 4)``.
+    """Return the Jacobian J (n, 4) of the mean with respect to K_PL, n_PL and the position (x, y).
 
     For a measurement at p the gradient with respect to q is ``10 n_PL / ln 10 (p - q) / d^2``.
     """
@@ -374,7 +374,7 @@ def locate(
 
 
 def _line_surface(measurements: Measurements, station: Station) -> StationSurface:
-    """Return the surface of independent errors with the line's residual variance."""
+    """Return the likelihood surface for independent errors of the line's residual variance."""
     model = mean_model(measurements.positions_m, ~measurements.censored, station, True)
     line = least_squares(model, measurements)
     k_pl, n_pl = model.theta(line.coefficients)
@@ -386,7 +386,7 @@ def _line_surface(measurements: Measurements, station: Station) -> StationSurfac
 def _joint_surface(
     measurements: Measurements, station: Station, forgetting_s: float
 ) -> StationSurface:
-    """Return the surface with the covariance that REML fits for `station`.
+    """Return the likelihood surface with the covariance that REML fits for `station`.
 
     The prior on n_PL is used: a farther station with a larger n_PL fits almost equally well.
     """
@@ -463,7 +463,7 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
 
 
 def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Array:
-    """Return the Jacobian B (2, 2) of the least-squares theta by the station's x and y.
+    """Return the Jacobian B (2, 2) of generalised least-squares theta by the station's position.
 
     With S the position's covariance, theta's covariance grows by B S B', because the position's
     error is uncorrelated with theta's error at the true position.

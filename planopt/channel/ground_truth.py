@@ -83,7 +83,7 @@ class Nakagami:
 
     @property
     def std_db(self) -> float:
-        """Exact omega, (10 / ln 10) sqrt(psi'(m))."""
+        """Exact standard deviation omega in dB, (10 / ln 10) sqrt(psi'(m))."""
         return DB_PER_NEPER * math.sqrt(float(zeta(2.0, self.m)))
 
 
@@ -112,7 +112,7 @@ class Rician:
 
     @property
     def std_db(self) -> float:
-        """Exact omega."""
+        """Exact standard deviation omega in dB."""
         return self._moments()[1]
 
     def _moments(self) -> tuple[float, float]:

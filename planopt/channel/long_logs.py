@@ -95,7 +95,7 @@ def vecchia_information(
     noise_variance_db2: NDArray[np.float64],  # (n,) with sites for intervals
     before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first ones
 ) -> VecchiaInformation:
-    """Return the sums over `measurements`; those in the index of `before` are already summed."""
+    """Return the information from `measurements`, added to that of the first ones in `before`."""
     places = measurements.positions_m
     if before is None:
         windows = earlier_windows(places, place_blocks(places, BLOCK), BLOCK_NEIGHBOURS)
@@ -174,9 +174,9 @@ def offsets_given_theta(posterior: ChannelPosterior) -> OffsetsGivenTheta:
 def receiver_offsets(posterior: ChannelPosterior) -> tuple[ReceiverOffset, ...]:
     """Return estimated offsets of all receivers except number 0, in ascending order.
 
-    Without measurements from receiver 0 the offsets are known up to a common constant, which is
-    then determined by the prior (mean 0, standard deviation `RECEIVER_OFFSET_STD_DB`) and included
-    in the standard errors.
+    Without measurements from receiver 0 the offsets are known up to a common constant. It then
+    follows from the prior (mean 0, standard deviation `RECEIVER_OFFSET_STD_DB`), and the standard
+    errors include its uncertainty.
     """
     found = offsets_given_theta(posterior)
     trend = found.means_db[:, 1:]

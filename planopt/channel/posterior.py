@@ -231,7 +231,7 @@ class ChannelPosterior:
         return all(np.array_equal(mine[:count], former) for mine, former in pairs)
 
     def covariance_with_db2(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the measurements' covariance with power at (n, 2) at `now_s`; ``(kappa, n)``."""
+        """Return covariances (kappa, n) of measurements with power at positions (n, 2), `now_s`."""
         places = place_origins(positions_m, self.now_s, self.parameters)
         return covariance_db2(self.origins, places, self.parameters)
 

@@ -215,7 +215,7 @@ def receiver_columns(measurements: Measurements) -> NDArray[np.float64]:
 
 
 def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
-    """Return the map from values (n,) to coefficients (q,), with a ridge after the first `free`."""
+    """Return the pseudoinverse (q, n) of `columns`, with a ridge on all but the first `free`."""
     if columns.shape[1] == free:
         return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
     ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]

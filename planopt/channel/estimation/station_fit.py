@@ -219,7 +219,7 @@ class StationSurface:
         return float(np.hypot(*np.ptp(self.positions_m, axis=0)))
 
     def box_m(self, margin: float) -> tuple[Array, Array]:
-        """Return the corners of the measurements' bounding box with a margin of `margin` extents."""
+        """Return the corners of the bounding box, enlarged by `margin` extents on each side."""
         low, high = self.positions_m.min(axis=0), self.positions_m.max(axis=0)
         return low - margin * self.extent_m, high + margin * self.extent_m
 

@@ -15,7 +15,7 @@ from planopt.coverage.geodesic import GeodesicGround, Ground
 from planopt.coverage.ground import ConvexGround
 
 LEAP = 1.7
-"""Over-relaxation of the first step tried, in offsets to the targets."""
+"""Over-relaxation factor tried first in every step toward the targets; it converges faster."""
 
 SETTLED = 1e-6
 """Relative decrease of the cost in a step below which a deployment is settled."""

@@ -45,7 +45,7 @@ Signals = Callable[[int, Numbers], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The problem and the settings of a network."""
+    """Simulation problem of a network: ground, agents, events and settings."""
 
     ground: Ground
     starts_m: Floats  # (n, 2)

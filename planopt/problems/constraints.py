@@ -120,7 +120,7 @@ class ConnectivityRule(Part):
     """Field values of a registered rule by name."""
 
     def fault(self) -> str | None:
-        """Return a message if the settings do not fit a registered rule."""
+        """Return None; raise an `InputError` if the settings do not fit a registered rule."""
         settings = dict(self.settings)
         if settings or self.connectivity not in OWN:
             with calling(self.kind, "__post_init__", key="constraints.settings"):

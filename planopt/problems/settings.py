@@ -198,7 +198,7 @@ class ComparisonSettings(Part):
         super().__post_init__()
 
     def fault(self) -> str | None:
-        """Return a message if a key cannot be swept."""
+        """Return None; raise an `InputError` for a key that cannot be swept."""
         for number, group in enumerate(self.settings):
             for key in group.sweep or {}:
                 require_swept(key, f"compare.settings[{number}].sweep")

@@ -111,7 +111,7 @@ class DesignTable(Table):
     """least_power, least_power_rated, least_energy (all by the Lemma), or capture_in_time."""
     guarantee: TheoremName | None = None
     """Theorem for capture_in_time: snapshots (the default), sampled_distance, any_instant or lemma.
-    The other methods rest on the lemma."""
+    The other methods use the lemma."""
     margin: float = Field(default=0.01, ge=1e-12, lt=1)
     """Margin of a + x below 1 in the Lemma."""
     bits_per_axis: int | None = Field(default=None, ge=1, le=MAX_BITS)

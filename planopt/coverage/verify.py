@@ -1,7 +1,7 @@
 """Verifier of a network's moves, independent of the planner.
 
-The verifier checks each move in continuous time, as the agent executes it: straight at a constant
-velocity, at a constant acceleration, or by a turn on the spot followed by a straight line.
+The verifier checks each whole move as the agent executes it: straight at a constant velocity, at a
+constant acceleration, or by a turn on the spot followed by a straight line.
 """
 
 from __future__ import annotations

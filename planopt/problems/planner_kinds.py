@@ -1,7 +1,7 @@
 """Registry of planners: built-in planners and registered ones.
 
 A package adds planners by the entry-point group ``planopt.planners``: the entry-point name is that
-of the planner, the object a :class:`PlannerKind` or a factory. A program uses
+of the planner, and its object is a :class:`PlannerKind` or a factory. A program calls
 :func:`register_planner`.
 """
 

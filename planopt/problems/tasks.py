@@ -1,8 +1,8 @@
 """Registry of tasks, the classes of problems.
 
 The key ``problem.task`` names the task. Built-in tasks are in :mod:`planopt.tasks`. A package adds
-tasks by the entry-point group ``planopt.tasks``: the entry-point name is that of the task, the
-object a :class:`planopt.tasks.task.Task`. All functions and commands look up tasks here.
+tasks by the entry-point group ``planopt.tasks``: the entry-point name is that of the task, and its
+object is a :class:`planopt.tasks.task.Task`. All functions and commands look up tasks here.
 """
 
 from __future__ import annotations

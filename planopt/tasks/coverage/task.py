@@ -289,7 +289,7 @@ def _in_place(
 ) -> NDArray[np.bool_]:
     """Return whether agents have reached their positions for an event; (T, n).
 
-    They are within `near_m` of their targets, or bodies at rest packed around the event.
+    Agents within `near_m` of their targets are in place; so are bodies at rest around the event.
     """
     control = problem.given.control
     here = run.positions_m[:-1]

@@ -22,7 +22,7 @@ from information_scene import WORTHS, Worth, information_step
 from planopt import Verdict
 from planopt.channel.cholesky import one_blas_thread
 from planopt.extend import Rung
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.search.fan_guesses import driven_paths, rough_clearance
 from planopt.planning.search.guess_search import Guess
@@ -32,7 +32,7 @@ GOALS_MS = {5: 15.0, 10: 30.0, 20: 80.0}
 
 
 def best_of_starts(
-    planner: HorizonPlanner, situation: StepContext, judge: Judge, count: int, seed: int
+    planner: HorizonPlanner, situation: StepContext, scorer: Scorer, count: int, seed: int
 ) -> float:
     """The largest worth that `count` random starts are polished to; -inf without any."""
     generator = np.random.default_rng(seed)
@@ -43,8 +43,8 @@ def best_of_starts(
     rough = rough_clearance(situation.problem, index)
     best = -np.inf
     for path in driven_paths(situation, index, rough, turn, np.ones(turn.shape)):
-        start = Guess(path, judge.objective(path), 0.0)
-        for candidate in planner.cascade.refinement.candidates(situation, judge, start, Rung.PLAN):
+        start = Guess(path, scorer.objective(path), 0.0)
+        for candidate in planner.cascade.refinement.candidates(situation, scorer, start, Rung.PLAN):
             if candidate.verdict is Verdict.VERIFIED:
                 best = max(best, candidate.objective)
     return best
@@ -54,17 +54,17 @@ def share_and_time(
     worth: Worth, horizon: int, count: int, seed: int, starts: int, decorrelation_m: float
 ) -> tuple[float, float]:
     """The plan's share of the best, and the CPU time in seconds of planning it again."""
-    place, situation, judge = information_step(worth, horizon, count, seed, decorrelation_m)
+    place, situation, scorer = information_step(worth, horizon, count, seed, decorrelation_m)
     planner = HorizonPlanner(place.problem, place.ground)
-    planner.plan(situation, judge)
+    planner.plan(situation, scorer)
     again = replace(situation)
-    fresh = replace(judge, objective=replace(judge.objective, context=again))
+    fresh = replace(scorer, objective=replace(scorer.objective, context=again))
     begun = process_time()
     plan = planner.plan(again, fresh)
     spent_s = process_time() - begun
     if plan.verdict is not Verdict.VERIFIED:
         return 0.0, spent_s
-    best = best_of_starts(planner, situation, judge, starts, seed)
+    best = best_of_starts(planner, situation, scorer, starts, seed)
     return plan.objective / max(best, plan.objective), spent_s
 
 

@@ -65,9 +65,9 @@ def test_beside_do_mpc(table: Table, count: int, solves: int) -> None:
     """The ratio of do-mpc's solve to the whole step, in one run."""
     from do_mpc_step import DoMpcStep
 
-    _, situation, judge = single_step(10, count, SEED)
+    _, context, scorer = single_step(10, count, SEED)
     begun = perf_counter()
-    other = DoMpcStep(situation, "MX")
+    other = DoMpcStep(context, "MX")
     built_s = perf_counter() - begun
     found = [other.step() for _ in range(solves)]
     drive = TrackingDrive(10, count, SEED)
@@ -76,11 +76,11 @@ def test_beside_do_mpc(table: Table, count: int, solves: int) -> None:
     wall_s, cpu_s = (float(np.median([each[i] for each in found])) for i in (0, 1))
     own_s = float(np.median(drive.cpu_s))
     path = found[0][2]
-    judged = judge.objective(path)
+    assessed = scorer.objective(path)
     table.add("do-mpc's solver, N = 10", count, [each[0] for each in found])
     table.note(
         f"do-mpc, {count} measurements: {1e3 * wall_s:.0f} ms, built in {built_s:.1f} s; CPU "
         f"{cpu_s / own_s:.0f} times that of a whole step, "
-        f"{(cpu_s + built_s) / own_s:.0f} times with building; worth {judged:.3f}"
+        f"{(cpu_s + built_s) / own_s:.0f} times with building; worth {assessed:.3f}"
     )
-    assert np.isfinite(judged)
+    assert np.isfinite(assessed)

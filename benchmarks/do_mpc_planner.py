@@ -18,7 +18,7 @@ from planopt import InputError, Plan, Problem
 from planopt.cli import main
 from planopt.extend import PlannerKind, Rung, register_planner
 from planopt.objectives import TrackingTerm
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.programme.solver import termination_of
 from planopt.planning.scene import Ground
 from planopt.planning.values.context import StepContext
@@ -37,14 +37,14 @@ class DoMpcPlanner:
         if not isinstance(problem.terms[0], TrackingTerm) or len(problem.stations) > 1:
             raise InputError("is do_mpc, which tracks with one station", key="planner.name")
 
-    def plan(self, situation: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, situation: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Build the controller, solve once, and let planopt's verifier judge the path."""
         begun = perf_counter()
         built = DoMpcStep(situation, "MX")
         solve_s, _, path_m = built.step()
-        candidate = judge.candidate(path_m, Rung.PLAN, termination_of(built.status))
-        found = replace(judge.judged(candidate), solve_s=solve_s, iterations=built.iterations)
-        return judge.plan_from(found, wall_s=perf_counter() - begun)
+        candidate = scorer.candidate(path_m, Rung.PLAN, termination_of(built.status))
+        found = replace(scorer.assessed(candidate), solve_s=solve_s, iterations=built.iterations)
+        return scorer.plan_from(found, wall_s=perf_counter() - begun)
 
 
 if __name__ == "__main__":

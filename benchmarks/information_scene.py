@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from tracking_scene import FIELD_C, Scene, scene, situation_in
+from tracking_scene import FIELD_C, Scene, context_in, scene
 
 from planopt.channel import condition
 from planopt.extend import Term
 from planopt.objectives import LearningTerm, MappingTerm, TermsObjective
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.scene import build_ground
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import ObjectiveValue
@@ -30,7 +30,7 @@ def term_of(worth: Worth) -> Term:
 
 def information_step(
     worth: Worth, horizon: int, count: int, seed: int, decorrelation_m: float
-) -> tuple[Scene, StepContext, Judge]:
+) -> tuple[Scene, StepContext, Scorer]:
     """A cold step of a seeded scene whose robot knows `count` measurements."""
     place = scene(horizon, count, seed)
     problem = replace(
@@ -45,6 +45,6 @@ def information_step(
     law = replace(known.parameters, **{**FIELD_C, "decorrelation_m": decorrelation_m})
     belief = replace(place.belief, posterior=condition(law, known.measurements))
     place = replace(place, problem=problem, ground=build_ground(problem, at), belief=belief)
-    situation, _ = situation_in(place, belief, at, None)
+    situation, _ = context_in(place, belief, at, None)
     situation = replace(situation, target_m=None)
-    return place, situation, Judge(situation, ObjectiveValue(situation))
+    return place, situation, Scorer(situation, ObjectiveValue(situation))

@@ -32,16 +32,16 @@ def main() -> None:
     wall_s: dict[str, list[float]] = {name: [] for name in METHODS}
     cpu_s: dict[str, list[float]] = {name: [] for name in METHODS}
     for seed in range(chosen.instances):
-        place, situation, judge = single_step(
+        place, situation, scorer = single_step(
             chosen.horizon, chosen.measurements, seed, chosen.munich_like
         )
         for name in METHODS:
             problem = replace(place.problem, planner=replace(place.problem.planner, name=name))
             planner = HorizonPlanner(problem, place.ground)
             # The first plan fills the map; what it found is forgotten.
-            planner.plan(replace(situation), judge)
+            planner.plan(replace(situation), scorer)
             again = replace(situation)
-            fresh = replace(judge, objective=replace(judge.objective, context=again))
+            fresh = replace(scorer, objective=replace(scorer.objective, context=again))
             wall, cpu = perf_counter(), process_time()
             plans[name].append(planner.plan(again, fresh))
             wall_s[name].append(perf_counter() - wall)

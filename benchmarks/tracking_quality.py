@@ -17,7 +17,7 @@ from tracking_scene import STEP_M, single_step
 
 from planopt import Verdict
 from planopt.extend import Rung
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.search.guess_search import GuessSearch
 from planopt.planning.values.context import StepContext
@@ -27,7 +27,7 @@ def best_of_starts(
     planner: HorizonPlanner,
     search: GuessSearch,
     situation: StepContext,
-    judge: Judge,
+    scorer: Scorer,
     count: int,
     seed: int,
 ) -> float:
@@ -42,9 +42,9 @@ def best_of_starts(
         # A target that waits at the place draws the lattice's path there.
         lured = replace(situation, target_m=np.tile(place, (horizon, 1)))
         for start in search.find_guesses(lured, None)[:1]:
-            start = replace(start, value=max(judge.objective(start.path_m), 1e-3))
+            start = replace(start, value=max(scorer.objective(start.path_m), 1e-3))
             for candidate in planner.cascade.refinement.candidates(
-                situation, judge, start, Rung.PLAN
+                situation, scorer, start, Rung.PLAN
             ):
                 if candidate.verdict is Verdict.VERIFIED and not candidate.relaxes:
                     best = max(best, candidate.objective)
@@ -64,16 +64,16 @@ def main() -> None:
     wall_s: list[float] = []
     cpu_s: list[float] = []
     for seed in range(chosen.instances):
-        place, situation, judge = single_step(
+        place, situation, scorer = single_step(
             chosen.horizon, chosen.measurements, seed, chosen.munich_like
         )
         planner = HorizonPlanner(place.problem, place.ground)
         search = GuessSearch(place.problem, place.ground)
-        best = best_of_starts(planner, search, situation, judge, chosen.starts, seed)
+        best = best_of_starts(planner, search, situation, scorer, chosen.starts, seed)
         # The first plan fills the map.
-        planner.plan(replace(situation), judge)
+        planner.plan(replace(situation), scorer)
         again = replace(situation)
-        fresh = replace(judge, objective=replace(judge.objective, context=again))
+        fresh = replace(scorer, objective=replace(scorer.objective, context=again))
         wall, cpu = perf_counter(), process_time()
         plan = planner.plan(again, fresh)
         wall_s.append(perf_counter() - wall)

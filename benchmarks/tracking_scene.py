@@ -20,7 +20,7 @@ from planopt.channel import Belief, ChannelParameters, Truth, condition, measure
 from planopt.channel.posterior import update
 from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.moments import Region
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.initial_data import draw_truth, free_places, learn
 from planopt.planning.proof.context import search_power, verifier_context
@@ -164,19 +164,19 @@ class Evader:
         return np.array([np.cos(self._heading), np.sin(self._heading)])
 
 
-def situation_in(
+def context_in(
     place: Scene, belief: Belief, position_m: NDArray[np.float64], target_m: NDArray[np.float64]
-) -> tuple[StepContext, Judge]:
+) -> tuple[StepContext, Scorer]:
     """What one step knows, and what its candidates are judged by."""
     base = verifier_context(place.problem, place.ground.index, belief.posteriors, position_m)
     situation = step_context(base, place.region, Aim(target_m))
-    judge = Judge(situation, ObjectiveValue(situation))
-    return situation, judge
+    scorer = Scorer(situation, ObjectiveValue(situation))
+    return situation, scorer
 
 
 def single_step(
     horizon: int, count: int, seed: int, munich_like: bool = False
-) -> tuple[Scene, StepContext, Judge]:
+) -> tuple[Scene, StepContext, Scorer]:
     """A cold step of a seeded scene: scene, situation, judge. The robot starts connected.
 
     Of the places of the scenes `seed`, `seed + 1000`, ... the first is taken whose start keeps the
@@ -190,8 +190,8 @@ def single_step(
             break
         seed += 1000
     evader = Evader(at, np.random.default_rng(seed))
-    situation, judge = situation_in(place, place.belief, at, evader.expected_m(horizon))
-    return place, situation, judge
+    situation, scorer = context_in(place, place.belief, at, evader.expected_m(horizon))
+    return place, situation, scorer
 
 
 class TrackingDrive:
@@ -231,8 +231,8 @@ class TrackingDrive:
         target = self._evader.expected_m(self._scene.problem.planner.horizon)
         wall, cpu = perf_counter(), process_time()
         self._belief = update(self._belief, found)
-        situation, judge = situation_in(self._scene, self._belief, self._at, target)
-        self._plan = self._planner.plan(situation, judge, self._plan)
+        situation, scorer = context_in(self._scene, self._belief, self._at, target)
+        self._plan = self._planner.plan(situation, scorer, self._plan)
         self.wall_s.append(perf_counter() - wall)
         self.cpu_s.append(process_time() - cpu)
         self.plans.append(self._plan)

@@ -264,7 +264,7 @@ def test_unverified_plans_of_a_run_are_told_with_a_reason(
     printed = capsys.readouterr().out
     told = re.search(r"(\d+) of 3 plans are not verified; the last of them: (.+)", printed)
     assert told is not None and told.group(1) == "3"
-    assert "constraints.p_min asks for" in told.group(2)
+    assert "constraints.p_min requires" in told.group(2)
 
 
 def test_a_goal_that_nothing_single_opens_is_told(
@@ -279,4 +279,4 @@ def test_a_goal_that_nothing_single_opens_is_told(
     text = cut_off.read_text().replace("figures = true", "figures = false")
     cut_off.write_text(text.replace("[channel.truth]", f"{walls}[channel.truth]"))
     assert main(["solve", str(cut_off)]) == 4
-    assert "no change of a single key or obstacle that was tried helps" in capsys.readouterr().out
+    assert "no single change of a key or obstacle gives a plan" in capsys.readouterr().out

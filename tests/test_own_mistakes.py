@@ -227,25 +227,25 @@ def planner_of(plan) -> type:
     [
         (Maker, "Maker has no method plan"),
         (lambda problem: None, "failed: TypeError.*take a problem"),
-        (planner_of(lambda self, at, judge, warm=None: None), "plan returned: is a NoneType"),
-        (planner_of(lambda self, at, judge, warm=None: np.zeros((2, 2))), "is a ndarray"),
-        (planner_of(lambda self, at, judge: None), "plan failed: TypeError"),
-        (planner_of(lambda self, at, judge, warm=None: at.nothing), r"line \d+.*plan failed"),
+        (planner_of(lambda self, at, scorer, warm=None: None), "plan returned: is a NoneType"),
+        (planner_of(lambda self, at, scorer, warm=None: np.zeros((2, 2))), "is a ndarray"),
+        (planner_of(lambda self, at, scorer: None), "plan failed: TypeError"),
+        (planner_of(lambda self, at, scorer, warm=None: at.nothing), r"line \d+.*plan failed"),
         (
-            planner_of(lambda self, at, judge, warm=None: released(judge, np.zeros((2, 3)), 0.0)),
+            planner_of(lambda self, at, scorer, warm=None: released(scorer, np.zeros((2, 3)), 0.0)),
             r"path_m: has the shape \(2, 3\), should have \(2, 2\)",
         ),
         (
-            planner_of(lambda self, at, judge, warm=None: released(judge, None, 0.0)),
+            planner_of(lambda self, at, scorer, warm=None: released(scorer, None, 0.0)),
             "path_m: has the shape",
         ),
         (
-            planner_of(lambda self, at, judge, warm=None: released(np.zeros((2, 2)), judge, 0.0)),
-            "judge: is a ndarray",
+            planner_of(lambda self, at, scorer, warm=None: released(np.zeros((2, 2)), scorer, 0.0)),
+            "scorer: is a ndarray",
         ),
         (
             planner_of(
-                lambda self, at, judge, warm=None: free_ends(
+                lambda self, at, scorer, warm=None: free_ends(
                     self.problem, self.ground, at.position_m, at.position_m
                 )
             ),
@@ -265,7 +265,7 @@ def test_wrong_planners(base, make, words) -> None:
 
 def test_a_path_may_be_a_list(base) -> None:
     """Anything that is a table of numbers."""
-    make = planner_of(lambda self, at, judge, warm=None: released(judge, [[10.0, 15.0]] * 2, 0.0))
+    make = planner_of(lambda self, at, scorer, warm=None: released(scorer, [[10.0, 15.0]] * 2, 0.0))
     register_planner(PlannerKind("listing", make))
     try:
         assert solve(base, planner="listing").plan.positions_m.shape == (3, 2)

@@ -137,7 +137,7 @@ class PathValue(Protocol):
 
 
 @dataclass(frozen=True)
-class Judge:
+class Scorer:
     """Evaluation and verification of the candidates of one step."""
 
     context: VerifierContext
@@ -190,7 +190,7 @@ class Judge:
         """Return the objective value, negated if it is minimised."""
         return self.sense * candidate.objective
 
-    def judged(self, candidate: Candidate) -> Candidate:
+    def assessed(self, candidate: Candidate) -> Candidate:
         """Return the candidate with the verifier's findings."""
         path = np.vstack([self.position_m, candidate.path_m])
         found = verify(self.context, path, candidate.kkt_residual, candidate.drive)
@@ -208,22 +208,24 @@ class Judge:
         The plans of all other robots keep clear of the reservation.
         """
         place = np.tile(self.position_m, (horizon, 1))
-        found = self.judged(self.candidate(place, Rung.STOP, Termination.NO_PATH))
+        found = self.assessed(self.candidate(place, Rung.STOP, Termination.NO_PATH))
         if found.sound:
             return found
         if self.reserved_m is not None and not np.array_equal(self.reserved_m, place):
-            found = self.judged(self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED))
+            found = self.assessed(
+                self.candidate(self.reserved_m, Rung.RESERVED, Termination.STOPPED)
+            )
             if found.sound:
                 return found
         path = leaving_path(self.problem, self.index, self.context.moving, self.position_m)
         if path is None:
             return found
-        return self.judged(self.candidate(path, Rung.LEAVE, Termination.NO_PATH))
+        return self.assessed(self.candidate(path, Rung.LEAVE, Termination.NO_PATH))
 
     def plan_from(self, chosen: Candidate, wall_s: float) -> Plan:
         """Return a verified candidate as a plan."""
         if chosen.certificate is None or chosen.power is None:
-            raise AssertionError("only judged candidates are released")
+            raise AssertionError("only assessed candidates are released")
         power, problem = chosen.power, self.problem
         positions = np.vstack([self.position_m, chosen.path_m])
         threshold = problem.stations[0].threshold_dbm
@@ -250,12 +252,12 @@ class Judge:
         )
 
 
-def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
+def released(scorer: Scorer, path_m: NDArray[np.float64], begun_s: float) -> Plan:
     """Return the plan of an unrefined path, or a stationary plan if the path is unsound.
 
     Parameters
     ----------
-    judge
+    scorer
         Evaluation and verification of the path.
     path_m
         ``(N, 2)`` positions after each step.
@@ -267,8 +269,8 @@ def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
     InputError
         If the shape of `path_m` is not (N, 2) for the horizon N.
     """
-    part_of("judge", judge, Judge, "give the judge first, then the path")
-    shape = (judge.problem.planner.horizon, 2)
+    part_of("scorer", scorer, Scorer, "give the scorer first, then the path")
+    shape = (scorer.problem.planner.horizon, 2)
     try:
         path_m = np.asarray(path_m, dtype=np.float64)
     except (TypeError, ValueError):
@@ -279,10 +281,10 @@ def released(judge: Judge, path_m: NDArray[np.float64], begun_s: float) -> Plan:
             key="path_m",
             remedy="give a place in metres after each step of planner.horizon",
         )
-    found = judge.judged(judge.candidate(path_m, Rung.PLAN, Termination.LATTICE_ONLY))
+    found = scorer.assessed(scorer.candidate(path_m, Rung.PLAN, Termination.LATTICE_ONLY))
     if not found.sound:
-        found = judge.standing(len(path_m))
-    return judge.plan_from(found, wall_s=perf_counter() - begun_s)
+        found = scorer.standing(len(path_m))
+    return scorer.plan_from(found, wall_s=perf_counter() - begun_s)
 
 
 def held(context: VerifierContext, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -298,7 +300,7 @@ def verified_of(tried: Sequence[Candidate]) -> list[Candidate]:
 
 
 def best_of(
-    judge: Judge, tried: Sequence[Candidate], warm: Plan | None, least: float = -math.inf
+    scorer: Scorer, tried: Sequence[Candidate], warm: Plan | None, least: float = -math.inf
 ) -> Candidate:
     """Return the best verified candidate, otherwise the safest fallback.
 
@@ -306,13 +308,13 @@ def best_of(
     """
     verified = verified_of(tried)
     if verified:
-        return with_effort(max(verified, key=judge.worth), tried)
-    sound = [c for c in tried if c.sound and judge.worth(c) >= least]
-    if not judge.problem.robots[0].moves_freely:
+        return with_effort(max(verified, key=scorer.worth), tried)
+    sound = [c for c in tried if c.sound and scorer.worth(c) >= least]
+    if not scorer.problem.robots[0].moves_freely:
         sound.sort(key=lambda candidate: candidate.missing_db)
     if any(candidate.hopeless for candidate in sound):
         return with_effort(sound[0], tried)
-    fallback = without_guess(judge, warm)
+    fallback = without_guess(scorer, warm)
     chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
     return with_effort(chosen, tried)
 
@@ -328,47 +330,49 @@ def with_effort(chosen: Candidate, tried: Sequence[Candidate]) -> Candidate:
     )
 
 
-def without_guess(judge: Judge, warm: Plan | None) -> Candidate:
+def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
     """Return the remainder of the previous verified plan, verified again; otherwise a stop."""
-    problem = judge.problem
+    problem = scorer.problem
     if not problem.robots[0].moves_freely:
-        return _driven_without_guess(judge, warm)
-    path = shifted_path(problem, judge.index, judge.position_m, warm)
+        return _driven_without_guess(scorer, warm)
+    path = shifted_path(problem, scorer.index, scorer.position_m, warm)
     if path is not None:
-        shifted = judge.judged(judge.candidate(path, Rung.SHIFTED, Termination.STOPPED))
+        shifted = scorer.assessed(scorer.candidate(path, Rung.SHIFTED, Termination.STOPPED))
         if shifted.verdict is Verdict.VERIFIED:
             return shifted
-    return judge.standing(problem.planner.horizon)
+    return scorer.standing(problem.planner.horizon)
 
 
-def _driven_without_guess(judge: Judge, warm: Plan | None) -> Candidate:
+def _driven_without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
     """Brake immediately if that is collision-free, otherwise after the previous plan.
 
     The remainder of the previous plan is collision-free for any channel belief, and the other
     robots keep clear of it.
     """
-    problem, horizon = judge.problem, judge.problem.planner.horizon
+    problem, horizon = scorer.problem, scorer.problem.planner.horizon
     shifted = shifted_drive(problem, warm)
     rest: Candidate | None = None
     if shifted is not None and warm is not None and len(shifted.inputs) == horizon:
-        rest = judge.judged(drive_candidate(judge, shifted, Rung.SHIFTED, Termination.STOPPED))
+        rest = scorer.assessed(drive_candidate(scorer, shifted, Rung.SHIFTED, Termination.STOPPED))
         if rest.verdict is Verdict.VERIFIED and warm.verdict is Verdict.VERIFIED:
             return rest
-    stop = judge.judged(drive_candidate(judge, braked(judge), Rung.STOP, Termination.NO_PATH))
+    stop = scorer.assessed(drive_candidate(scorer, braked(scorer), Rung.STOP, Termination.NO_PATH))
     if stop.sound or rest is None:
         return stop
-    if len(judge.context.moving):
+    if len(scorer.context.moving):
         return replace(rest, rung=Rung.RESERVED)
     return replace(rest, rung=Rung.STOP, termination=Termination.NO_PATH) if rest.sound else stop
 
 
-def braked(judge: Judge) -> Drive:
+def braked(scorer: Scorer) -> Drive:
     """Return the trajectory of a robot with dynamics that brakes over the horizon."""
-    settings, dynamics = judge.problem.planner, judge.problem.robots[0].dynamics
-    inputs = dynamics.braking(judge.state, settings.step_s, settings.horizon)
-    return rolled_out(dynamics, judge.state, inputs, settings.step_s)
+    settings, dynamics = scorer.problem.planner, scorer.problem.robots[0].dynamics
+    inputs = dynamics.braking(scorer.state, settings.step_s, settings.horizon)
+    return rolled_out(dynamics, scorer.state, inputs, settings.step_s)
 
 
-def drive_candidate(judge: Judge, drive: Drive, rung: Rung, termination: Termination) -> Candidate:
+def drive_candidate(
+    scorer: Scorer, drive: Drive, rung: Rung, termination: Termination
+) -> Candidate:
     """Return a driven trajectory as a candidate, not yet verified."""
-    return judge.candidate(drive.positions_m[1:], rung, termination, drive)
+    return scorer.candidate(drive.positions_m[1:], rung, termination, drive)

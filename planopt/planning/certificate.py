@@ -188,7 +188,7 @@ class RuleResult:
         unit = "" if self.unit == "probability" else f" {self.unit}"
         return (
             f"connectivity ({self.connectivity.replace('_', ' ')}): {self.achieved:.4g}{unit}, "
-            f"{self.asked:.4g}{unit} asked ({self.method}); slack {self.slack_db:.2f} dB"
+            f"{self.asked:.4g}{unit} required ({self.method}); slack {self.slack_db:.2f} dB"
         )
 
 
@@ -311,7 +311,7 @@ class Excused:
         elif self.excuse == "slack":
             why = "within constraints.slack_max_db"
         elif self.best_margin_db is not None:
-            why = f"the best place found within reach misses it by {-self.best_margin_db:.2f} dB"
+            why = f"the best reachable position misses it by {-self.best_margin_db:.2f} dB"
         return f"step {self.step} misses p_min by {self.relaxation_db:.2f} dB: {why}"
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.candidates import Judge, drive_candidate
+from planopt.planning.candidates import Scorer, drive_candidate
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.clearance_lines import LINE_REACH_STEPS
 from planopt.planning.programme.path_polish import MotionTask
@@ -34,19 +34,19 @@ def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
 
 
 def driven_starts(
-    judge: Judge, context: StepContext, starts: list[Guess], warm: Plan | None
+    scorer: Scorer, context: StepContext, starts: list[Guess], warm: Plan | None
 ) -> list[Guess]:
     """Return drivable guesses, best first, followed by those that violate clearance."""
-    problem = judge.problem
+    problem = scorer.problem
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     found: list[Guess] = []
     for start in starts:
-        inputs = dynamics.following(judge.state, start.path_m, step_s)
-        drive = rolled_out(dynamics, judge.state, inputs, step_s)
-        found.append(driven_start(judge, context, drive))
+        inputs = dynamics.following(scorer.state, start.path_m, step_s)
+        drive = rolled_out(dynamics, scorer.state, inputs, step_s)
+        found.append(driven_start(scorer, context, drive))
     last = last_drive(problem, warm)
     if last is not None:
-        found.append(driven_start(judge, context, last))
+        found.append(driven_start(scorer, context, last))
     found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.value))
     return found
 
@@ -59,16 +59,16 @@ def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
     return shifted if len(shifted.inputs) == problem.planner.horizon else None
 
 
-def driven_start(judge: Judge, context: StepContext, drive: Drive) -> Guess:
+def driven_start(scorer: Scorer, context: StepContext, drive: Drive) -> Guess:
     """Return a drive as an initial guess."""
-    candidate = drive_candidate(judge, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
+    candidate = drive_candidate(scorer, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
     path = candidate.path_m
-    moved = verify_motion(judge.problem, judge.index, judge.state, drive.positions_m, drive)
-    swept = swept_motion(judge.problem, drive.positions_m, drive)
-    apart = verify_apart(judge.context.moving, swept)
+    moved = verify_motion(scorer.problem, scorer.index, scorer.state, drive.positions_m, drive)
+    swept = swept_motion(scorer.problem, drive.positions_m, drive)
+    apart = verify_apart(scorer.context.moving, swept)
     clear = not (moved.reasons or apart.reasons)
     missing = rule_missing(context, path)
-    return Guess(path, judge.worth(candidate), missing, drive, clear)
+    return Guess(path, scorer.worth(candidate), missing, drive, clear)
 
 
 def motion_task(

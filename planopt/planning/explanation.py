@@ -53,7 +53,7 @@ class Relaxation:
         key = self.constraint
         if self.value is not None:
             key += f" = {_shown(self.value, self.unit)}"
-        fails = "stands in the way" if self.constraint.startswith(LIMITS) else "cannot be kept"
+        fails = "makes this infeasible" if self.constraint.startswith(LIMITS) else "cannot be kept"
         where = f" at steps {_ranges(self.stages)}" if self.stages else ""
         short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
         by = f", short by {short}" if short else ""

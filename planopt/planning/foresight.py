@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.prediction import score_probability
 from planopt.errors import InputError
-from planopt.planning.candidates import Judge, held, released
+from planopt.planning.candidates import Scorer, held, released
 from planopt.planning.plan import Plan
 from planopt.planning.scene import build_ground
 from planopt.planning.search.lattice_search import LatticeSearch, MoveValues, Window, move_table
@@ -37,11 +37,11 @@ class FollowingPlanner:
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         self._path_m = path_m
 
-    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return the plan of the next steps; `warm` is unused."""
         begun, first = perf_counter(), context.history.steps
         ahead = self._path_m[first : first + context.problem.planner.horizon]
-        return released(judge, held(context, list(ahead)), begun)
+        return released(scorer, held(context, list(ahead)), begun)
 
 
 def require_foreseeable(problem: Problem) -> None:

@@ -128,7 +128,7 @@ def obstacles_met(
             continue
         nearest = index.obstacles[int(np.asarray(index.tree.nearest(lines[segment])))]
         reasons.append(
-            f"step {first + segment + 1}: the way there comes within {clearance[segment]:.3f} m of "
+            f"step {first + segment + 1}: the segment comes within {clearance[segment]:.3f} m of "
             f"obstacle {nearest.name}"
         )
     return reasons

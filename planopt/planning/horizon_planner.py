@@ -14,7 +14,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.candidates import Budget, Candidate, Judge, best_of, budget_from, verified_of
+from planopt.planning.candidates import Budget, Candidate, Scorer, best_of, budget_from, verified_of
 from planopt.planning.driven import driven_starts
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
 from planopt.planning.programme.path_nlp import METHODS
@@ -67,7 +67,7 @@ class FallbackCascade:
     def first_verified(
         self,
         context: StepContext,
-        judge: Judge,
+        scorer: Scorer,
         starts: list[Guess],
         warm: Plan | None,
         budget: Budget,
@@ -77,14 +77,14 @@ class FallbackCascade:
         verified: list[Candidate] = []
         for number, start in enumerate(starts):
             unrefined = replace(
-                judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY, start.drive),
-                lattice_objective=judge.sense * starts[0].value,
+                scorer.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY, start.drive),
+                lattice_objective=scorer.sense * starts[0].value,
             )
             if self.refinement is None:
                 unrefined = replace(unrefined, rung=Rung.PLAN)
             else:
                 rung = Rung.PLAN if number < self._followed or self._driven else Rung.COLD_RETRY
-                for candidate in self.refinement.candidates(context, judge, start, rung, budget):
+                for candidate in self.refinement.candidates(context, scorer, start, rung, budget):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
                     tried.append(candidate)
@@ -94,8 +94,8 @@ class FallbackCascade:
                 break
             if budget.proven and any(c.sound for c in tried):
                 break
-            if not any(judge.worth(c) >= judge.worth(unrefined) for c in verified):
-                unrefined = judge.judged(unrefined)
+            if not any(scorer.worth(c) >= scorer.worth(unrefined) for c in verified):
+                unrefined = scorer.assessed(unrefined)
                 if unrefined.relaxes and self._problem.task == "reach":
                     unrefined = replace(unrefined, rung=Rung.RELAXED)
                 tried.append(unrefined)
@@ -104,20 +104,20 @@ class FallbackCascade:
             if verified and self._is_settled(starts, number + 1, verified):
                 break
         if not verified and not self._driven and not budget.spent:
-            found = self._by_way_to_good_place(context, judge, tried, budget)
+            found = self._by_way_to_good_place(context, scorer, tried, budget)
             verified += verified_of(found)
             tried += found
         for _ in range(self._rounds):
             if not verified or budget.spent:
                 break
-            best = max(judge.worth(candidate) for candidate in verified)
-            found = self._once_more(context, judge, starts, verified, budget)
+            best = max(scorer.worth(candidate) for candidate in verified)
+            found = self._once_more(context, scorer, starts, verified, budget)
             verified += verified_of(found)
             tried += found
-            gained = max(judge.worth(candidate) for candidate in verified) - best
+            gained = max(scorer.worth(candidate) for candidate in verified) - best
             if gained <= SETTLED_SHARE * abs(best):
                 break
-        return best_of(judge, tried, warm)
+        return best_of(scorer, tried, warm)
 
     def _is_settled(self, starts: list[Guess], number: int, verified: list[Candidate]) -> bool:
         """Return whether guess `number` needs no refinement, given the verified candidates."""
@@ -133,17 +133,19 @@ class FallbackCascade:
         )
 
     def _by_way_to_good_place(
-        self, context: StepContext, judge: Judge, tried: list[Candidate], budget: Budget
+        self, context: StepContext, scorer: Scorer, tried: list[Candidate], budget: Budget
     ) -> list[Candidate]:
         """Return candidates that lead straight to a reachable position that meets the bound."""
         found: list[Candidate] = []
-        for path in paths_to_good_place(judge, tried):
-            way = judge.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
+        for path in paths_to_good_place(scorer, tried):
+            way = scorer.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
             if self.refinement is not None:
-                start = Guess(path, judge.worth(way), rule_missing(context, path))
-                refined = self.refinement.candidates(context, judge, start, Rung.COLD_RETRY, budget)
+                start = Guess(path, scorer.worth(way), rule_missing(context, path))
+                refined = self.refinement.candidates(
+                    context, scorer, start, Rung.COLD_RETRY, budget
+                )
                 found += [replace(candidate, rung=Rung.COLD_RETRY) for candidate in refined]
-            found.append(judge.judged(way))
+            found.append(scorer.assessed(way))
             if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
                 break
         return found
@@ -151,7 +153,7 @@ class FallbackCascade:
     def _once_more(
         self,
         context: StepContext,
-        judge: Judge,
+        scorer: Scorer,
         starts: list[Guess],
         verified: list[Candidate],
         budget: Budget,
@@ -159,10 +161,10 @@ class FallbackCascade:
         """Refine the best candidate again, with the measurements and lines nearest to it."""
         if self.refinement is None:
             return []
-        best = max(verified, key=judge.worth)
+        best = max(verified, key=scorer.worth)
         again = Guess(best.path_m, starts[0].value, 0.0, best.drive, charge=starts[0].charge)
         rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
-        return self.refinement.candidates(context, judge, again, rung, budget)
+        return self.refinement.candidates(context, scorer, again, rung, budget)
 
 
 class HorizonPlanner:
@@ -174,24 +176,24 @@ class HorizonPlanner:
         self._search = GuessSearch(problem, ground)
         self.cascade = FallbackCascade(problem, ground)
 
-    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's state; `warm` is the previous plan."""
         begun = perf_counter()
         budget = budget_from(self.problem, begun)
-        shifted = shifted_path(self.problem, judge.index, context.position_m, warm)
+        shifted = shifted_path(self.problem, scorer.index, context.position_m, warm)
         starts = self._search.find_guesses(context, shifted, budget)
         way = self._way_out(context, starts)
         if way is not None:
-            out = Guess(way, judge.objective(way), rule_missing(context, way))
+            out = Guess(way, scorer.objective(way), rule_missing(context, way))
             if context.measuring.takes(way).any():
                 # The path yields a measurement, so that it competes with the other guesses.
                 starts = sorted([*starts, out], key=lambda start: -start.value)
-            elif (plan := self._released(context, judge, out, warm, begun)) is not None:
+            elif (plan := self._released(context, scorer, out, warm, begun)) is not None:
                 return plan
         if not self.problem.robots[0].moves_freely:
-            starts = driven_starts(judge, context, starts, warm)
-        chosen = self.cascade.first_verified(context, judge, starts, warm, budget)
-        return judge.plan_from(chosen, wall_s=perf_counter() - begun)
+            starts = driven_starts(scorer, context, starts, warm)
+        chosen = self.cascade.first_verified(context, scorer, starts, warm, budget)
+        return scorer.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _way_out(self, context: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
         """Return the path (N, 2) to the nearest unmeasured position if no guess measures anything.
@@ -211,15 +213,15 @@ class HorizonPlanner:
         return path_to_unmeasured(context, self.ground)
 
     def _released(
-        self, context: StepContext, judge: Judge, start: Guess, warm: Plan | None, begun_s: float
+        self, context: StepContext, scorer: Scorer, start: Guess, warm: Plan | None, begun_s: float
     ) -> Plan | None:
         """Return the plan of an unrefined guess; None if it is not verified."""
         if not self.problem.robots[0].moves_freely:
-            start = driven_starts(judge, context, [start], warm)[0]
+            start = driven_starts(scorer, context, [start], warm)[0]
         rung = Rung.PLAN if self.cascade.refinement is None else Rung.LATTICE
-        found = judge.judged(
-            judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY, start.drive)
+        found = scorer.assessed(
+            scorer.candidate(start.path_m, rung, Termination.LATTICE_ONLY, start.drive)
         )
         if found.verdict is not Verdict.VERIFIED:
             return None
-        return judge.plan_from(found, wall_s=perf_counter() - begun_s)
+        return scorer.plan_from(found, wall_s=perf_counter() - begun_s)

@@ -29,7 +29,7 @@ from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.parts import calling, class_name, part_of
-from planopt.planning.candidates import Judge, held, released
+from planopt.planning.candidates import Scorer, held, released
 from planopt.planning.history import BEGINNING
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.plan import Plan
@@ -52,7 +52,7 @@ KEY = "planner.name"
 class Planner(Protocol):
     """Protocol of planners for one robot of a problem whose objective is a sum of terms."""
 
-    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's state; `warm` is the previous plan."""
         ...
 
@@ -74,18 +74,18 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
         raise InputError(
             f"is {kind.name}: {class_name(made)} has no method plan",
             key=KEY,
-            remedy="define plan(self, context, judge, warm=None), which returns released(...)",
+            remedy="define plan(self, context, scorer, warm=None), which returns released(...)",
         )
     return made
 
 
 def asked_plan(
-    planner: Planner, context: StepContext, judge: Judge, warm: Plan | None = None
+    planner: Planner, context: StepContext, scorer: Scorer, warm: Plan | None = None
 ) -> Plan:
     """Return the plan of a possibly user-defined planner."""
-    remedy = "return released(judge, path_m, begun_s), of a path (N, 2)"
+    remedy = "return released(scorer, path_m, begun_s), of a path (N, 2)"
     with calling(planner, "plan", key=KEY, remedy=remedy):
-        plan = planner.plan(context, judge, warm)
+        plan = planner.plan(context, scorer, warm)
     part_of(f"{KEY}: what {class_name(planner)}.plan returned", plan, Plan, remedy)
     return plan
 
@@ -135,7 +135,7 @@ class OneStepPlanner:
         rings = (radius[:, None, None] * circle).reshape(-1, 2)
         self._offsets_m = np.vstack([np.zeros((1, 2)), rings])
 
-    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's position; `warm` is unused."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
@@ -147,7 +147,7 @@ class OneStepPlanner:
         if not path and self._measures:
             out = path_to_unmeasured(context, self._ground)
             path = [] if out is None else list(out)
-        return released(judge, held(context, path), begun)
+        return released(scorer, held(context, path), begun)
 
     def _best_step(
         self, context: StepContext, path: list[NDArray[np.float64]]
@@ -198,7 +198,7 @@ class RandomPlanner:
         self._problem, self._ground = problem, ground
         self._generator, self._walk = generator, walk
 
-    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's position."""
         begun = perf_counter()
         path: list[NDArray[np.float64]] = []
@@ -215,7 +215,7 @@ class RandomPlanner:
             first = int(free.argmax())
             heading, here = _heading(offsets[first]), ends[first]
             path.append(here)
-        return released(judge, held(context, path), begun)
+        return released(scorer, held(context, path), begun)
 
     def _offsets(self, heading: float | None) -> NDArray[np.float64]:
         """Draw steps (`DRAWS`, 2) relative to the longest, given the last heading or None."""
@@ -256,7 +256,7 @@ class LawnmowerPlanner:
         self._stops_m: NDArray[np.float64] = np.empty((0, 2))
         self._next = 0
 
-    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan along the tour, which restarts if the robot is off it; `warm` is unused."""
         begun = perf_counter()
         here = context.position_m
@@ -268,7 +268,7 @@ class LawnmowerPlanner:
             self._next += int(np.argmax(away <= STANDSTILL_M))
         horizon = self._problem.planner.horizon
         path = self._stops_m[self._next + 1 : self._next + 1 + horizon]
-        return released(judge, held(context, list(path)), begun)
+        return released(scorer, held(context, list(path)), begun)
 
     def _begin(self, here_m: NDArray[np.float64], context: StepContext) -> None:
         """Compute the stops of a tour from `here_m` (2,)."""
@@ -377,7 +377,7 @@ class StrategyPlanner:
         inner = replace(problem, planner=replace(problem.planner, name="auto"))
         self._planner = HorizonPlanner(inner, ground)
 
-    def plan(self, context: StepContext, judge: Judge, warm: Plan | None = None) -> Plan:
+    def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan on the assumed channel."""
         begun = perf_counter()
         believed = context.posterior
@@ -389,9 +389,9 @@ class StrategyPlanner:
         if path is None:
             # An assumed channel is not updated by the run, so that the history is empty as well.
             seen = replace(context, posteriors=(channel,), uncertain=None, history=BEGINNING)
-            assuming = replace(judge, context=seen, objective=ObjectiveValue(seen))
+            assuming = replace(scorer, context=seen, objective=ObjectiveValue(seen))
             path = self._planner.plan(seen, assuming, warm).positions_m[1:]
-        return released(judge, path, begun)
+        return released(scorer, path, begun)
 
     def _home(self, context: StepContext) -> NDArray[np.float64] | None:
         """Return the shortest path (N, 2) to the station; None if the disc is reachable."""

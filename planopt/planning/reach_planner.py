@@ -19,7 +19,7 @@ from planopt.channel.posterior import Belief
 from planopt.planning.candidates import (
     Budget,
     Candidate,
-    Judge,
+    Scorer,
     best_of,
     braked,
     budget_from,
@@ -184,32 +184,32 @@ class ReachPlanner:
         cost = ReachCost(problem, position_m, step.power)
         if reserved_m is None and len(context.moving) and warm is not None:
             reserved_m = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
-        judge = Judge(context, cost, reserved_m)
+        scorer = Scorer(context, cost, reserved_m)
         connected = problem.reach.cost_to_go == "connected"
         margin_db = self._search.margins.margin_db if connected else None
         budget = budget_from(problem, begun)
         if self._driven is not None:
-            chosen, pivot = self._driven.chosen(step, judge, start, margin_db, warm, budget)
+            chosen, pivot = self._driven.chosen(step, scorer, start, margin_db, warm, budget)
         elif start is None:
-            chosen, pivot = without_guess(judge, warm), None
+            chosen, pivot = without_guess(scorer, warm), None
         else:
             ahead = Ahead(problem, self.scene, start, margin_db)
             cost = replace(cost, ahead=ahead, priced=not start.is_direct)
-            judge = replace(judge, objective=cost)
+            scorer = replace(scorer, objective=cost)
             if start.gives_way or start.is_direct:
-                chosen = self._as_found(judge, cost, start, warm)
+                chosen = self._as_found(scorer, cost, start, warm)
             else:
-                lattice = judge.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
+                lattice = scorer.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
                 refinement = None
-                if self._nlp is not None and _moves(judge, start.path_m):
+                if self._nlp is not None and _moves(scorer, start.path_m):
                     plain = problem.constraints.rule.is_plain
                     rows_of = None if plain else partial(step_rows, step)
-                    shared = (judge, cost, start, ahead, lattice.objective, budget)
+                    shared = (scorer, cost, start, ahead, lattice.objective, budget)
                     refinement = GoalRefinement(self._nlp, self.scene, *shared, rows_of)
-                tried = list(self._candidates(judge, refinement, lattice, warm, budget))
-                chosen = best_of(judge, tried, warm, judge.worth(lattice))
+                tried = list(self._candidates(scorer, refinement, lattice, warm, budget))
+                chosen = best_of(scorer, tried, warm, scorer.worth(lattice))
             pivot = cost.pivot_of(chosen.path_m)
-        plan = judge.plan_from(chosen, wall_s=perf_counter() - begun)
+        plan = scorer.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
         places = np.vstack([plan.positions_m, route])
         holes = holes_on(problem, search_prediction(context.law, places), places)
@@ -231,7 +231,7 @@ class ReachPlanner:
 
     def _candidates(
         self,
-        judge: Judge,
+        scorer: Scorer,
         refinement: GoalRefinement | None,
         lattice: Candidate,
         warm: Plan | None,
@@ -239,7 +239,7 @@ class ReachPlanner:
     ) -> Iterator[Candidate]:
         """Yield candidates, most promising first: refined guesses, then the lattice path."""
         if refinement is not None:
-            shifted = shifted_path(self.problem, judge.index, judge.position_m, warm)
+            shifted = shifted_path(self.problem, scorer.index, scorer.position_m, warm)
             for attempt in refinement.attempts(shifted):
                 yield attempt
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
@@ -248,22 +248,22 @@ class ReachPlanner:
                     break
             if budget.spent:
                 lattice = replace(lattice, termination=Termination.TIME_LIMIT)
-        lattice = judge.judged(lattice)
+        lattice = scorer.assessed(lattice)
         if self._nlp is None:
             lattice = replace(lattice, rung=Rung.PLAN)
         yield replace(lattice, rung=Rung.RELAXED) if lattice.relaxes else lattice
 
     def _as_found(
-        self, judge: Judge, cost: ReachCost, start: GlobalStart, warm: Plan | None
+        self, scorer: Scorer, cost: ReachCost, start: GlobalStart, warm: Plan | None
     ) -> Candidate:
         """Return the unrefined path as a plan if it is sound; otherwise a fallback."""
         rung = Rung.GIVE_WAY if start.gives_way else Rung.DIRECT
-        found = judge.judged(judge.candidate(start.path_m, rung, Termination.LATTICE_ONLY))
+        found = scorer.assessed(scorer.candidate(start.path_m, rung, Termination.LATTICE_ONLY))
         if found.sound:
             return found
         if not start.gives_way:
-            judge = replace(judge, objective=replace(cost, priced=True))
-        return without_guess(judge, warm)
+            scorer = replace(scorer, objective=replace(cost, priced=True))
+        return without_guess(scorer, warm)
 
 
 def _course(
@@ -296,9 +296,9 @@ def eased(problem: Problem) -> Problem:
     return replace(problem, stations=lower, constraints=hard)
 
 
-def _moves(judge: Judge, path_m: NDArray[np.float64]) -> bool:
+def _moves(scorer: Scorer, path_m: NDArray[np.float64]) -> bool:
     """Return whether any step of a path moves; a stationary path needs no refinement."""
-    steps = np.diff(np.vstack([judge.position_m, path_m]), axis=0)
+    steps = np.diff(np.vstack([scorer.position_m, path_m]), axis=0)
     return bool((np.linalg.norm(steps, axis=1) > STANDSTILL_M).any())
 
 
@@ -314,7 +314,7 @@ class DrivenReach:
     def chosen(
         self,
         step: StepContext,
-        judge: Judge,
+        scorer: Scorer,
         start: GlobalStart | None,
         node_margin_db: NDArray[np.float64] | None,
         warm: Plan | None,
@@ -322,15 +322,15 @@ class DrivenReach:
     ) -> tuple[Candidate, Pivot | None]:
         """Return the candidate to release and the pivot of its cost-to-go."""
         if start is None:
-            return without_guess(judge, warm), None
-        if start.is_direct and (direct := self._direct(judge, start, warm)) is not None:
+            return without_guess(scorer, warm), None
+        if start.is_direct and (direct := self._direct(scorer, start, warm)) is not None:
             return direct, None
-        starts = self._starts(step, judge, start, warm)
+        starts = self._starts(step, scorer, start, warm)
         ahead = Ahead(self._problem, self._scene, start, node_margin_db)
         cost = ReachCost(
-            self._problem, judge.position_m, step.power, ahead, priced=not start.is_direct
+            self._problem, scorer.position_m, step.power, ahead, priced=not start.is_direct
         )
-        now = np.array(self._dynamics.resting_place(tuple(judge.state)))
+        now = np.array(self._dynamics.resting_place(tuple(scorer.state)))
         # Drives that violate clearance predict no resting position.
         rests = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
         shared = self._pivot(start, rests or [now], node_margin_db)
@@ -340,12 +340,12 @@ class DrivenReach:
                 return shared
             return self._pivot(start, [resting_places_m(each.drive)[-1]], node_margin_db)
 
-        found = self._climb(step, judge, starts, cost, own, warm, budget)
+        found = self._climb(step, scorer, starts, cost, own, warm, budget)
         if self._is_stagnant(found):
             # The shared pivot may be hidden from the robot: a straight path to it stagnates.
             nearer = self._pivot(start, [now], node_margin_db)
             if not np.array_equal(nearer.position_m, shared.position_m):
-                found = self._climb(step, judge, starts, cost, lambda _: nearer, warm, budget)
+                found = self._climb(step, scorer, starts, cost, lambda _: nearer, warm, budget)
         if start.is_direct:
             if found.rung in (Rung.PLAN, Rung.COLD_RETRY, Rung.LATTICE, Rung.RELAXED):
                 found = replace(found, rung=Rung.DIRECT)
@@ -354,59 +354,59 @@ class DrivenReach:
                 found = replace(found, objective=priced(found.path_m, found.drive))
         return found, None if found.drive is None else cost.pivot_of(found.path_m, found.drive)
 
-    def _direct(self, judge: Judge, start: GlobalStart, warm: Plan | None) -> Candidate | None:
+    def _direct(self, scorer: Scorer, start: GlobalStart, warm: Plan | None) -> Candidate | None:
         """Return the shortest path driven node by node, from rest to rest; None if unavailable.
 
         A moving robot first completes its previous plan.
         """
-        if not stands(self._problem, judge.state):
+        if not stands(self._problem, scorer.state):
             drive = shifted_drive(self._problem, warm)
         else:
-            away = np.linalg.norm(start.path_m - judge.position_m, axis=1) > STANDSTILL_M
-            drive = self._straight(judge, start.path_m[int(np.argmax(away))])
+            away = np.linalg.norm(start.path_m - scorer.position_m, axis=1) > STANDSTILL_M
+            drive = self._straight(scorer, start.path_m[int(np.argmax(away))])
             if drive is None:
                 return None
         if drive is not None and len(drive.inputs) == self._problem.planner.horizon:
-            found = drive_candidate(judge, drive, Rung.DIRECT, Termination.LATTICE_ONLY)
-            found = judge.judged(found)
+            found = drive_candidate(scorer, drive, Rung.DIRECT, Termination.LATTICE_ONLY)
+            found = scorer.assessed(found)
             if found.sound:
                 return found
-        return without_guess(judge, warm)
+        return without_guess(scorer, warm)
 
-    def _drive(self, judge: Judge, inputs: NDArray[np.float64]) -> Drive:
+    def _drive(self, scorer: Scorer, inputs: NDArray[np.float64]) -> Drive:
         """Return the trajectory for the inputs (N, m) from the robot's state."""
-        return rolled_out(self._dynamics, judge.state, inputs, self._problem.planner.step_s)
+        return rolled_out(self._dynamics, scorer.state, inputs, self._problem.planner.step_s)
 
-    def _straight(self, judge: Judge, end_m: NDArray[np.float64]) -> Drive | None:
+    def _straight(self, scorer: Scorer, end_m: NDArray[np.float64]) -> Drive | None:
         """Return an N-step drive from rest to rest at a position (2,); None if unavailable."""
         settings = self._problem.planner
-        inputs = self._dynamics.straight(judge.state, end_m, settings.step_s)
+        inputs = self._dynamics.straight(scorer.state, end_m, settings.step_s)
         if inputs is None:
             return None
         rest = np.zeros((settings.horizon, inputs.shape[1]))
-        return self._drive(judge, np.vstack([inputs, rest])[: settings.horizon])
+        return self._drive(scorer, np.vstack([inputs, rest])[: settings.horizon])
 
     def _starts(
-        self, step: StepContext, judge: Judge, start: GlobalStart, warm: Plan | None
+        self, step: StepContext, scorer: Scorer, start: GlobalStart, warm: Plan | None
     ) -> list[Guess]:
         """Return initial guesses: the previous plan, drives along the path, and straight drives."""
         problem, settings = self._problem, self._problem.planner
         last = last_drive(problem, warm)
-        starts = [] if last is None else [driven_start(judge, step, last)]
+        starts = [] if last is None else [driven_start(scorer, step, last)]
         whole = np.vstack([start.path_m, start.beyond_m])
         for share in FOLLOWED_HORIZONS:
             count = math.ceil(share * settings.horizon)
             path = np.vstack([whole, np.tile(whole[-1], (count, 1))])
-            path = retime(judge.position_m, path, path[:0], problem.step_length_m - STEP_PAD_M)
+            path = retime(scorer.position_m, path, path[:0], problem.step_length_m - STEP_PAD_M)
             path = path[np.minimum(np.arange(max(count, settings.horizon)), count - 1)]
-            inputs = self._dynamics.following(judge.state, path, settings.step_s)
-            drive = self._drive(judge, inputs[: settings.horizon])
-            starts.append(driven_start(judge, step, drive))
+            inputs = self._dynamics.following(scorer.state, path, settings.step_s)
+            drive = self._drive(scorer, inputs[: settings.horizon])
+            starts.append(driven_start(scorer, step, drive))
             if any(each.clear for each in starts):
                 break
-        if stands(problem, judge.state):
-            drive = self._straight(judge, start.path_m[-1])
-            starts += [] if drive is None else [driven_start(judge, step, drive)]
+        if stands(problem, scorer.state):
+            drive = self._straight(scorer, start.path_m[-1])
+            starts += [] if drive is None else [driven_start(scorer, step, drive)]
         return starts
 
     def _pivot(
@@ -435,7 +435,7 @@ class DrivenReach:
     def _climb(
         self,
         step: StepContext,
-        judge: Judge,
+        scorer: Scorer,
         starts: list[Guess],
         cost: ReachCost,
         pivot_of: Callable[[Guess], Pivot],
@@ -443,22 +443,22 @@ class DrivenReach:
         budget: Budget,
     ) -> Candidate:
         """Return the best candidate refined from the initial guesses, each with its own pivot."""
-        judge = replace(judge, objective=cost)
-        if stops_at_goal(self._problem, judge.state):
-            stopped = self._stopped(judge)
+        scorer = replace(scorer, objective=cost)
+        if stops_at_goal(self._problem, scorer.state):
+            stopped = self._stopped(scorer)
             if stopped.verdict is Verdict.VERIFIED:
                 return stopped
         charged = [
             replace(
                 each,
-                value=judge.sense * cost(each.path_m, each.drive),
+                value=scorer.sense * cost(each.path_m, each.drive),
                 charge=self._charge(cost, pivot_of(each), each.drive),
             )
             for each in starts
             if each.drive is not None
         ]
         charged.sort(key=lambda each: (not each.clear, round(each.missing_db, 2), -each.value))
-        return self._cascade.first_verified(step, judge, charged, warm, budget)
+        return self._cascade.first_verified(step, scorer, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
         """Return the goal cost for the solver, charged at every step near the goal."""
@@ -485,8 +485,10 @@ class DrivenReach:
         moved = float(np.linalg.norm(resting - resting[0], axis=1).max())
         return moved <= STAGNANT_STEPS * self._problem.step_length_m
 
-    def _stopped(self, judge: Judge) -> Candidate:
+    def _stopped(self, scorer: Scorer) -> Candidate:
         """Return the candidate that brakes."""
         rung = Rung.LATTICE if self._problem.planner.name in METHODS else Rung.PLAN
-        found = judge.judged(drive_candidate(judge, braked(judge), rung, Termination.LATTICE_ONLY))
+        found = scorer.assessed(
+            drive_candidate(scorer, braked(scorer), rung, Termination.LATTICE_ONLY)
+        )
         return replace(found, rung=Rung.RELAXED) if found.relaxes else found

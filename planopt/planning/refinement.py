@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planopt.channel.prediction import Prediction, bound_quantile
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.objectives.stage_power import scores_of
-from planopt.planning.candidates import Budget, Candidate, Judge, solve_limit_s
+from planopt.planning.candidates import Budget, Candidate, Scorer, solve_limit_s
 from planopt.planning.certificate import RuleResult
 from planopt.planning.driven import motion_shape, motion_task, refined_drive, standstill_m
 from planopt.planning.plan import Rung, Termination, Verdict
@@ -95,7 +95,7 @@ def lines_of_guess(
 
 
 def candidate_of(
-    judge: Judge,
+    scorer: Scorer,
     point: RefinedPath,
     rung: Rung,
     lattice_objective: float,
@@ -105,7 +105,7 @@ def candidate_of(
     """Return the unverified candidate of a refined path."""
     path = point.path_m if drive is None else drive.positions_m[1:]
     return replace(
-        judge.candidate(path, rung, point.termination, drive),
+        scorer.candidate(path, rung, point.termination, drive),
         lattice_objective=lattice_objective,
         solve_s=solve_s,
         iterations=point.iterations,
@@ -161,7 +161,7 @@ class GuessRefinement:
     def candidates(
         self,
         context: StepContext,
-        judge: Judge,
+        scorer: Scorer,
         guess: Guess,
         rung: Rung,
         budget: Budget | None = None,
@@ -198,10 +198,10 @@ class GuessRefinement:
         for attempt in range(REPAIRS + allocations):
             begun = perf_counter()
             point = polish_path(nlp, task)
-            drive = refined_drive(problem, judge.state, point.inputs)
+            drive = refined_drive(problem, scorer.state, point.inputs)
             spent_s = perf_counter() - begun
-            lattice = judge.sense * guess.value
-            candidate = candidate_of(judge, point, rung, lattice, spent_s, drive)
+            lattice = scorer.sense * guess.value
+            candidate = candidate_of(scorer, point, rung, lattice, spent_s, drive)
             if lacks(context, rows, point, firmly=attempt == 0):
                 # The local model was inaccurate, and a verification would be expensive.
                 found.append(candidate)
@@ -210,10 +210,10 @@ class GuessRefinement:
                 task = _driven_from(recentred(task, context, rows, point), drive)
                 continue
             improvable = guess.clear and guess.missing_db == 0.0 and not allocations
-            if improvable and judge.worth(candidate) < guess.value:
+            if improvable and scorer.worth(candidate) < guess.value:
                 # The guess itself will be verified instead.
                 return [*found, candidate]
-            candidate = judge.judged(candidate)
+            candidate = scorer.assessed(candidate)
             if candidate.relaxes:
                 candidate = replace(candidate, rung=Rung.RELAXED)
             found.append(candidate)
@@ -293,7 +293,7 @@ class GoalRefinement:
         self,
         nlp: PathNlp,
         scene: Scene,
-        judge: Judge,
+        scorer: Scorer,
         cost: ReachCost,
         start: GlobalStart,
         ahead: Ahead,
@@ -303,7 +303,7 @@ class GoalRefinement:
     ) -> None:
         self._nlp = nlp
         self._scene = scene
-        self._judge = judge
+        self._scorer = scorer
         self._cost = cost
         self._start = start
         self._ahead = ahead
@@ -325,7 +325,7 @@ class GoalRefinement:
         shifted_m = None if shifted_m is None else self._drawn_on(shifted_m)
         if shifted_m is not None:
             relaxes = bool((self._start_margins(shifted_m) < 0.0).any())
-            if self._judge.objective(shifted_m) < self._lattice_objective:
+            if self._scorer.objective(shifted_m) < self._lattice_objective:
                 starts.insert(0, (shifted_m, Rung.RELAXED if relaxes else Rung.PLAN))
             else:
                 starts.append((shifted_m, Rung.RELAXED if relaxes else Rung.COLD_RETRY))
@@ -339,7 +339,7 @@ class GoalRefinement:
 
     def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the shifted last plan, with its last step towards the pivot."""
-        problem, before = self._judge.problem, shifted_m[-1]
+        problem, before = self._scorer.problem, shifted_m[-1]
         to_pivot = self._ahead.leading(before).position_m - before
         away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
         goal_away = np.linalg.norm(before - np.asarray(problem.goal_m))
@@ -349,17 +349,17 @@ class GoalRefinement:
 
     def _retimed(self) -> NDArray[np.float64]:
         """Return the lattice path at cruising speed."""
-        problem = self._judge.problem
+        problem = self._scorer.problem
         speed = cruising_speed_m_s(
             problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
         )
         step = speed * problem.planner.step_s - STEP_PAD_M
-        return retime(self._judge.position_m, self._start.path_m, self._start.beyond_m, step)
+        return retime(self._scorer.position_m, self._start.path_m, self._start.beyond_m, step)
 
     def _sooner(self, candidate: Candidate) -> Candidate | None:
         """Return a candidate that arrives in fewer steps; None if the path is too long."""
-        problem = self._judge.problem
-        path = np.vstack([self._judge.position_m, candidate.path_m])
+        problem = self._scorer.problem
+        path = np.vstack([self._scorer.position_m, candidate.path_m])
         away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
         there = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
         if candidate.verdict is not Verdict.VERIFIED or there.size == 0 or there[0] < 2:
@@ -376,7 +376,7 @@ class GoalRefinement:
         refined = polish_path(self._nlp, replace(task, bound_db=bound))
         iterations = candidate.iterations + refined.iterations
         solve_s = candidate.solve_s + perf_counter() - begun
-        better = self._judged(refined, candidate.rung, solve_s, iterations)
+        better = self._assessed(refined, candidate.rung, solve_s, iterations)
         is_better = better.objective < candidate.objective
         return better if better.verdict is Verdict.VERIFIED and is_better else None
 
@@ -404,14 +404,14 @@ class GoalRefinement:
                 return
             refined = polish_path(self._nlp, replace(task, bound_db=self._asked(bound)))
             iterations += refined.iterations
-            candidate = self._judged(refined, rung, perf_counter() - begun, iterations)
+            candidate = self._assessed(refined, rung, perf_counter() - begun, iterations)
             yield candidate
             begun, iterations = perf_counter(), 0
             if not candidate.sound:
                 lines = lines_with_violated(
-                    self._judge.problem,
+                    self._scorer.problem,
                     self._scene.pieces,
-                    self._judge.context.moving,
+                    self._scorer.context.moving,
                     task.lines,
                     np.vstack([task.start_m, path_m]),
                     np.vstack([task.start_m, refined.path_m]),
@@ -429,11 +429,11 @@ class GoalRefinement:
 
     def _task(self, path_m: NDArray[np.float64]) -> PathTask:
         """Return the data of the refinement of a guess."""
-        judge = self._judge
-        problem, pivot = judge.problem, self._ahead.leading(path_m[-1])
-        ends = np.vstack([judge.position_m, path_m])
+        scorer = self._scorer
+        problem, pivot = scorer.problem, self._ahead.leading(path_m[-1])
+        ends = np.vstack([scorer.position_m, path_m])
         lines = lines_about(
-            problem, self._scene.pieces, judge.context.moving, ends, self._nlp.shape.lines
+            problem, self._scene.pieces, scorer.context.moving, ends, self._nlp.shape.lines
         )
         goal = np.asarray(problem.goal_m)
         at_goal = np.linalg.norm(path_m[-1] - goal) <= problem.constraints.goal_radius_m
@@ -443,7 +443,7 @@ class GoalRefinement:
         arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
         dwells = at_goal or arrival < len(path_m) - 1
         value = GoalValue(
-            start_m=judge.position_m,
+            start_m=scorer.position_m,
             pivot_m=pivot.position_m,
             effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
             rate_s_m=self._cost.rate_s_m * max(pivot.metre_cost, self._dearest_metre(path_m)),
@@ -451,7 +451,7 @@ class GoalRefinement:
             margins=self._margins_about(path_m),
         )
         return PathTask(
-            start_m=judge.position_m,
+            start_m=scorer.position_m,
             path_m=path_m,
             lines=lines,
             clearance_m=problem.constraints.clearance_m,
@@ -477,9 +477,9 @@ class GoalRefinement:
         self, path_m: NDArray[np.float64]
     ) -> Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]:
         """Return margins and scores from the measurements nearest to each stage of a path."""
-        problem = self._judge.problem
+        problem = self._scorer.problem
         predict_stages = stage_predictor(
-            self._judge.context.law,
+            self._scorer.context.law,
             path_m,
             problem.planner.neighbours,
         )
@@ -509,25 +509,27 @@ class GoalRefinement:
 
     def _margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Return the margins of the rows; infinite at unconstrained steps."""
-        return self._judge.margins_db(power) if self._rows is None else self._rows.margins_db(power)
+        return (
+            self._scorer.margins_db(power) if self._rows is None else self._rows.margins_db(power)
+        )
 
     def _asked(self, bound_db: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the bounds of the constrained steps, minus infinity at others."""
         return bound_db if self._rows is None else np.where(self._rows.asked, bound_db, -np.inf)
 
-    def _judged(
+    def _assessed(
         self, refined: RefinedPath, rung: Rung, solve_s: float, iterations: int
     ) -> Candidate:
-        candidate = candidate_of(self._judge, refined, rung, self._lattice_objective, solve_s)
-        judged = self._judge.judged(replace(candidate, iterations=iterations))
+        candidate = candidate_of(self._scorer, refined, rung, self._lattice_objective, solve_s)
+        assessed = self._scorer.assessed(replace(candidate, iterations=iterations))
         # The refined path may meet a bound that the guess misses.
-        met_after_all = rung is Rung.RELAXED and not judged.relaxes
-        return replace(judged, rung=Rung.PLAN) if met_after_all else judged
+        met_after_all = rung is Rung.RELAXED and not assessed.relaxes
+        return replace(assessed, rung=Rung.PLAN) if met_after_all else assessed
 
 
 def _margins_at(task: PathTask, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the margins (N,) of a path by the local model."""
     margins = task.evaluate(path_m).margins
     if margins is None:
-        raise AssertionError("the way to a goal has margins")
+        raise AssertionError("a path to a goal has margins")
     return margins.value

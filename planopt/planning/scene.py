@@ -137,11 +137,11 @@ def _why_no_way(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]
     between = f"robots[0].goal_m {list(goal_m)} from {what} {list(start_m)}"
     if is_joined(problem, clearance):
         return (
-            f"no way found to {between} on a lattice of {spacing_m:.2f} m, although there is one "
+            f"no path found to {between} on a lattice of {spacing_m:.2f} m, although there is one "
             f"with constraints.clearance_m {clearance:g} m: a smaller planner.step_s or "
             "robots[0].speed_max_m_s makes the lattice finer"
         )
-    return f"obstacles cut off {between}: no way keeps constraints.clearance_m {clearance:g} m"
+    return f"obstacles cut off {between}: no path keeps constraints.clearance_m {clearance:g} m"
 
 
 def free_ends(

@@ -225,7 +225,7 @@ class Constraints(Part):
     def _fault_of_slack(self) -> str | None:
         if self.rule.slack_max_db is not None and not self.asks_connection:
             return (
-                "has slack_max_db, but nothing is asked of the connection, since p_min is 0: write "
+                "has slack_max_db, but no connection is required, since p_min is 0: write "
                 "a p_min above 0, or leave slack_max_db out"
             )
         if self.rule.slack_price > 0.0 and not self.rule.slack_max_db:

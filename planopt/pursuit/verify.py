@@ -356,7 +356,7 @@ def _capture_faults(
     for evader, robot in enumerate(data.evaders):
         caught_s, captor = float(log.capture_s[evader]), int(log.captors[evader])
         if math.isfinite(caught_s) != (captor >= 0) or captor >= len(data.pursuers):
-            yield Violation("capture", f"{robot.name} is captured by nobody, or at no time")
+            yield Violation("capture", f"{robot.name} is captured without a pursuer or a time")
             continue
         if not 0.0 <= caught_s <= log.times_s[-1] + TIME_S and math.isfinite(caught_s):
             yield Violation("capture", f"{robot.name} is captured after the end")

@@ -27,7 +27,7 @@ COLUMNS = 3
 """Number of metrics per line."""
 
 MEANING = {
-    Verdict.VERIFIED: "constraints hold; contact is left only where unavoidable or worth its price",
+    Verdict.VERIFIED: "constraints hold; contact is lost only if unavoidable or worth the price",
     Verdict.FEASIBLE_UNVERIFIED: "not rejected, but a part of the proof is missing",
     Verdict.VIOLATED: "a constraint does not hold",
     Verdict.NONE: "there is no plan",

@@ -323,7 +323,7 @@ def _settings(
     task = task_of(problem)
     if task.simulate is None:
         raise InputError(
-            f"{problem.name} asks for {problem.task}, which has no runs to compare",
+            f"{problem.name} has the task {problem.task}, which has no runs to compare",
             file=problem.file,
             key="problem.task",
             remedy="compare problems that can be simulated",

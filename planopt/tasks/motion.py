@@ -198,7 +198,7 @@ class MotionTask(Task):
             helpful = explain_no_plan(problem, seed)
             blocked = error.blocked if isinstance(error, BlockedError) else ()
             name, data = PLAN_FILE, no_plan_json(problem, seed, str(error), helpful, blocked)
-            nothing = ["no change of a single key or obstacle that was tried helps"]
+            nothing = ["no single change of a key or obstacle gives a plan"]
             words += [f"  {each}" for each in helpful or nothing]
             figures = partial(_blocked_figures, problem, seed, error)
 

@@ -223,7 +223,7 @@ class Task:
         if function is None:
             known = [name for name in ("solve", "simulate") if getattr(self, name) is not None]
             raise InputError(
-                f"{problem.name} asks for {problem.task}, which there is no {action} for",
+                f"{problem.name} has the task {problem.task}, which there is no {action} for",
                 file=problem.file,
                 key="problem.task",
                 remedy=f"use {', '.join(known)}",
@@ -238,7 +238,7 @@ class Task:
         function = self.function("controller")
         if function is None:
             raise InputError(
-                f"{problem.name} asks for {problem.task}, which has no steps to plan",
+                f"{problem.name} has the task {problem.task}, which has no steps to plan",
                 file=problem.file,
                 key="problem.task",
                 remedy="use planopt.solve",

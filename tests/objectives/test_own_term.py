@@ -9,7 +9,7 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 import pytest
-from terms_scene import LEARNING, situation_of, terms_problem
+from terms_scene import LEARNING, context_of, terms_problem
 
 from planopt import InputError
 from planopt.extend import OwnTerm, casadi_term
@@ -51,7 +51,7 @@ def test_it_is_the_expression_of_its_fields(near_term):
     own = near_term(16.0, weight=2.0)
     written = casadi_term(own.expression, 5, weight=2.0)
     problems = [replace(base, objective=TermsObjective((each,))) for each in (own, written)]
-    mine, same = (situation_of(each)[0] for each in problems)
+    mine, same = (context_of(each)[0] for each in problems)
     path = mine.position_m + np.cumsum(np.full((5, 2), 0.8), axis=0)
     assert ObjectiveValue(mine)(path) == pytest.approx(ObjectiveValue(same)(path), rel=1e-12)
     ranked = [LocalRanking(each, path[None])(path[None])[0] for each in (mine, same)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from dense_filter import MEASURES, dense_costs
-from terms_scene import TRACKING, situation_of, terms_problem
+from terms_scene import TRACKING, context_of, terms_problem
 
 from planopt import Measurements
 from planopt.channel import ChannelParameters, Station, condition
@@ -151,14 +151,14 @@ def test_censored_powers_are_no_connection():
 def test_the_terminal_weight_is_of_one_step():
     """Steps beyond the horizon have the weight of the others."""
     problem = terms_problem({**TRACKING, "form": "recourse", "terminal_weight": 5.0}, horizon=3)
-    situation, _ = situation_of(problem)
+    context, _ = context_of(problem)
     (term,) = problem.terms
     alone = replace(term, terminal_weight=1.0)
-    way = np.tile(situation.position_m, (1, 3, 1))
+    way = np.tile(context.position_m, (1, 3, 1))
     chance = np.full((1, 3), 0.5)
-    heavy, light = (each.probe_values(situation, way, chance)[0] for each in (term, alone))
+    heavy, light = (each.probe_values(context, way, chance)[0] for each in (term, alone))
     far = replace(term, terminal_weight=1.0, step_weights=(1.0, 1.0, 5.0, 1.0))
-    assert light < heavy == pytest.approx(far.probe_values(situation, way, chance)[0], rel=1e-12)
+    assert light < heavy == pytest.approx(far.probe_values(context, way, chance)[0], rel=1e-12)
 
 
 def test_who_stands_is_taken_for_standing_until_the_plan_ends():
@@ -260,7 +260,7 @@ def test_later_steps_are_discounted():
     np.testing.assert_allclose(weight[1:] / weight[:-1], DISCOUNT, rtol=1e-12)
     assert weight[0] == SETTINGS.tracking.weight[0]
     problem = terms_problem({**TRACKING, "form": "recourse"}, horizon=3)
-    raw, _ = situation_of(problem)
+    raw, _ = context_of(problem)
     if raw.information is None:
         raise AssertionError("the station knows something")
     sent = replace(raw, held=Held(raw.information, np.zeros(0), np.zeros(0)))

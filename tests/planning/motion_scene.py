@@ -6,11 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from terms_scene import judge_of, situation_of, terms_problem
+from terms_scene import context_of, scorer_of, terms_problem
 
 from planopt import Problem
 from planopt.extend import Dynamics
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.problems import DoubleIntegrator, Unicycle
 
@@ -29,19 +29,19 @@ def with_dynamics(problem: Problem, dynamics: Dynamics, *rest: float) -> Problem
 
 
 def planned(problem: Problem, warm: Any = None, state: Any = None, seed: int = 0):
-    """A plan from the problem's start, or from `state`, with its situation, judge and planner."""
-    situation, belief = situation_of(problem, seed)
+    """A plan from the problem's start, or from `state`, with its context, scorer and planner."""
+    situation, belief = context_of(problem, seed)
     here = problem.robots[0].start_state if state is None else np.asarray(state)
     situation = replace(situation, state=here)
-    judge, ground = judge_of(situation, belief)
-    judge = at_state(judge, here)
+    scorer, ground = scorer_of(situation, belief)
+    scorer = at_state(scorer, here)
     planner = HorizonPlanner(problem, ground)
-    return planner.plan(situation, judge, warm), situation, judge, planner
+    return planner.plan(situation, scorer, warm), situation, scorer, planner
 
 
-def at_state(judge: Judge, state: np.ndarray) -> Judge:
-    """A judge of a robot in another state."""
-    return replace(judge, context=replace(judge.context, state=state))
+def at_state(scorer: Scorer, state: np.ndarray) -> Scorer:
+    """A scorer of a robot in another state."""
+    return replace(scorer, context=replace(scorer.context, state=state))
 
 
 def driven_problem(dynamics: Dynamics, *terms: dict[str, Any], **planner: Any) -> Problem:

@@ -246,7 +246,7 @@ def search_of(
     return search, belief, scene
 
 
-def situation_of(
+def context_of(
     problem: Problem, belief: Belief, position_m: np.ndarray, history: History = BEGINNING
 ) -> StepContext:
     """What a search is told of a step."""

@@ -14,7 +14,7 @@ from sending_term import SendingTerm
 from planopt import Problem
 from planopt.channel import Belief
 from planopt.extend import casadi_term
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.initial_data import prepare
 from planopt.planning.proof.context import VerifierContext, uncertain_law
 from planopt.planning.scene import Ground, build_ground
@@ -106,7 +106,7 @@ def own_term(build: Callable[[Any], Any], steps: int = 5) -> dict[str, Any]:
     return {"kind": "casadi", "steps": term.steps, "program": term.program}
 
 
-def situation_of(problem: Problem, seed: int = 0) -> tuple[StepContext, Belief]:
+def context_of(problem: Problem, seed: int = 0) -> tuple[StepContext, Belief]:
     """What is known at the start of the problem."""
     belief = prepare(problem, seed).belief
     target = None
@@ -128,10 +128,10 @@ def situation_of(problem: Problem, seed: int = 0) -> tuple[StepContext, Belief]:
     return situation, belief
 
 
-def judge_of(situation: StepContext, belief: Belief) -> tuple[Judge, Ground]:
-    """The judge of a situation, and its ground."""
+def scorer_of(situation: StepContext, belief: Belief) -> tuple[Scorer, Ground]:
+    """The scorer of a situation, and its ground."""
     problem = situation.problem
     ground = build_ground(problem, situation.position_m)
     context = replace(situation, index=ground.index, posteriors=belief.posteriors)
-    judge = Judge(context, ObjectiveValue(situation))
-    return judge, ground
+    scorer = Scorer(context, ObjectiveValue(situation))
+    return scorer, ground

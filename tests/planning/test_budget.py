@@ -8,7 +8,7 @@ from time import perf_counter, sleep
 import numpy as np
 import pytest
 from scenes import WALL, belief_of, small_problem
-from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 import planopt.planning.candidates as judge_module
 import planopt.planning.proof.verify as steps_module
@@ -42,9 +42,9 @@ def reach_plan(problem: Problem):
 
 def terms_plan(problem: Problem):
     """Plan a sum of terms from the start."""
-    situation, belief = situation_of(problem)
-    judge, ground = judge_of(situation, belief)
-    return HorizonPlanner(problem, ground).plan(situation, judge)
+    situation, belief = context_of(problem)
+    scorer, ground = scorer_of(situation, belief)
+    return HorizonPlanner(problem, ground).plan(situation, scorer)
 
 
 REACH = small_problem(WALL, start_m=(17.0, 15.0), horizon=8)
@@ -108,18 +108,18 @@ def test_candidates_share_the_search_within_reach(monkeypatch):
         return search(*arguments)
 
     monkeypatch.setattr(steps_module, "best_margins_by_step", counted)
-    situation, belief = situation_of(terms_problem(TRACKING, p_min=0.9999))
-    judge, _ = judge_of(situation, belief)
-    deaf = replace(judge.problem.stations[0], threshold_dbm=0.0)
-    problem = replace(judge.problem, stations=(deaf,))
-    judge = replace(judge, context=replace(judge.context, problem=problem))
-    first, second = judge.standing(5), judge.standing(5)
+    situation, belief = context_of(terms_problem(TRACKING, p_min=0.9999))
+    scorer, _ = scorer_of(situation, belief)
+    deaf = replace(scorer.problem.stations[0], threshold_dbm=0.0)
+    problem = replace(scorer.problem, stations=(deaf,))
+    scorer = replace(scorer, context=replace(scorer.context, problem=problem))
+    first, second = scorer.standing(5), scorer.standing(5)
     assert first.certificate is not None and second.certificate is not None
     assert len(first.certificate.best_margin_db) == 5
     assert first.certificate.best_margin_db == second.certificate.best_margin_db
     assert searched == [(1, 2, 3, 4, 5)]
-    moved = replace(judge.context, state=judge.state + 0.5)
-    replace(judge, context=moved).standing(5)
+    moved = replace(scorer.context, state=scorer.state + 0.5)
+    replace(scorer, context=moved).standing(5)
     assert len(searched) == 2
 
 
@@ -176,7 +176,7 @@ def test_standing_before_the_first_plan_is_a_stop() -> None:
 def test_a_margin_within_the_error_of_searches_is_not_relied_on(exact, monkeypatch) -> None:
     """Half of the error to spare is enough where searches are exact, or once it was tried."""
     problem = terms_problem(TRACKING, horizon=4, p_min=0.6)
-    situation, _ = situation_of(problem)
+    situation, _ = context_of(problem)
     path = np.tile(situation.position_m, (4, 1)) + np.arange(1.0, 5.0)[:, None] * (0.5, 0.2)
     rows = rule_rows(situation, path)
     # The threshold is set so that the path has just that to spare.

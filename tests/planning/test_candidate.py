@@ -21,38 +21,38 @@ from scipy.stats import norm
 
 from planopt import Verdict
 from planopt.extend import Rung, Termination
-from planopt.planning.candidates import Candidate, Judge
+from planopt.planning.candidates import Candidate, Scorer
 from planopt.planning.plan import Pivot
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.scene import build_scene
 from planopt.planning.values.reach_cost import ReachCost
 
 
-def judge_of(problem, power_at=good_everywhere, pivot=None) -> Judge:
-    """The judge of a step from the problem's start."""
+def scorer_of(problem, power_at=good_everywhere, pivot=None) -> Scorer:
+    """The scorer of a step from the problem's start."""
     start = np.asarray(problem.robots[0].start_m)
     belief = belief_of(problem, power_at)
     ahead = None if pivot is None else lambda _end_m: pivot
     cost = ReachCost(problem, start, belief.posterior.predict, ahead)
     index = build_scene(problem).index
-    return Judge(VerifierContext(problem, index, belief.posteriors, start), cost)
+    return Scorer(VerifierContext(problem, index, belief.posteriors, start), cost)
 
 
-def judged(judge: Judge, path_m) -> Candidate:
+def assessed(scorer: Scorer, path_m) -> Candidate:
     """A judged lattice candidate."""
     path = np.asarray(path_m, dtype=float)
-    return judge.judged(judge.candidate(path, Rung.LATTICE, Termination.LATTICE_ONLY))
+    return scorer.assessed(scorer.candidate(path, Rung.LATTICE, Termination.LATTICE_ONLY))
 
 
 def test_objective_by_hand():
     """Two steps of 1.5 and 2 m, then 3 m to a pivot that is worth 10 m more, at 0.7 s/m."""
-    judge = judge_of(small_problem(), pivot=Pivot(np.array([8.5, 18.0]), 10.0))
+    scorer = scorer_of(small_problem(), pivot=Pivot(np.array([8.5, 18.0]), 10.0))
     path = np.array([(6.5, 15.0), (8.5, 15.0)])
     steps = (1.0 + 0.1 * 1.5**2) + (1.0 + 0.1 * 2.0**2)
-    assert judge.objective.rate_s_m == pytest.approx(0.7)
-    assert judge.objective(path) == pytest.approx(steps + 0.7 * 13.0)
-    candidate = judge.candidate(path, Rung.PLAN, Termination.CONVERGED)
-    assert candidate.objective == candidate.lattice_objective == judge.objective(path)
+    assert scorer.objective.rate_s_m == pytest.approx(0.7)
+    assert scorer.objective(path) == pytest.approx(steps + 0.7 * 13.0)
+    candidate = scorer.candidate(path, Rung.PLAN, Termination.CONVERGED)
+    assert candidate.objective == candidate.lattice_objective == scorer.objective(path)
 
 
 @pytest.mark.parametrize("price", [0.0, 3.0, 10.0])
@@ -60,10 +60,10 @@ def test_objective_out_of_contact_by_hand(price):
     """A metre below the bound counts 1 + price (1 - P), by the mean of each step's two ends."""
     problem = small_problem()
     problem = replace(problem, objective=replace(problem.objective, outage_price=price))
-    judge = judge_of(problem, bad_disc(8.0, 15.0, 2.5), Pivot(np.array([13.0, 16.0]), 10.0, 2.5))
+    scorer = scorer_of(problem, bad_disc(8.0, 15.0, 2.5), Pivot(np.array([13.0, 16.0]), 10.0, 2.5))
     path = np.array([(6.5, 15.0), (8.5, 15.0), (10.0, 15.5), (12.0, 16.0)])
     whole = np.vstack([(5.0, 15.0), path])
-    mean, deviation = kriged(judge.context, whole)
+    mean, deviation = kriged(scorer.context, whole)
     score = (mean - THRESHOLD_DBM) / deviation
     is_below = score < norm.ppf(0.9)
     assert 1 < is_below.sum() < 5
@@ -72,7 +72,7 @@ def test_objective_out_of_contact_by_hand(price):
     charged = (lengths * (share[1:] + share[:-1]) / 2.0).sum()
     steps = (1.0 + 0.1 * lengths**2).sum()
     expected = steps + 0.7 * (price * charged + 2.5 * 1.0 + 10.0)
-    assert judge.objective(path) == pytest.approx(expected, rel=1e-9)
+    assert scorer.objective(path) == pytest.approx(expected, rel=1e-9)
 
 
 def test_slack_that_is_allowed_is_not_charged():
@@ -81,23 +81,23 @@ def test_slack_that_is_allowed_is_not_charged():
     hard = small_problem()
     rule = replace(hard.constraints.rule, slack_max_db=60.0)
     soft = replace(hard, constraints=replace(hard.constraints, rule=rule))
-    free = judge_of(hard).objective(path)
-    assert judge_of(soft, power).objective(path) == pytest.approx(free)
-    assert judge_of(hard, power).objective(path) > free + 1.0
+    free = scorer_of(hard).objective(path)
+    assert scorer_of(soft, power).objective(path) == pytest.approx(free)
+    assert scorer_of(hard, power).objective(path) > free + 1.0
 
 
 def test_good_candidate_as_a_plan():
     """Everything the verifier predicted, the robot's own place first."""
     problem = small_problem(WALL)
-    judge = judge_of(problem, bad_disc(20.0, 25.0, 4.0))
+    scorer = scorer_of(problem, bad_disc(20.0, 25.0, 4.0))
     path = straight_path(problem)
-    candidate = judged(judge, path[1:])
+    candidate = assessed(scorer, path[1:])
     assert candidate.verdict is Verdict.VERIFIED
     assert candidate.sound and not candidate.relaxes
-    plan = judge.plan_from(candidate, 0.5)
+    plan = scorer.plan_from(candidate, 0.5)
     assert (plan.positions_m == path).all()
     assert (plan.t_s == np.arange(5.0)).all()
-    mean, deviation = kriged(judge.context, path)
+    mean, deviation = kriged(scorer.context, path)
     assert np.allclose(plan.mean_dbm, mean, atol=1e-8)
     assert np.allclose(plan.deviation_db, deviation, atol=1e-6)
     assert plan.connectivity[1:].min() == plan.certificate.min_connectivity
@@ -116,7 +116,7 @@ def test_good_candidate_as_a_plan():
 def test_unsound(path):
     """Through a wall, too near to it, a jump, no number: not sound whatever is predicted."""
     problem = small_problem(WALL, start_m=(18.0, 15.0))
-    candidate = judged(judge_of(problem), path)
+    candidate = assessed(scorer_of(problem), path)
     assert candidate.verdict is Verdict.VIOLATED
     assert not candidate.sound
 
@@ -124,30 +124,30 @@ def test_unsound(path):
 def test_below_the_bound_is_sound():
     """Connectivity may be given up; the words say what and why."""
     problem = small_problem()
-    judge = judge_of(problem, bad_everywhere)
-    candidate = judged(judge, straight_path(problem)[1:])
+    scorer = scorer_of(problem, bad_everywhere)
+    candidate = assessed(scorer, straight_path(problem)[1:])
     assert candidate.sound and candidate.relaxes
     assert candidate.verdict is Verdict.VIOLATED
-    assert "met nowhere" in judge.plan_from(candidate, 0.0).message
+    assert "met nowhere" in scorer.plan_from(candidate, 0.0).message
 
 
 def test_words_of_a_relaxed_plan():
     """The steps and the worst dB."""
     problem = small_problem()
-    judge = judge_of(problem, bad_disc(5.0, 15.0, 3.5))
-    candidate = judged(judge, straight_path(problem, 2.0)[1:])
+    scorer = scorer_of(problem, bad_disc(5.0, 15.0, 3.5))
+    candidate = assessed(scorer, straight_path(problem, 2.0)[1:])
     assert candidate.verdict is Verdict.VERIFIED and candidate.relaxes
-    message = judge.plan_from(candidate, 0.0).message
+    message = scorer.plan_from(candidate, 0.0).message
     assert message.startswith("steps 1 miss p_min")
     assert f"{candidate.certificate.relaxation_db[0]:.2f} dB" in message
 
 
 def test_words_of_standing_still():
     """A stand is feasible, but no verified progress short of the goal; at the goal it is."""
-    judge = judge_of(small_problem())
-    plan = judge.plan_from(judged(judge, [(5.0, 15.0)] * 4), 0.0)
+    scorer = scorer_of(small_problem())
+    plan = scorer.plan_from(assessed(scorer, [(5.0, 15.0)] * 4), 0.0)
     assert plan.verdict is Verdict.FEASIBLE_UNVERIFIED
     assert "stands still" in plan.message
-    judge = judge_of(small_problem(start_m=(34.5, 15.0)))
-    plan = judge.plan_from(judged(judge, [(34.5, 15.0)] * 4), 0.0)
+    scorer = scorer_of(small_problem(start_m=(34.5, 15.0)))
+    plan = scorer.plan_from(assessed(scorer, [(34.5, 15.0)] * 4), 0.0)
     assert plan.verdict is Verdict.VERIFIED

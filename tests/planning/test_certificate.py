@@ -47,7 +47,7 @@ def test_a_plan_tells_of_all_its_steps():
     )
     assert second.startswith("step 3 misses p_min by 2.00 dB")
     assert said([FAR]) == [
-        "step 2 misses p_min by 1.25 dB: the best place found within reach misses it by 0.75 dB"
+        "step 2 misses p_min by 1.25 dB: the best reachable position misses it by 0.75 dB"
     ]
 
 

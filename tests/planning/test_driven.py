@@ -26,12 +26,12 @@ INFORMATION = {"kind": "mapping", "form": "information"}
 def test_plan_is_verified_and_driven(dynamics, terms, horizon: int) -> None:
     """Whatever the objective and the horizon; inputs lead along the places."""
     problem = driven_problem(dynamics, *terms, horizon=horizon)
-    plan, _, judge, _ = planned(problem)
+    plan, _, scorer, _ = planned(problem)
     assert plan.verdict is Verdict.VERIFIED
     assert plan.drive is not None
-    again = rolled_out(dynamics, judge.state, plan.drive.inputs, problem.planner.step_s)
+    again = rolled_out(dynamics, scorer.state, plan.drive.inputs, problem.planner.step_s)
     assert again.positions_m == pytest.approx(plan.positions_m, abs=1e-12)
-    assert plan.objective == pytest.approx(judge.objective(plan.positions_m[1:]))
+    assert plan.objective == pytest.approx(scorer.objective(plan.positions_m[1:]))
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
@@ -71,14 +71,14 @@ def planned_single(problem):
 def test_last_plan_one_step_later_is_still_sound(dynamics) -> None:
     """Its rest and a step of stopping keep everything, however often it is shifted."""
     problem = driven_problem(dynamics, TRACKING, horizon=5)
-    plan, _, judge, _ = planned(problem)
+    plan, _, scorer, _ = planned(problem)
     for _ in range(7):
         drive = shifted_drive(problem, plan)
-        judge = at_state(judge, plan.drive.states[1])
-        candidate = judge.candidate(drive.positions_m[1:], Rung.SHIFTED, plan.termination, drive)
-        candidate = judge.judged(candidate)
+        scorer = at_state(scorer, plan.drive.states[1])
+        candidate = scorer.candidate(drive.positions_m[1:], Rung.SHIFTED, plan.termination, drive)
+        candidate = scorer.assessed(candidate)
         assert candidate.sound
-        plan = judge.plan_from(candidate, 0.0)
+        plan = scorer.plan_from(candidate, 0.0)
     if dynamics is DOUBLE:
         assert np.hypot(*plan.drive.states[-1, 2:]) <= 1e-9
 
@@ -86,12 +86,12 @@ def test_last_plan_one_step_later_is_still_sound(dynamics) -> None:
 def test_fallbacks_brake_where_that_is_clear_and_else_drives_the_rest(monkeypatch) -> None:
     """Without any start, a moving robot does not jump to rest."""
     problem = driven_problem(DOUBLE, TRACKING, horizon=5)
-    plan, situation, judge, planner = planned(problem)
+    plan, context, scorer, planner = planned(problem)
     monkeypatch.setattr(planner._search, "find_guesses", lambda *_: [])
     monkeypatch.setattr("planopt.planning.horizon_planner.driven_starts", lambda *_: [])
-    moving = at_state(judge, plan.drive.states[1])
+    moving = at_state(scorer, plan.drive.states[1])
     unverified = replace(plan, verdict=Verdict.VIOLATED)
-    stop = planner.plan(replace(situation, state=moving.position_m), moving, unverified)
+    stop = planner.plan(replace(context, state=moving.position_m), moving, unverified)
     assert stop.rung is Rung.STOP
     assert stop.certificate.dynamics_defect <= 1e-9
     assert np.hypot(*stop.drive.states[-1, 2:]) <= 1e-9
@@ -100,8 +100,8 @@ def test_fallbacks_brake_where_that_is_clear_and_else_drives_the_rest(monkeypatc
     inputs = np.array([[-0.5, 0.6], [-0.5, 0.6], [-0.3, -0.5], [0.0, -0.2], [0.0, 0.0]])
     swerving = rolled_out(DOUBLE, state, inputs, 1.0)
     known = replace(unverified, drive=swerving, positions_m=swerving.positions_m)
-    near = at_state(judge, swerving.states[1])
-    again = planner.plan(replace(situation, state=near.position_m), near, known)
+    near = at_state(scorer, swerving.states[1])
+    again = planner.plan(replace(context, state=near.position_m), near, known)
     assert again.rung is Rung.STOP
     shifted = shifted_drive(problem, known)
     braked = DOUBLE.braking(near.state, 1.0, 5)
@@ -135,37 +135,37 @@ def test_plan_is_worth_as_much_as_from_random_starts(dynamics, target_m) -> None
     """Far ahead, and where the best drive is far from the one that the search begins with."""
     problem = driven_problem(dynamics, TRACKING, horizon=HORIZON)
     problem = replace(problem, targets=(replace(problem.targets[0], start_m=target_m),))
-    plan, situation, judge, planner = planned(problem)
+    plan, context, scorer, planner = planned(problem)
     assert plan.verdict is Verdict.VERIFIED
     generator = np.random.default_rng(0)
     for _ in range(3):
         drift = 0.5 * generator.normal(size=2)
         turns = 0.1 * np.cumsum(generator.normal(size=(HORIZON, 2)), axis=0)
-        way = judge.position_m + np.cumsum(drift + turns, axis=0)
-        start = begun(dynamics, judge, dynamics.following(judge.state, way, 1.0))
+        way = scorer.position_m + np.cumsum(drift + turns, axis=0)
+        start = begun(dynamics, scorer, dynamics.following(scorer.state, way, 1.0))
         for _ in range(3):
-            found = planner.cascade.refinement.candidates(situation, judge, start, Rung.PLAN)
+            found = planner.cascade.refinement.candidates(context, scorer, start, Rung.PLAN)
             verified = [c for c in found if c.verdict is Verdict.VERIFIED]
             if not verified:
                 break
             best = max(verified, key=lambda candidate: candidate.objective)
             assert plan.objective >= 0.98 * best.objective
-            start = begun(dynamics, judge, best.drive.inputs)
+            start = begun(dynamics, scorer, best.drive.inputs)
 
 
-def begun(dynamics, judge, inputs) -> Guess:
+def begun(dynamics, scorer, inputs) -> Guess:
     """A start that drives these inputs."""
-    drive = rolled_out(dynamics, judge.state, inputs, 1.0)
+    drive = rolled_out(dynamics, scorer.state, inputs, 1.0)
     path = drive.positions_m[1:]
-    return Guess(path, judge.objective(path), 0.0, drive, clear=False)
+    return Guess(path, scorer.objective(path), 0.0, drive, clear=False)
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
 def test_plan_is_settled(dynamics) -> None:
     """Polished again from itself, about its own sides of obstacles, it gains little."""
-    plan, situation, judge, planner = planned(driven_problem(dynamics, TRACKING, horizon=HORIZON))
-    again = begun(dynamics, judge, plan.drive.inputs)
-    for candidate in planner.cascade.refinement.candidates(situation, judge, again, Rung.PLAN):
+    plan, context, scorer, planner = planned(driven_problem(dynamics, TRACKING, horizon=HORIZON))
+    again = begun(dynamics, scorer, plan.drive.inputs)
+    for candidate in planner.cascade.refinement.candidates(context, scorer, again, Rung.PLAN):
         if candidate.verdict is Verdict.VERIFIED:
             assert candidate.objective <= 1.01 * plan.objective
 

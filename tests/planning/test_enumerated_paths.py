@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from terms_scene import CONNECT, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import CONNECT, LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import Verdict
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -16,19 +16,17 @@ HEADINGS, STEPS = 8, 3
 PATH = {"kind": "mapping", "form": "path", "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
 
 
-def enumerated_best(situation, judge, ground):
+def enumerated_best(context, scorer, ground):
     """The largest worth of all ways at full speed that are clear."""
-    problem = situation.problem
+    problem = context.problem
     angle = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
     step = problem.step_length_m * np.column_stack([np.cos(angle), np.sin(angle)])
     best = -np.inf
     for choice in product(range(HEADINGS), repeat=STEPS):
-        path = situation.position_m + np.vstack(
-            [np.zeros(2), np.cumsum(step[list(choice)], axis=0)]
-        )
+        path = context.position_m + np.vstack([np.zeros(2), np.cumsum(step[list(choice)], axis=0)])
         clear = swept_clearance_m(ground.index, path).min() >= problem.constraints.clearance_m
         if clear and inside_bounds(problem.workspace, path).all():
-            best = max(best, judge.objective(path[1:]))
+            best = max(best, scorer.objective(path[1:]))
     return best
 
 
@@ -46,10 +44,10 @@ def enumerated_best(situation, judge, ground):
 )
 def test_no_enumerated_way_is_worth_more(term):
     """Of five hundred, valued from all measurements."""
-    situation, belief = situation_of(terms_problem(term, horizon=STEPS))
-    judge, ground = judge_of(situation, belief)
-    plan = HorizonPlanner(situation.problem, ground).plan(situation, judge)
+    context, belief = context_of(terms_problem(term, horizon=STEPS))
+    scorer, ground = scorer_of(context, belief)
+    plan = HorizonPlanner(context.problem, ground).plan(context, scorer)
     assert plan.verdict is Verdict.VERIFIED
-    best = enumerated_best(situation, judge, ground)
+    best = enumerated_best(context, scorer, ground)
     assert np.isfinite(best)
     assert plan.objective >= best - 1e-4 * abs(best)

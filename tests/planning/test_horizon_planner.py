@@ -13,9 +13,9 @@ from terms_scene import (
     ENERGY,
     LEARNING,
     TRACKING,
-    judge_of,
+    context_of,
     own_term,
-    situation_of,
+    scorer_of,
     terms_problem,
 )
 
@@ -39,9 +39,9 @@ INFORMATION = {"kind": "mapping", "form": "information"}
 
 def planned(problem, warm=None, seed=0):
     """A plan from the problem's start, and the situation it was made in."""
-    situation, belief = situation_of(problem, seed)
-    judge, ground = judge_of(situation, belief)
-    return HorizonPlanner(problem, ground).plan(situation, judge, warm), situation, judge
+    context, belief = context_of(problem, seed)
+    scorer, ground = scorer_of(context, belief)
+    return HorizonPlanner(problem, ground).plan(context, scorer, warm), context, scorer
 
 
 @pytest.mark.parametrize(
@@ -61,11 +61,11 @@ def planned(problem, warm=None, seed=0):
 @pytest.mark.parametrize("horizon", [1, 2, 8])
 def test_plan_is_verified_and_better_than_its_start(terms, horizon):
     """Whatever the objective and the horizon."""
-    plan, _, judge = planned(terms_problem(*terms, horizon=horizon))
+    plan, _, scorer = planned(terms_problem(*terms, horizon=horizon))
     assert plan.verdict is Verdict.VERIFIED
     assert plan.rung in (Rung.PLAN, Rung.LATTICE)
     assert plan.objective >= plan.lattice_objective - 1e-9
-    assert plan.objective == pytest.approx(judge.objective(plan.positions_m[1:]))
+    assert plan.objective == pytest.approx(scorer.objective(plan.positions_m[1:]))
     assert len(plan.positions_m) == horizon + 1
 
 
@@ -83,11 +83,11 @@ def test_an_expression_of_ones_own_is_planned(horizon):
         return ca.sum1(path.connectivity / (curvature * (away - spot) ** 2 + floor))
 
     still = {**TRACKING, "weight": 0.0}
-    own, _, judge = planned(terms_problem(own_term(seeds, horizon), still, horizon=horizon))
+    own, _, scorer = planned(terms_problem(own_term(seeds, horizon), still, horizon=horizon))
     built_in, *_ = planned(terms_problem(TRACKING, horizon=horizon))
     assert own.verdict is Verdict.VERIFIED
     assert own.objective >= own.lattice_objective
-    assert own.objective == pytest.approx(judge.objective(own.positions_m[1:]))
+    assert own.objective == pytest.approx(scorer.objective(own.positions_m[1:]))
     assert own.objective > 0.98 * built_in.objective
 
 
@@ -101,12 +101,12 @@ def test_an_expression_of_another_horizon_is_refused():
 def test_no_straight_way_is_better():
     """Nothing of a fan of straight ways beats the plan for learning."""
     problem = terms_problem(LEARNING)
-    plan, situation, judge = planned(problem)
+    plan, context, scorer = planned(problem)
     for heading in np.linspace(0.0, 2.0 * np.pi, 40):
         step = 1.999 * np.array([np.cos(heading), np.sin(heading)])
-        way = situation.position_m + step * np.arange(1, 6)[:, None]
-        if judge.judged(judge.candidate(way, Rung.PLAN, Termination.CONVERGED)).sound:
-            assert judge.objective(way) <= plan.objective + 1e-9
+        way = context.position_m + step * np.arange(1, 6)[:, None]
+        if scorer.assessed(scorer.candidate(way, Rung.PLAN, Termination.CONVERGED)).sound:
+            assert scorer.objective(way) <= plan.objective + 1e-9
 
 
 def test_lattice_planner_takes_the_best_start():
@@ -134,13 +134,13 @@ def test_without_starts_the_last_plan_goes_on(monkeypatch):
     problem = terms_problem(TRACKING)
     first, *_ = planned(problem)
     monkeypatch.setattr(GuessSearch, "find_guesses", lambda *_: [])
-    situation, belief = situation_of(problem)
-    situation = replace(situation, state=first.positions_m[1])
-    judge, ground = judge_of(situation, belief)
+    context, belief = context_of(problem)
+    context = replace(context, state=first.positions_m[1])
+    scorer, ground = scorer_of(context, belief)
     planner = HorizonPlanner(problem, ground)
-    shifted = planner.plan(situation, judge, first)
+    shifted = planner.plan(context, scorer, first)
     assert (shifted.rung, shifted.verdict) == (Rung.SHIFTED, Verdict.VERIFIED)
-    standing = planner.plan(situation, judge)
+    standing = planner.plan(context, scorer)
     assert standing.rung is Rung.STOP
     assert np.ptp(standing.positions_m, axis=0).max() == 0.0
 
@@ -148,17 +148,17 @@ def test_without_starts_the_last_plan_goes_on(monkeypatch):
 def test_mirrored_scene_gives_the_mirrored_plan():
     """Nothing prefers left to right but ties and rounding."""
     problem = terms_problem(TRACKING)
-    plan, situation, _ = planned(problem)
+    plan, context, _ = planned(problem)
 
     def mirror(places):
         return np.asarray(places) * [-1.0, 1.0] + [40.0, 0.0]
 
-    measured = situation.posterior.measurements
+    measured = context.posterior.measurements
     parameters = replace(
-        situation.posterior.parameters,
+        context.posterior.parameters,
         station=replace(
-            situation.posterior.parameters.station,
-            position_m=tuple(mirror(situation.posterior.parameters.station.position_m)),
+            context.posterior.parameters.station,
+            position_m=tuple(mirror(context.posterior.parameters.station.position_m)),
         ),
     )
     posterior = condition(parameters, replace(measured, positions_m=mirror(measured.positions_m)))
@@ -175,7 +175,7 @@ def test_mirrored_scene_gives_the_mirrored_plan():
             ),
         ),
     )
-    there, belief = situation_of(problem)
+    there, belief = context_of(problem)
     there = replace(
         there,
         problem=mirrored,
@@ -183,8 +183,8 @@ def test_mirrored_scene_gives_the_mirrored_plan():
         state=np.asarray(start),
         target_m=mirror(there.target_m),
     )
-    judge, ground = judge_of(there, replace(belief, posterior=posterior))
-    other = HorizonPlanner(mirrored, ground).plan(there, judge)
+    scorer, ground = scorer_of(there, replace(belief, posterior=posterior))
+    other = HorizonPlanner(mirrored, ground).plan(there, scorer)
     assert other.objective == pytest.approx(plan.objective, rel=1e-4)
     np.testing.assert_allclose(mirror(other.positions_m), plan.positions_m, atol=0.05)
 
@@ -192,11 +192,11 @@ def test_mirrored_scene_gives_the_mirrored_plan():
 def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):
     """Strong, far-reaching shadowing and few neighbours: errors of tenths of a dB are mended."""
     problem = terms_problem(TRACKING, p_min=0.8, horizon=8, neighbours=8)
-    situation, belief = situation_of(problem)
+    context, belief = context_of(problem)
     truth = prepare(problem, 0).truths[0]
     measured = measure(truth, free_places(problem, 300, np.random.default_rng(3)))
     parameters = replace(
-        situation.posterior.parameters,
+        context.posterior.parameters,
         shadow_std_db=9.0,
         decorrelation_m=70.0,
         multipath_std_db=4.0,
@@ -214,10 +214,10 @@ def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):
         radio = replace(problem.stations[0], threshold_dbm=threshold)
         strict = replace(problem, stations=(radio,))
         posterior = condition(parameters, measured)
-        there = replace(situation, problem=strict, posteriors=(posterior,))
-        judge, ground = judge_of(there, replace(belief, posterior=posterior))
+        there = replace(context, problem=strict, posteriors=(posterior,))
+        scorer, ground = scorer_of(there, replace(belief, posterior=posterior))
         returned.clear()
-        plan = HorizonPlanner(strict, ground).plan(there, judge)
+        plan = HorizonPlanner(strict, ground).plan(there, scorer)
         assert plan.verdict is Verdict.VERIFIED
         assert not plan.certificate.relaxed_steps
         assert plan.connectivity[1:].min() >= 0.8 - 1e-6
@@ -273,14 +273,14 @@ FAILURES = {
 
 def planned_by(planner: HorizonPlanner, warm: Plan | None = None, problem=PROBLEM) -> Plan:
     """A plan from the start of the problem, of a situation that has seen nothing yet."""
-    situation, belief = situation_of(problem)
-    return planner.plan(situation, judge_of(situation, belief)[0], warm)
+    context, belief = context_of(problem)
+    return planner.plan(context, scorer_of(context, belief)[0], warm)
 
 
 def fresh(problem=PROBLEM) -> HorizonPlanner:
     """A planner that has not planned_by."""
-    situation, belief = situation_of(problem)
-    return HorizonPlanner(problem, judge_of(situation, belief)[1])
+    context, belief = context_of(problem)
+    return HorizonPlanner(problem, scorer_of(context, belief)[1])
 
 
 def assert_same(plan: Plan, other: Plan) -> None:
@@ -358,17 +358,17 @@ def test_plans_are_hardly_worse_than_the_best_of_starts(term):
     """Of 12 ways of a fan, in two seeded scenes; benchmarks/bench_information.py has the study."""
     shares = []
     for seed in range(2):
-        situation, belief = situation_of(terms_problem(term), seed)
-        judge, ground = judge_of(situation, belief)
-        planner = HorizonPlanner(situation.problem, ground)
-        plan = planner.plan(situation, judge)
+        context, belief = context_of(terms_problem(term), seed)
+        scorer, ground = scorer_of(context, belief)
+        planner = HorizonPlanner(context.problem, ground)
+        plan = planner.plan(context, scorer)
         assert plan.verdict is Verdict.VERIFIED
-        rough = rough_clearance(situation.problem, ground.index)
+        rough = rough_clearance(context.problem, ground.index)
         best = plan.objective
-        for path in fan_paths(situation, ground.index, rough, 5)[::10]:
-            start = Guess(path, judge.objective(path), 0.0)
+        for path in fan_paths(context, ground.index, rough, 5)[::10]:
+            start = Guess(path, scorer.objective(path), 0.0)
             for candidate in planner.cascade.refinement.candidates(
-                situation, judge, start, Rung.PLAN
+                context, scorer, start, Rung.PLAN
             ):
                 if candidate.verdict is Verdict.VERIFIED:
                     best = max(best, candidate.objective)

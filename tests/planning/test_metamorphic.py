@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from shapely import affinity
-from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import ENERGY, LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import Measurements, Obstacle, Plan, Problem, Verdict, Workspace
 from planopt.channel import condition
@@ -35,15 +35,15 @@ def planned(situation: StepContext, belief, problem: Problem | None = None) -> P
     """The plan of a situation, in the problem or in another."""
     if problem is not None:
         situation = replace(situation, problem=problem)
-    judge, ground = judge_of(situation, belief)
-    return HorizonPlanner(situation.problem, ground).plan(situation, judge)
+    scorer, ground = scorer_of(situation, belief)
+    return HorizonPlanner(situation.problem, ground).plan(situation, scorer)
 
 
 @pytest.mark.parametrize("terms", TERMS)
 def test_redundant_obstacles_change_nothing(terms):
     """One inside another, one out of reach, and one beyond the border."""
     problem = terms_problem(*terms, p_min=0.6)
-    situation, belief = situation_of(problem)
+    situation, belief = context_of(problem)
     more = (
         Obstacle("inside", shapely.box(19.0, 14.0, 21.0, 20.0)),
         Obstacle("far", shapely.box(36.0, 34.0, 39.0, 38.0)),
@@ -107,7 +107,7 @@ def test_another_unit_of_length_changes_nothing(terms, by):
     But for the planner's pads, which are lengths: a millimetre of clearance, a micrometre of step.
     """
     problem = terms_problem(*terms, p_min=0.6)
-    situation, belief = situation_of(problem)
+    situation, belief = context_of(problem)
     plain = planned(situation, belief)
     other = scaled_problem(problem, by)
     known = situation.posterior.measurements
@@ -137,7 +137,7 @@ def test_another_unit_of_length_changes_nothing(terms, by):
 def test_what_has_settled_is_all_but_the_optimum(terms, seed, monkeypatch):
     """Stopping a polish early costs a thousandth of the worth at most."""
     problem = terms_problem(*terms, p_min=0.6)
-    situation, belief = situation_of(problem, seed)
+    situation, belief = context_of(problem, seed)
     optimum = planned(situation, belief)
     monkeypatch.undo()
     settled = planned(replace(situation), belief)

@@ -24,12 +24,12 @@ class Eastward:
     def __init__(self, problem, ground, generator) -> None:
         self._step_m = 0.5 * problem.step_length_m
 
-    def plan(self, situation, judge, warm=None):
+    def plan(self, context, scorer, warm=None):
         """A straight line."""
         begun = perf_counter()
-        horizon = situation.problem.planner.horizon
+        horizon = context.problem.planner.horizon
         steps = np.arange(1, horizon + 1)[:, None] * np.array([self._step_m, 0.0])
-        return released(judge, held(situation, list(situation.position_m + steps)), begun)
+        return released(scorer, held(context, list(context.position_m + steps)), begun)
 
 
 @pytest.fixture

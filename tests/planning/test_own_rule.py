@@ -97,8 +97,8 @@ def test_a_rule_that_binds_is_kept_in_the_loop_and_by_the_files(tmp_path):
         assert kept == (plan.verdict == "verified")
     assert run.plans[0][0].verdict == "verified"
     run.save(tmp_path / "run")
-    judged = check(tmp_path / "run")
-    assert (judged.verdict, judged.reasons) == ("verified", ())
+    assessed = check(tmp_path / "run")
+    assert (assessed.verdict, assessed.reasons) == ("verified", ())
 
 
 def test_a_level_at_every_step_is_found():

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import InputError, Verdict, load, simulate
 from planopt.channel import condition, true_power_dbm
@@ -31,28 +31,28 @@ PATH = {"kind": "mapping", "form": "path", "variance_threshold_db2": 2.0, "close
 
 
 def scene(*terms, **planner):
-    """Problem, situation, judge and ground."""
+    """Problem, context, scorer and ground."""
     problem = terms_problem(*terms, **planner)
-    situation, belief = situation_of(problem)
-    judge, ground = judge_of(situation, belief)
-    return problem, situation, judge, ground
+    situation, belief = context_of(problem)
+    scorer, ground = scorer_of(situation, belief)
+    return problem, situation, scorer, ground
 
 
-def moved(situation, judge, position_m):
+def moved(situation, scorer, position_m):
     """The same with the robot elsewhere."""
     moved = replace(situation, state=position_m)
-    return moved, replace(judge, context=moved)
+    return moved, replace(scorer, context=moved)
 
 
 @pytest.mark.parametrize("name", ["auto", "lattice", "one_step", "random", "lawnmower"])
 @pytest.mark.parametrize("horizon", [1, 5])
 def test_every_planner_gives_verified_plans(name, horizon):
-    """Of the right length, and worth what the judge says."""
-    problem, situation, judge, ground = scene(LEARNING, name=name, horizon=horizon)
-    plan = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, judge)
+    """Of the right length, and worth what the scorer says."""
+    problem, situation, scorer, ground = scene(LEARNING, name=name, horizon=horizon)
+    plan = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, scorer)
     assert plan.verdict is Verdict.VERIFIED
     assert plan.positions_m.shape == (horizon + 1, 2)
-    assert plan.objective == pytest.approx(judge.objective(plan.positions_m[1:]))
+    assert plan.objective == pytest.approx(scorer.objective(plan.positions_m[1:]))
 
 
 @pytest.mark.parametrize(
@@ -70,9 +70,9 @@ def test_every_planner_gives_verified_plans(name, horizon):
 )
 def test_one_step_ahead_is_the_dense_search(terms):
     """The horizon planner finds what a dense search of the places within a step finds."""
-    problem, situation, judge, ground = scene(*terms, horizon=1)
-    dense = OneStepPlanner(problem, ground).plan(situation, judge).objective
-    auto = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, judge).objective
+    problem, situation, scorer, ground = scene(*terms, horizon=1)
+    dense = OneStepPlanner(problem, ground).plan(situation, scorer).objective
+    auto = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, scorer).objective
     assert auto >= dense - 1e-4 * abs(dense)
     # A search for connection pays for its way, and the places of the dense one are rings apart.
     ring_m = problem.step_length_m / RINGS if terms == (CONNECT,) else 0.0
@@ -84,15 +84,15 @@ def test_one_step_ahead_is_the_dense_search(terms):
 def test_never_below_the_greedy_rollout(terms, seed):
     """Nor below what the same planner finds on the lattice alone."""
     problem = terms_problem(*terms)
-    situation, belief = situation_of(problem, seed)
-    judge, ground = judge_of(situation, belief)
+    situation, belief = context_of(problem, seed)
+    scorer, ground = scorer_of(situation, belief)
     auto, lattice, greedy = (
         planner_for(
             replace(problem, planner=replace(problem.planner, name=name)),
             ground,
             np.random.default_rng(0),
         )
-        .plan(situation, judge)
+        .plan(situation, scorer)
         .objective
         for name in ("auto", "lattice", "one_step")
     )
@@ -102,42 +102,42 @@ def test_never_below_the_greedy_rollout(terms, seed):
 
 def test_dense_search_is_the_best_of_its_places():
     """Of random places within the step none is much better."""
-    problem, situation, judge, ground = scene(LEARNING, horizon=1)
-    plan = OneStepPlanner(problem, ground).plan(situation, judge)
+    problem, situation, scorer, ground = scene(LEARNING, horizon=1)
+    plan = OneStepPlanner(problem, ground).plan(situation, scorer)
     rng = np.random.default_rng(0)
     angle, radius = rng.uniform(0, 2 * np.pi, 150), 2.0 * np.sqrt(rng.uniform(0, 1, 150))
     places = situation.position_m + radius[:, None] * np.column_stack(
         [np.cos(angle), np.sin(angle)]
     )
-    best = max(judge.objective(place[None]) for place in places)
+    best = max(scorer.objective(place[None]) for place in places)
     assert plan.objective >= 0.99 * best
 
 
 def test_greedy_steps_do_not_come_back_to_a_place():
     """Measured places, and those of the plan itself, are left out; for tracking they are not."""
-    problem, situation, judge, ground = scene(INFORMATION, horizon=6)
-    plan = OneStepPlanner(problem, ground).plan(situation, judge)
+    problem, situation, scorer, ground = scene(INFORMATION, horizon=6)
+    plan = OneStepPlanner(problem, ground).plan(situation, scorer)
     path = plan.positions_m[1:]
     apart = np.linalg.norm(path[:, None] - path, axis=2)[np.triu_indices(len(path), 1)]
     assert apart.min() >= problem.channel.measure_spacing_m
     still = {**TRACKING, "sweet_spot_m": 0.0}
-    problem, situation, judge, ground = scene(still, horizon=3)
+    problem, situation, scorer, ground = scene(still, horizon=3)
     here = replace(situation, target_m=np.tile(situation.position_m, (3, 1)))
-    plan = OneStepPlanner(problem, ground).plan(here, judge)
+    plan = OneStepPlanner(problem, ground).plan(here, scorer)
     np.testing.assert_allclose(plan.positions_m, np.tile(situation.position_m, (4, 1)))
 
 
 def test_a_robot_that_is_shut_in_leaves():
     """No baseline finds a step that is free; leaving the obstacle is what is left."""
-    problem, situation, judge, ground = scene(LEARNING)
+    problem, situation, scorer, ground = scene(LEARNING)
     inside = np.array([20.0, 20.0])
-    situation, judge = moved(situation, judge, inside)
+    situation, scorer = moved(situation, scorer, inside)
     for planner in (
         OneStepPlanner(problem, ground),
         RandomPlanner(problem, ground, np.random.default_rng(0)),
         LawnmowerPlanner(problem, ground),
     ):
-        plan = planner.plan(situation, judge)
+        plan = planner.plan(situation, scorer)
         assert plan.rung is Rung.LEAVE and plan.verdict is not Verdict.VERIFIED
         step = np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1)
         assert 0.0 < step[0] <= problem.step_length_m and step[1:].max(initial=0.0) == 0.0
@@ -145,31 +145,31 @@ def test_a_robot_that_is_shut_in_leaves():
 
 def test_random_steps_are_full_and_uniform():
     """In all directions alike, the same for the same seed."""
-    problem, situation, judge, ground = scene(LEARNING, horizon=1)
-    situation, judge = moved(situation, judge, np.array([8.0, 20.0]))
+    problem, situation, scorer, ground = scene(LEARNING, horizon=1)
+    situation, scorer = moved(situation, scorer, np.array([8.0, 20.0]))
     planner = RandomPlanner(problem, ground, np.random.default_rng(3))
     steps = np.array(
-        [np.diff(planner.plan(situation, judge).positions_m, axis=0)[0] for _ in range(80)]
+        [np.diff(planner.plan(situation, scorer).positions_m, axis=0)[0] for _ in range(80)]
     )
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 2.0, atol=1e-5)
     quadrant = np.bincount((steps[:, 0] > 0) + 2 * (steps[:, 1] > 0), minlength=4)
     # Four standard deviations of 80 draws in four equal parts.
     assert (np.abs(quadrant - 20) < 4.0 * np.sqrt(80 * 0.25 * 0.75)).all()
-    again = RandomPlanner(problem, ground, np.random.default_rng(3)).plan(situation, judge)
+    again = RandomPlanner(problem, ground, np.random.default_rng(3)).plan(situation, scorer)
     np.testing.assert_array_equal(again.positions_m[1] - again.positions_m[0], steps[0])
 
 
 def test_persistent_walk_turns_little():
     """Within a plan and from one plan to the next; a new direction after standing still."""
-    problem, situation, judge, ground = scene(LEARNING, horizon=4)
-    situation, judge = moved(situation, judge, np.array([8.0, 20.0]))
+    problem, situation, scorer, ground = scene(LEARNING, horizon=4)
+    situation, scorer = moved(situation, scorer, np.array([8.0, 20.0]))
     turns = []
     for seed in range(40):
         planner = RandomPlanner(problem, ground, np.random.default_rng(seed), "persistent")
-        plan = planner.plan(situation, judge)
+        plan = planner.plan(situation, scorer)
         steps = np.diff(plan.positions_m, axis=0)
         np.testing.assert_allclose(np.linalg.norm(steps, axis=1), 2.0, atol=1e-5)
-        later, beside = moved(situation, judge, plan.positions_m[1])
+        later, beside = moved(situation, scorer, plan.positions_m[1])
         following = np.diff(planner.plan(later, beside, plan).positions_m, axis=0)
         for one, other in ((steps[1], steps[2]), (steps[0], following[0])):
             turns.append(np.arctan2(np.cross(np.r_[one, 0], np.r_[other, 0])[2], one @ other))
@@ -181,12 +181,12 @@ def test_persistent_walk_turns_little():
 
 def test_lawnmower_comes_near_every_free_place():
     """Followed to its end, every lattice node is within a lane of it; then the robot stands."""
-    problem, situation, judge, ground = scene(LEARNING, horizon=20)
+    problem, situation, scorer, ground = scene(LEARNING, horizon=20)
     planner = LawnmowerPlanner(problem, ground)
     driven = [situation.position_m]
     for _ in range(60):
-        situation, judge = moved(situation, judge, driven[-1])
-        plan = planner.plan(situation, judge)
+        situation, scorer = moved(situation, scorer, driven[-1])
+        plan = planner.plan(situation, scorer)
         assert plan.verdict is Verdict.VERIFIED
         driven += list(plan.positions_m[1:])
         if np.ptp(plan.positions_m, axis=0).max() == 0.0:
@@ -225,16 +225,16 @@ def plan_of(name, problem, situation, belief, start_m=None):
         problem = replace(problem, robots=(replace(problem.robots[0], start_m=start_m),))
         situation = replace(situation, problem=problem, state=np.asarray(start_m))
     problem = replace(problem, planner=replace(problem.planner, name=name))
-    judge, ground = judge_of(replace(situation, problem=problem), belief)
+    scorer, ground = scorer_of(replace(situation, problem=problem), belief)
     planner = planner_for(problem, ground, np.random.default_rng(0))
-    return planner.plan(situation, judge)
+    return planner.plan(situation, scorer)
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
 def test_plans_are_verified_by_what_is_known(name):
     """Connectivity in the plan is that of all measurements, not what the strategy assumes."""
     problem = terms_problem(TRACKING, horizon=3)
-    situation, belief = situation_of(problem)
+    situation, belief = context_of(problem)
     plan = plan_of(name, problem, situation, belief)
     assert plan.verdict is Verdict.VERIFIED
     path = plan.positions_m[1:]
@@ -246,7 +246,7 @@ def test_plans_are_verified_by_what_is_known(name):
 def test_unaware_plans_as_if_the_threshold_were_nothing():
     """With a threshold far below all powers the planner that knows the channel does the same."""
     problem = terms_problem(TRACKING, horizon=3)
-    situation, belief = situation_of(problem)
+    situation, belief = context_of(problem)
     unaware = plan_of("unaware", problem, situation, belief)
     deaf = (replace(problem.stations[0], threshold_dbm=-400.0),)
     lossless = replace(problem, stations=deaf)
@@ -257,7 +257,7 @@ def test_unaware_plans_as_if_the_threshold_were_nothing():
 def test_path_loss_only_does_not_look_at_measured_powers():
     """Shadows move the plan of `auto`; with theta held, not that of `path_loss_only`."""
     problem = terms_problem(TRACKING, horizon=3)
-    situation, belief = situation_of(problem)
+    situation, belief = context_of(problem)
     parameters, measured = belief.posterior.parameters, belief.posterior.measurements
     paths = {"auto": [], "path_loss_only": []}
     for powers in (measured.power_dbm, measured.power_dbm[::-1] - 10.0):
@@ -275,7 +275,7 @@ def test_path_loss_only_does_not_look_at_measured_powers():
 def test_a_robot_outside_the_disc_comes_back():
     """From where no place in reach is inside the robot drives full steps towards the station."""
     problem = terms_problem(TRACKING, horizon=2)
-    situation, belief = situation_of(problem)
+    situation, belief = context_of(problem)
     theta = np.array([-20.0, 2.0])
     # A disc of 10 m; the robot is 30 m off.
     parameters = replace(belief.posterior.parameters, k_pl_db=-20.0, n_pl=2.0)
@@ -370,7 +370,7 @@ def test_a_bound_is_driven_by_the_closed_loop(name):
 def test_what_the_planners_do_not_plan_is_refused():
     """A bound without a run, a bound on robots that keep apart, a strategy that tracks nothing."""
     problem = terms_problem(TRACKING, name="clairvoyant")
-    _, ground = judge_of(*situation_of(problem))
+    _, ground = scorer_of(*context_of(problem))
     with pytest.raises(InputError, match="ground truth of a whole run"):
         planner_for(problem, ground, np.random.default_rng(0))
     apart = replace(

@@ -13,46 +13,46 @@ from scenes import (
     bad_band,
     bad_disc,
     belief_of,
+    context_of,
     good_everywhere,
     search_of,
-    situation_of,
     small_problem,
 )
 
 import planopt.planning.refinement as refine
 from planopt import Verdict
 from planopt.extend import Rung
-from planopt.planning.candidates import Budget, Judge
+from planopt.planning.candidates import Budget, Scorer
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.search.pivot import Ahead
 from planopt.planning.values.reach_cost import ReachCost
 
 
 def refiner_of(problem, power_at=good_everywhere, lines=4):
-    """A refiner of the step from the problem's start, its judge and its start path."""
+    """A refiner of the step from the problem's start, its scorer and its start path."""
     search, _, scene = search_of(problem, power_at)
     belief = belief_of(problem, power_at)
     at = np.asarray(problem.robots[0].start_m)
-    situation = situation_of(problem, belief, at)
+    situation = context_of(problem, belief, at)
     start = search.find_start(situation)
     ahead = Ahead(problem, scene, start, None)
     reach_cost = ReachCost(problem, at, situation.power, ahead)
-    judge = Judge(VerifierContext(problem, scene.index, belief.posteriors, at), reach_cost)
+    scorer = Scorer(VerifierContext(problem, scene.index, belief.posteriors, at), reach_cost)
     nlp = goal_nlp(problem.planner.horizon, lines)
-    cost = judge.objective(start.path_m)
-    refiner = refine.GoalRefinement(nlp, scene, judge, reach_cost, start, ahead, cost, Budget())
-    return refiner, judge, start
+    cost = scorer.objective(start.path_m)
+    refiner = refine.GoalRefinement(nlp, scene, scorer, reach_cost, start, ahead, cost, Budget())
+    return refiner, scorer, start
 
 
 @pytest.mark.parametrize("polygon", [WALL, CUP])
 def test_first_attempt_is_good(polygon):
     """Verified, cheaper than the lattice path, with the solver's effort and residual."""
     problem = small_problem(polygon, start_m=(12.0, 15.0), horizon=10)
-    refiner, judge, start = refiner_of(problem)
+    refiner, scorer, start = refiner_of(problem)
     first = next(refiner.attempts(None))
     assert first.verdict is Verdict.VERIFIED
     assert first.rung is Rung.PLAN
-    assert first.objective == judge.objective(first.path_m) < judge.objective(start.path_m)
+    assert first.objective == scorer.objective(first.path_m) < scorer.objective(start.path_m)
     assert first.iterations > 0 and first.solve_s > 0.0
     assert first.kkt_residual < 1e-3
     assert set(first.multipliers) == {"speed", "line_end", "line_start", "connectivity"}
@@ -110,10 +110,10 @@ def test_a_hole_that_nothing_leads_round_is_crossed(width_m):
 def test_relaxed_start_is_made_as_good_as_can_be():
     """Out of a hole: missing dB at the step that cannot keep the bound, none elsewhere."""
     problem = small_problem(horizon=6)
-    refiner, judge, start = refiner_of(problem, bad_disc(5.0, 15.0, 3.5))
+    refiner, scorer, start = refiner_of(problem, bad_disc(5.0, 15.0, 3.5))
     attempts = [a for a in refiner.attempts(None) if a.verdict is Verdict.VERIFIED]
     assert attempts
-    lattice = judge.judged(judge.candidate(start.path_m, Rung.LATTICE, attempts[0].termination))
+    lattice = scorer.assessed(scorer.candidate(start.path_m, Rung.LATTICE, attempts[0].termination))
     assert attempts[0].rung is Rung.RELAXED
     assert attempts[0].certificate.relaxed_steps == (1,)
     assert sum(attempts[0].certificate.relaxation_db) <= sum(lattice.certificate.relaxation_db)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import ENERGY, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import ENERGY, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import InputError, Verdict, check, solve
 from planopt.objectives import TrackingTerm
@@ -20,7 +20,7 @@ from planopt.problems.load import with_overrides
 def term_context(**keys):
     """A tracking term of these keys, and the situation of the small problem."""
     problem = terms_problem({**TRACKING, **keys}, horizon=4)
-    return problem.terms[0], situation_of(problem)[0]
+    return problem.terms[0], context_of(problem)[0]
 
 
 @pytest.mark.parametrize("form", ["additive", "recourse"])
@@ -110,10 +110,10 @@ def planned_with(**keys):
     """The plan of tries for these keys of the term and the planner."""
     criterion = keys.pop("criterion", "trace")
     problem = terms_problem({**TRACKING, "form": "recourse", "criterion": criterion}, **keys)
-    situation, belief = situation_of(problem)
-    judge, ground = judge_of(situation, belief)
+    context, belief = context_of(problem)
+    scorer, ground = scorer_of(context, belief)
     planner = planner_for(problem, ground, np.random.default_rng(0))
-    return planner.plan(situation, judge)
+    return planner.plan(context, scorer)
 
 
 @pytest.mark.parametrize("p_min", [0.0, 0.5, 0.9])

@@ -407,10 +407,10 @@ def test_a_run_in_a_truth_of_ones_own(tmp_path) -> None:
     for plan, other in zip(run.plans[0], again.plans[0], strict=True):
         assert np.array_equal(plan.positions_m, other.positions_m)
     for name in ("run", "again"):
-        judged = planopt.check(tmp_path / name)
-        assert judged.verdict is planopt.Verdict.VERIFIED
-        assert any("has no ground truth" in remark for remark in judged.remarks)
-        assert not any("cannot be drawn" in remark for remark in judged.remarks)
+        assessed = planopt.check(tmp_path / name)
+        assert assessed.verdict is planopt.Verdict.VERIFIED
+        assert any("has no ground truth" in remark for remark in assessed.remarks)
+        assert not any("cannot be drawn" in remark for remark in assessed.remarks)
 
 
 def test_remarks_of_a_library_problem_with_another_truth(tmp_path) -> None:

@@ -131,8 +131,8 @@ def test_a_refusal_on_the_way_is_not_violated(problem, tmp_path: Path, capsys) -
     run = simulate(closed, seed=1)
     assert run.outcome.value == "no_plan" and len(run.plans[0]) == 2 and run.blocked
     run.save(tmp_path)
-    judged = check(tmp_path)
-    assert (judged.verdict, judged.reasons) == ("verified", ())
+    assessed = check(tmp_path)
+    assert (assessed.verdict, assessed.reasons) == ("verified", ())
     file = tmp_path / "run.json"
     data = json.loads(file.read_text())
     data["blocked"][0]["y_m"][0] += 0.1

@@ -84,7 +84,7 @@ def test_certificate_in_words(solution):
     for number in ("1.625 m", "0.812", "2.5e-09", "3.5e-07", "101.2", "103.5", "0.75 dB"):
         assert number in words
     proof = solution.plan.certificate
-    rule = RuleResult("each_step", 2.0, 3.0, "steps", "p_min at each step asked for", 0.5)
+    rule = RuleResult("each_step", 2.0, 3.0, "steps", "p_min at each required step", 0.5)
     parts = replace(proof, kkt_residual=None, relaxed_steps=(), rule=rule, reasons=("one",))
     words = words_of(replace(solution, plans=(replace(solution.plan, certificate=parts),)))
     assert "not refined" in words and "missed" not in words and words.endswith("one")

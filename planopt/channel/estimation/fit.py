@@ -236,7 +236,7 @@ def implausible_values(
     if beta > EXTENT_SHARE * extent_m:
         said.append(
             f"a decorrelation distance of {beta:.3g} m is implausible: the log spans "
-            f"{extent_m:.3g} m, so that shadowing cannot be told from path loss"
+            f"{extent_m:.3g} m, so shadowing and path loss cannot be distinguished"
         )
     return tuple(said)
 

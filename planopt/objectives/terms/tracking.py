@@ -68,9 +68,9 @@ class TrackingTerm(Term):
         TrackingForm,
         Field(
             description="additive (P(connected) over the variance, summed over steps) or recourse "
-            "(covariance of the station's filter, the end of a path being a place that is tried "
+            "(covariance of the station's filter; the end of a path is a position that is probed "
             "and left if it has no connection); auto: additive one step ahead, recourse beyond; "
-            "beside other terms, under a bound, and for robots with dynamics, additive up to a "
+            "with other terms, a chance constraint or dynamics, additive up to a "
             f"horizon of {LONGEST_ADDITIVE}, where packets have estimates of "
             f"{LONGEST_ADDITIVE_OF_ESTIMATES}, and recourse beyond."
         ),

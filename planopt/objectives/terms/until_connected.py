@@ -39,7 +39,7 @@ class UntilConnectedTerm(Term):
     ] = None
 
     kind: ClassVar[str] = "until_connected"
-    summary: ClassVar[str] = "Find connection after a short way."
+    summary: ClassVar[str] = "Regain contact after a short distance."
     task: ClassVar[str | None] = "connect"
 
     @property

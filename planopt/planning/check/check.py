@@ -177,7 +177,7 @@ def _no_plan_reasons(saved: Saved) -> list[str]:
     found |= {"format": FORMAT, DIGEST: digest(saved.data)}
     found |= {key: saved.data[key] for key in ("problem_file", "blocked") if key in saved.data}
     words = in_words(saved.file.name, differences(saved.data, found))
-    return [f"there is no plan to judge: {message}", *words]
+    return [f"there is no plan to verify: {message}", *words]
 
 
 def _worst(certificates: Sequence[Certificate]) -> Certificate:

@@ -74,7 +74,7 @@ def _summary(verdict: Verdict, found: Sequence[Relaxation]) -> str:
     start = "There is no plan" if verdict is Verdict.NONE else "Not every plan is verified"
     if found:
         return f"{start}; each of these changes by itself would help, as far as it is verified:"
-    return f"{start}; no change of a single key or obstacle that was tried helps."
+    return f"{start}; no single change of a key or obstacle gives a plan."
 
 
 def _explain_solution(solution: Solution) -> Explanation:

@@ -176,9 +176,9 @@ def _driven(
     if stop is not None:
         after = np.array([stop.clearance_m(index)])
         clearance = min(clearance, float(after[0]))
-        reasons += _clearance_reasons(problem, after, "the way of stopping after the last step")
+        reasons += _clearance_reasons(problem, after, "the braking path after the last step")
         if not _within(problem, stop):
-            reasons.append("the way of stopping after the last step leaves world.bounds_m")
+            reasons.append("the braking path after the last step leaves world.bounds_m")
 
     reached = np.column_stack(dynamics.step(tuple(states[:-1].T), tuple(drive.inputs.T), step_s))
     jump = float(np.max(np.abs(states[0] - start) * unit_m))

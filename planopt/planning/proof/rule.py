@@ -210,7 +210,7 @@ def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
     limit = problem.constraints.rule.slack_max_db
     return [
         f"{words} is {result.achieved:.4g}{unit} "
-        f"({result.method}), {key} asks for {result.asked:.4g}{unit}"
+        f"({result.method}), {key} requires {result.asked:.4g}{unit}"
         + (f", also with constraints.slack_max_db {limit:g}" if limit else "")
     ]
 

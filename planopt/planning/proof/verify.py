@@ -128,8 +128,8 @@ def verify_single_steps(
     if len(missed) == count:
         reasons.append(
             f"constraints.p_min {constraints.p_min:g} is met at none of the {count} steps"
-            f"{'' if count == len(margins) else ' that it is asked of'}, "
-            f"the best place found within reach has a margin of {max(best):.2f} dB"
+            f"{'' if count == len(margins) else ' where it is required'}, "
+            f"the best reachable position has a margin of {max(best):.2f} dB"
         )
     return StepsFinding(steps, relaxation, best, reasons=tuple(reasons), rule=result)
 
@@ -149,7 +149,7 @@ def _result(
         float(kept),
         float(asked.sum()),
         "steps",
-        "p_min at each step asked for",
+        "p_min at each required step",
         # Without allowed slack, a shortfall does not count as slack.
         0.0 if rule.slack_max_db is None else max(relaxation_db, default=0.0),
     )
@@ -200,7 +200,7 @@ def _too_dear(
     if best_margin_db < -MARGIN_TOLERANCE_DB:
         return [
             f"constraints.p_min {p_min:g} is met nowhere in the workspace, "
-            f"the best place found misses it by {-best_margin_db:.2f} dB"
+            f"the best position found misses it by {-best_margin_db:.2f} dB"
         ]
     leeway = COST_LEEWAY_STEPS * problem.step_length_m * (1.0 + price)
     spent = history.crossing_excess_m + priced.excess_m
@@ -231,7 +231,7 @@ UNCOMPARED = (
     "steps are below constraints.p_min, and the verifier's grid, half a step wide, has no path "
     "from here to the goal to compare the plan with"
 )
-STANDING = "the plan stands still short of the goal, and nothing that moves is in its way"
+STANDING = "the plan stands still short of the goal without a moving obstacle in front of it"
 
 
 @dataclass(frozen=True)

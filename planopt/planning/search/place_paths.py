@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.candidates import Candidate, Judge, held
+from planopt.planning.candidates import Candidate, Scorer, held
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.scene import Ground, free_ends
 from planopt.planning.search.local_ranking import LocalRanking
@@ -230,9 +230,9 @@ REFINEMENTS = 3
 """Number of grid refinements, each with a quarter of the previous spacing."""
 
 
-def paths_to_good_place(judge: Judge, probed: Sequence[Candidate]) -> list[NDArray[np.float64]]:
+def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[NDArray[np.float64]]:
     """Return paths (N, 2) to a position that meets the bound in time."""
-    problem, index = judge.problem, judge.index
+    problem, index = scorer.problem, scorer.index
     sound = [candidate for candidate in probed if candidate.sound]
     step = min((step for candidate in sound for step in candidate.avoidable), default=None)
     if step is None:
@@ -240,32 +240,32 @@ def paths_to_good_place(judge: Judge, probed: Sequence[Candidate]) -> list[NDArr
     length = problem.step_length_m - STEP_PAD_M
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     bounds = problem.workspace.bounds_m
-    ways = shortest_paths(index, bounds, judge.position_m, clear, step * length, inner=False)
-    place = _good_place(judge, ways, step, clear)
+    ways = shortest_paths(index, bounds, scorer.position_m, clear, step * length, inner=False)
+    place = _good_place(scorer, ways, step, clear)
     turns = None if place is None else turns_m(ways, place)
     if turns is None:
         return []
     horizon = problem.planner.horizon
-    driven = _padded(_in_fewest_steps(judge, turns, length), horizon)
+    driven = _padded(_in_fewest_steps(scorer, turns, length), horizon)
     if len(turns) == 1:
         return [driven]
-    cutting = retime(judge.position_m, _padded(turns, max(horizon, len(turns))), turns[:0], length)
+    cutting = retime(scorer.position_m, _padded(turns, max(horizon, len(turns))), turns[:0], length)
     return [driven, cutting[:horizon]]
 
 
 def _good_place(
-    judge: Judge, ways: ShortestPaths, step: int, clear_m: float
+    scorer: Scorer, ways: ShortestPaths, step: int, clear_m: float
 ) -> NDArray[np.float64] | None:
     """Return the nearest position (2,) that meets the bound, with the pad if possible."""
     nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
-    spacing = judge.problem.step_length_m / nodes
+    spacing = scorer.problem.step_length_m / nodes
     offsets = spacing * np.arange(-nodes * step, nodes * step + 1)
-    places = judge.position_m + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+    places = scorer.position_m + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
     fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
     found: list[NDArray[np.float64]] = []
     for _ in range(REFINEMENTS + 1):
-        places, margins, length = _reached(judge, ways, places, clear_m)
+        places, margins, length = _reached(scorer, ways, places, clear_m)
         if not len(places):
             break
         found.append(np.column_stack([places, margins, length]))
@@ -279,15 +279,15 @@ def _good_place(
 
 
 def _reached(
-    judge: Judge, ways: ShortestPaths, places_m: NDArray[np.float64], clear_m: float
+    scorer: Scorer, ways: ShortestPaths, places_m: NDArray[np.float64], clear_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the reachable positions (n, 2), their margins and path lengths, best first."""
     away = np.linalg.norm(places_m - ways.start_m, axis=1)
-    places = places_m[(away <= ways.radius_m) & inside_bounds(judge.problem.workspace, places_m)]
-    places = places[is_clear(clearance_m(judge.index, places), clear_m)]
+    places = places_m[(away <= ways.radius_m) & inside_bounds(scorer.problem.workspace, places_m)]
+    places = places[is_clear(clearance_m(scorer.index, places), clear_m)]
     if not len(places):
         return places, np.zeros(0), np.zeros(0)
-    margins = judge.margins_db(search_prediction(judge.context.law, places))
+    margins = scorer.margins_db(search_prediction(scorer.context.law, places))
     probed = _promise(margins, np.linalg.norm(places - ways.start_m, axis=1))[:MEASURED]
     length = path_lengths_m(ways, places[probed])
     probed, length = probed[np.isfinite(length)], length[np.isfinite(length)]
@@ -302,14 +302,14 @@ def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> 
 
 
 def _in_fewest_steps(
-    judge: Judge, turns_m: NDArray[np.float64], length_m: float
+    scorer: Scorer, turns_m: NDArray[np.float64], length_m: float
 ) -> NDArray[np.float64]:
     """Return the ends (n, 2) of the fewest straight collision-free steps along a path.
 
     Steps end on the path, at its turns, and at crossings of its extended legs: a path around a
     corner has several turns, and one step end near the corner is enough.
     """
-    way = np.vstack([judge.position_m, turns_m])
+    way = np.vstack([scorer.position_m, turns_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
     between = np.arange(0.0, driven[-1], length_m / STEP_PLACES)
     at = np.unique(np.concatenate([driven, between]))
@@ -325,8 +325,8 @@ def _in_fewest_steps(
         there = np.flatnonzero((away <= length_m + REACH_TOLERANCE_M) & (steps > steps[here] + 1.0))
         there = there[there > here]
         begin = np.broadcast_to(places[here], (len(there), 2))
-        wanted = judge.problem.constraints.clearance_m
-        there = there[segments_clear(judge.index, begin, places[there], wanted)]
+        wanted = scorer.problem.constraints.clearance_m
+        there = there[segments_clear(scorer.index, begin, places[there], wanted)]
         steps[there], came[there] = steps[here] + 1.0, here
     path = [len(places) - 1]
     while came[path[-1]] > 0:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planopt.channel.posterior import Belief
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Steers
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.foresight import FollowingPlanner
 from planopt.planning.history import BEGINNING, History
 from planopt.planning.initial_data import TeamSeeds
@@ -120,12 +120,12 @@ class Member:
         context = step_context(base, self.region, replace(watched, pending=pending))
         if self.steer is not None:
             context = replace(context, steering=self.steer(context))
-        judge = Judge(
+        scorer = Scorer(
             context,
             ObjectiveValue(context),
             reserved_m[1:] if reserved_m is not None and len(moving) else None,
         )
-        plan = _valued_alone(asked_plan(self.planner, context, judge, warm), context)
+        plan = _valued_alone(asked_plan(self.planner, context, scorer, warm), context)
         steered = None if context.steering is None else context.steering.turns_m
         return plan, replace(watched, steering_turns_m=steered, pending=pending)
 

@@ -332,7 +332,7 @@ def _times(given: CoverageFile, agents: int) -> tuple[NDArray[np.float64], NDArr
             )
     for time_s in np.concatenate(([0.0], leaves[np.isfinite(leaves)])).tolist():
         if time_s < given.control.duration_s and not ((joins <= time_s) & (time_s < leaves)).any():
-            raise InputError(f"nobody takes part at {time_s:g} s", key="changes")
+            raise InputError(f"no agent is active at {time_s:g} s", key="changes")
     return joins, leaves
 
 

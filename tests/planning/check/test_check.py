@@ -239,7 +239,7 @@ def test_a_record_of_no_plan(tmp_path: Path, solution: Solution) -> None:
     write_result(data, solution.problem, tmp_path / "plan.json")
     result = check(tmp_path)
     assert result.verdict is Verdict.NONE and result.certificate is None
-    assert result.reasons == ("there is no plan to judge: cut off",)
+    assert result.reasons == ("there is no plan to verify: cut off",)
     write_result({**data, "objective": 3.0}, solution.problem, tmp_path / "plan.json")
     assert "plan.json, key objective: 3, found null" in check(tmp_path).reasons
 

@@ -17,8 +17,14 @@ from planopt.planning.explanation import Relaxation
             "constraints.p_min",
             "constraints.p_min = 2 cannot be kept at steps 1-2, 4, short by 3 dB",
         ),
-        ("robots[0].speed_max_m_s", "robots[0].speed_max_m_s = 2 stands in the way at steps 1-2"),
-        ("planner.horizon", "planner.horizon = 2 stands in the way at steps 1-2, 4, short by 3 dB"),
+        (
+            "robots[0].speed_max_m_s",
+            "robots[0].speed_max_m_s = 2 makes this infeasible at steps 1-2",
+        ),
+        (
+            "planner.horizon",
+            "planner.horizon = 2 makes this infeasible at steps 1-2, 4, short by 3 dB",
+        ),
     ],
 )
 def test_limits_stand_in_the_way(key, words):

@@ -14,7 +14,7 @@ from reach_tasks import (
     scored,
     slope_margins,
 )
-from terms_scene import ENERGY, LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import ENERGY, LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import Verdict
 from planopt.extend import Termination
@@ -116,9 +116,9 @@ def test_plans_agree_within_one_percent(terms, seed):
     plans = []
     for name in ("nlp", "scp"):
         problem = terms_problem(*terms, name=name, p_min=0.6)
-        situation, belief = situation_of(problem, seed)
-        judge, ground = judge_of(situation, belief)
-        plans.append(HorizonPlanner(problem, ground).plan(situation, judge))
+        context, belief = context_of(problem, seed)
+        scorer, ground = scorer_of(context, belief)
+        plans.append(HorizonPlanner(problem, ground).plan(context, scorer))
     nlp, scp = plans
     if nlp.verdict is scp.verdict is Verdict.VERIFIED:
         assert scp.objective == pytest.approx(nlp.objective, rel=1e-2)

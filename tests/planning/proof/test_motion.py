@@ -25,7 +25,7 @@ def scene(dynamics):
     return problem, index_obstacles(problem.workspace), state, drive
 
 
-def judged(problem, index, state, drive):
+def assessed(problem, index, state, drive):
     """Reasons of a drive."""
     return verify_motion(problem, index, state, drive.positions_m, drive)
 
@@ -34,7 +34,7 @@ def judged(problem, index, state, drive):
 def test_a_good_drive_is_sound(dynamics) -> None:
     """No reason, no defect, the clearance of dense samples."""
     problem, index, state, drive = scene(dynamics)
-    found = judged(problem, index, state, drive)
+    found = assessed(problem, index, state, drive)
     assert found.reasons == ()
     assert found.defect_m <= 1e-12
     assert found.clearance_m > problem.constraints.clearance_m
@@ -48,7 +48,7 @@ def test_an_edited_input_is_rejected(dynamics, row: int, column: int) -> None:
     problem, index, state, drive = scene(dynamics)
     inputs = drive.inputs.copy()
     inputs[row, column] += 1e-3
-    found = judged(problem, index, state, replace(drive, inputs=inputs))
+    found = assessed(problem, index, state, replace(drive, inputs=inputs))
     assert any("do not lead from state to state" in reason for reason in found.reasons)
     assert found.defect_m > 1e-5
 
@@ -62,7 +62,7 @@ def test_an_edited_state_is_rejected(dynamics, row: int) -> None:
         states = drive.states.copy()
         states[row, column] += 1e-3
         edited = Drive(dynamics, states, drive.inputs)
-        assert judged(problem, index, state, edited).reasons
+        assert assessed(problem, index, state, edited).reasons
         # The path says something else than the states.
         assert verify_motion(problem, index, state, drive.positions_m, edited).reasons
 
@@ -82,7 +82,7 @@ def test_what_is_over_its_limit_is_rejected(dynamics, inputs) -> None:
     """Consistent states do not help."""
     problem, index, state, _ = scene(dynamics)
     drive = rolled_out(dynamics, state, np.tile(inputs, (1, 1)), problem.planner.step_s)
-    found = judged(problem, index, state, drive)
+    found = assessed(problem, index, state, drive)
     assert any("over its limit" in reason for reason in found.reasons)
 
 
@@ -93,11 +93,11 @@ def test_the_way_of_stopping_must_be_clear() -> None:
     state = np.array([14.6, 20.0, 1.9, 0.0])
     drive = rolled_out(DOUBLE, state, np.zeros((1, 2)), problem.planner.step_s)
     assert drive.positions_m[-1, 0] < 17.5
-    reasons = judged(problem, index, state, drive).reasons
+    reasons = assessed(problem, index, state, drive).reasons
     assert len(reasons) == 1
     assert "the way of stopping" in reasons[0]
     slow = rolled_out(DOUBLE, state, np.array([[-0.8, 0.0]]), problem.planner.step_s)
-    assert judged(problem, index, state, slow).reasons == ()
+    assert assessed(problem, index, state, slow).reasons == ()
 
 
 def test_an_arc_into_a_corner_is_rejected_though_its_chord_is_clear() -> None:
@@ -105,7 +105,7 @@ def test_an_arc_into_a_corner_is_rejected_though_its_chord_is_clear() -> None:
     problem, index, _, _ = scene(WHEELS)
     state = np.array([16.6, 13.0, -0.45])
     drive = rolled_out(WHEELS, state, np.array([[2.0, 0.9]] * 2), problem.planner.step_s)
-    arc = judged(problem, index, state, drive).clearance_m
+    arc = assessed(problem, index, state, drive).clearance_m
     middle = np.array(WHEELS.step(tuple(state), (2.0, 0.9), 0.5)[:2])
     assert arc < np.abs(18.0 - drive.positions_m[:, 0]).min()
     assert arc <= 18.0 - middle[0]
@@ -118,13 +118,13 @@ def test_ways_outside_the_workspace_are_rejected() -> None:
     drive = rolled_out(DOUBLE, state, np.array([[0.0, -0.8]] * 2), problem.planner.step_s)
     assert drive.positions_m[:, 1].max() <= 40.0 + 1e-9
     edge = replace(problem, workspace=replace(problem.workspace, bounds_m=(0.0, 0.0, 40.0, 39.9)))
-    assert judged(problem, index, state, drive).reasons == ()
+    assert assessed(problem, index, state, drive).reasons == ()
     bow = rolled_out(DOUBLE, state - [0, 0.2, 0, 0.3], np.array([[0.0, -0.8]]), 1.0)
     assert bow.positions_m[:, 1].max() < 39.51
     low = replace(problem, workspace=replace(problem.workspace, bounds_m=(0.0, 0.0, 40.0, 39.51)))
-    reasons = judged(low, index, bow.states[0], bow).reasons
+    reasons = assessed(low, index, bow.states[0], bow).reasons
     assert any("leaves world.bounds_m" in reason for reason in reasons)
-    assert any("leaves" in r for r in judged(edge, index, state, drive).reasons)
+    assert any("leaves" in r for r in assessed(edge, index, state, drive).reasons)
 
 
 DISC_STEPS = 4

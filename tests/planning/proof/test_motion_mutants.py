@@ -52,8 +52,8 @@ MUTANTS = {
 }
 
 
-def judge_of(source: str) -> Callable:
-    """The judge of a text."""
+def scorer_of(source: str) -> Callable:
+    """The scorer of a text."""
     module = ModuleType("mutant_of_motion")
     sys.modules[module.__name__] = module
     exec(compile(source, "<mutant>", "exec"), module.__dict__)
@@ -61,7 +61,7 @@ def judge_of(source: str) -> Callable:
 
 
 def cases() -> Iterator[tuple]:
-    """Arguments of the judge: good drives, and each with one thing wrong."""
+    """Arguments of the scorer: good drives, and each with one thing wrong."""
     for dynamics in (DOUBLE, WHEELS):
         problem = driven_problem(dynamics, LEARNING, horizon=3)
         index = index_obstacles(problem.workspace)
@@ -123,13 +123,13 @@ def resting(speed: float) -> tuple:
     return problem, index_obstacles(problem.workspace), state, drive.positions_m, drive
 
 
-def said(judge: Callable) -> list[tuple]:
-    """What a judge says of every case."""
+def said(scorer: Callable) -> list[tuple]:
+    """What a scorer says of every case."""
     found: list[tuple] = []
     for arguments in cases():
         try:
             with np.errstate(all="ignore"):
-                motion_of = judge(*arguments)
+                motion_of = scorer(*arguments)
             found.append((motion_of.reasons, round(motion_of.clearance_m, 6)))
         except Exception as error:
             found.append((type(error).__name__,))
@@ -141,7 +141,7 @@ TRUE = said(motion.verify_motion)
 
 def test_source_as_it_is() -> None:
     """Good drives are sound, and every other has a reason."""
-    assert TRUE == said(judge_of(SOURCE))
+    assert TRUE == said(scorer_of(SOURCE))
     assert sum(not case[0] for case in TRUE) == 4
     assert all(len(case) == 2 for case in TRUE)
 
@@ -151,4 +151,4 @@ def test_mutant_is_found_out(name: str) -> None:
     """At least one drive is judged otherwise."""
     original, instead = MUTANTS[name]
     assert SOURCE.count(original) == 1, "the mutant does not fit the source any more"
-    assert said(judge_of(SOURCE.replace(original, instead))) != TRUE
+    assert said(scorer_of(SOURCE.replace(original, instead))) != TRUE

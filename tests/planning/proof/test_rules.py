@@ -36,7 +36,7 @@ def faint(positions_m: np.ndarray) -> np.ndarray:
     return THRESHOLD_DBM + 1.0 - 0.02 * positions_m[:, 0]
 
 
-def judged(problem, power_at, path_m=ALONG, **history):
+def assessed(problem, power_at, path_m=ALONG, **history):
     """The judgement of a path, and the channel."""
     posterior = belief_of(problem, power_at).posterior
     index = index_obstacles(problem.workspace)
@@ -52,11 +52,11 @@ def chances(posterior, path_m=ALONG):
 
 def test_stated_times_ask_of_their_steps_alone():
     """A gap is no matter but at a stated time; then the reason names the step."""
-    kept, _ = judged(hand_made("each_step", connected_times_s=(1.0, 4.0)), GAP)
+    kept, _ = assessed(hand_made("each_step", connected_times_s=(1.0, 4.0)), GAP)
     assert kept.verdict is Verdict.VERIFIED
     assert kept.certificate.relaxed_steps == ()
     assert (kept.certificate.rule.achieved, kept.certificate.rule.asked) == (2.0, 2.0)
-    missed, _ = judged(hand_made("each_step", connected_times_s=(1.0, 3.0)), GAP)
+    missed, _ = assessed(hand_made("each_step", connected_times_s=(1.0, 3.0)), GAP)
     assert missed.verdict is Verdict.VIOLATED
     assert missed.certificate.relaxed_steps == (3,)
     assert "step 3" in missed.certificate.reasons[0]
@@ -67,26 +67,26 @@ def test_stated_times_are_of_the_run():
     problem = hand_made("each_step", connected_times_s=(8.0, 8.0, 99.0))
     assert rule_of(problem).counted(History(steps=6), 4).tolist() == [False, True, False, False]
     assert rule_of(problem).counted(History(steps=8), 4).sum() == 0
-    assert judged(problem, GAP, steps=6)[0].verdict is Verdict.VIOLATED
-    assert judged(problem, GAP, steps=4)[0].verdict is Verdict.VERIFIED
+    assert assessed(problem, GAP, steps=6)[0].verdict is Verdict.VIOLATED
+    assert assessed(problem, GAP, steps=4)[0].verdict is Verdict.VERIFIED
 
 
 def test_average_counts_the_run_so_far():
     """(connected steps + sum of chances) / all steps, against p_min."""
     problem = hand_made("average", p_min=0.7)
-    judgement, posterior = judged(problem, faint, steps=6, connected_steps=5)
+    judgement, posterior = assessed(problem, faint, steps=6, connected_steps=5)
     mean = (5.0 + chances(posterior).sum()) / 10.0
     assert judgement.certificate.rule.achieved == pytest.approx(mean, abs=1e-12)
     for p_min, verdict in ((mean - 1e-4, Verdict.VERIFIED), (mean + 1e-4, Verdict.VIOLATED)):
         asked = hand_made("average", p_min=p_min)
-        again, _ = judged(asked, faint, steps=6, connected_steps=5)
+        again, _ = assessed(asked, faint, steps=6, connected_steps=5)
         assert again.verdict is verdict
     assert "on average" in again.certificate.reasons[0]
 
 
 def test_joint_is_the_share_of_sampled_channels_that_connect_throughout():
     """A lower bound of it, near: powers along the path drawn together."""
-    judgement, posterior = judged(hand_made("joint", p_min=0.5), faint)
+    judgement, posterior = assessed(hand_made("joint", p_min=0.5), faint)
     drawn = sample_power(posterior, ALONG[1:], 40_000, np.random.default_rng(7))
     share = float((drawn >= THRESHOLD_DBM).all(axis=1).mean())
     error = 3.0 * np.sqrt(share * (1.0 - share) / len(drawn))
@@ -94,7 +94,7 @@ def test_joint_is_the_share_of_sampled_channels_that_connect_throughout():
     assert share - error - 3e-3 < result.achieved < share + error
     assert result.achieved < chances(posterior).min()
     for p_min, verdict in ((share - 0.02, Verdict.VERIFIED), (share + 0.02, Verdict.VIOLATED)):
-        assert judged(hand_made("joint", p_min=p_min), faint)[0].verdict is verdict
+        assert assessed(hand_made("joint", p_min=p_min), faint)[0].verdict is verdict
 
 
 def test_joint_counts_less_its_error():
@@ -111,10 +111,10 @@ def test_joint_counts_less_its_error():
 def test_outage_in_metres_and_seconds():
     """Two steps of two metres and a second are missed in a row; exactly so much is allowed."""
     for key, unit, length in (("outage_max_m", "m", 4.0), ("outage_max_s", "s", 2.0)):
-        kept, _ = judged(hand_made("outage", **{key: length}), GAP)
+        kept, _ = assessed(hand_made("outage", **{key: length}), GAP)
         assert kept.verdict is Verdict.VERIFIED
         assert (kept.certificate.rule.achieved, kept.certificate.rule.unit) == (length, unit)
-        missed, _ = judged(hand_made("outage", **{key: length - 0.01}), GAP)
+        missed, _ = assessed(hand_made("outage", **{key: length - 0.01}), GAP)
         assert missed.verdict is Verdict.VIOLATED
         assert key in missed.certificate.reasons[0]
 
@@ -122,9 +122,9 @@ def test_outage_in_metres_and_seconds():
 def test_an_outage_that_has_begun_counts_if_it_goes_on():
     """Three metres before the plan: they count where its first step is missed, else not."""
     problem = hand_made("outage", outage_max_m=4.0)
-    assert judged(problem, GAP, outage_m=3.0, outage_steps=2)[0].verdict is Verdict.VERIFIED
+    assert assessed(problem, GAP, outage_m=3.0, outage_steps=2)[0].verdict is Verdict.VERIFIED
     inside = ALONG + np.array([2.0, 0.0])
-    going_on, _ = judged(problem, GAP, inside, outage_m=3.0, outage_steps=2)
+    going_on, _ = assessed(problem, GAP, inside, outage_m=3.0, outage_steps=2)
     assert going_on.certificate.rule.achieved == pytest.approx(7.0)
     assert going_on.verdict is Verdict.VIOLATED
 
@@ -218,7 +218,7 @@ def test_required_suffices_however_steps_correlate(form):
 def test_data_must_keep_pace_with_the_deadline():
     """Expected data of four of twenty seconds against a fifth of what is asked."""
     rule = {"data_mbit": 30.0, "deadline_s": 20.0, "rate_mbit_s": 2.0}
-    judgement, posterior = judged(hand_made("data", p_min=0.0, **rule), faint)
+    judgement, posterior = assessed(hand_made("data", p_min=0.0, **rule), faint)
     result = judgement.certificate.rule
     assert result.achieved == pytest.approx(2.0 * chances(posterior).sum())
     assert result.asked == pytest.approx(6.0)
@@ -226,31 +226,33 @@ def test_data_must_keep_pace_with_the_deadline():
     assert "data_mbit" in judgement.certificate.reasons[0]
     # Two seconds before the deadline only two steps count, and all that is missing is asked.
     late = {"steps": 18, "delivered_mbit": 29.0}
-    ending, _ = judged(hand_made("data", p_min=0.0, **rule), faint, **late)
+    ending, _ = assessed(hand_made("data", p_min=0.0, **rule), faint, **late)
     assert ending.certificate.rule.asked == pytest.approx(1.0)
     assert ending.certificate.rule.achieved == pytest.approx(2.0 * chances(posterior)[:2].sum())
-    after, _ = judged(hand_made("data", p_min=0.0, **rule), bad_everywhere, steps=20)
+    after, _ = assessed(hand_made("data", p_min=0.0, **rule), bad_everywhere, steps=20)
     assert (after.verdict, after.certificate.rule.asked) == (Verdict.VERIFIED, 0.0)
 
 
 def test_data_with_a_probability():
     """A lower bound, near, of the share of sampled channels with three of four steps connected."""
     rule = {"data_mbit": 15.0, "deadline_s": 20.0, "rate_mbit_s": 1.0}
-    judgement, posterior = judged(hand_made("data", p_min=0.5, **rule), faint)
+    judgement, posterior = assessed(hand_made("data", p_min=0.5, **rule), faint)
     drawn = sample_power(posterior, ALONG[1:], 40_000, np.random.default_rng(8))
     share = float(((drawn >= THRESHOLD_DBM).sum(axis=1) >= 3).mean())
     result = judgement.certificate.rule
     assert (result.unit, result.asked) == ("probability", 0.5)
     assert share - 0.03 < result.achieved < share + 0.005
     for p_min, verdict in ((share - 0.04, Verdict.VERIFIED), (share + 0.04, Verdict.VIOLATED)):
-        again, _ = judged(hand_made("data", p_min=p_min, **rule), faint)
+        again, _ = assessed(hand_made("data", p_min=p_min, **rule), faint)
         assert again.verdict is verdict
     assert "constraints.p_min" in again.certificate.reasons[0]
     # Two of three steps are asked for; the path ends with two in the gap.
     rule["data_mbit"] = 13.2
-    assert judged(hand_made("data", **rule), GAP, ALONG[:4])[0].verdict is Verdict.VIOLATED
+    assert assessed(hand_made("data", **rule), GAP, ALONG[:4])[0].verdict is Verdict.VIOLATED
     rule["data_mbit"] = 15.0
-    done, _ = judged(hand_made("data", p_min=0.99999, **rule), bad_everywhere, delivered_mbit=15.0)
+    done, _ = assessed(
+        hand_made("data", p_min=0.99999, **rule), bad_everywhere, delivered_mbit=15.0
+    )
     assert done.verdict is Verdict.VERIFIED
 
 
@@ -289,36 +291,36 @@ def test_slack_is_the_least_lowering_of_the_threshold(form):
         "outage": {"p_min": 0.95, "outage_max_s": 0.0},
     }[form]
     hard = hand_made(form, **rule)
-    assert judged(hard, faint)[0].verdict is Verdict.VIOLATED
-    slack_db = judged(hand_made(form, slack_max_db=20.0, **rule), faint)[
+    assert assessed(hard, faint)[0].verdict is Verdict.VIOLATED
+    slack_db = assessed(hand_made(form, slack_max_db=20.0, **rule), faint)[
         0
     ].certificate.rule.slack_db
     assert 0.0 < slack_db < 20.0
 
     def verdict_at(lower_db):
         station = replace(hard.stations[0], threshold_dbm=THRESHOLD_DBM - lower_db)
-        return judged(replace(hard, stations=(station,)), faint)[0].verdict
+        return assessed(replace(hard, stations=(station,)), faint)[0].verdict
 
     assert verdict_at(slack_db + 1e-3) is Verdict.VERIFIED
     assert verdict_at(slack_db - 1e-3) is Verdict.VIOLATED
     for limit, verdict in ((0.9, Verdict.VIOLATED), (1.1, Verdict.VERIFIED)):
         bounded = hand_made(form, slack_max_db=limit * slack_db, **rule)
-        assert judged(bounded, faint)[0].verdict is verdict
+        assert assessed(bounded, faint)[0].verdict is verdict
 
 
 def test_slack_of_single_steps_is_bounded_and_replaces_the_excuse():
     """Hard: also where nothing within reach keeps the bound. Soft: within the slack, reported."""
-    hopeless, _ = judged(hand_made("each_step", slack_max_db=0.0), bad_everywhere)
+    hopeless, _ = assessed(hand_made("each_step", slack_max_db=0.0), bad_everywhere)
     assert hopeless.verdict is Verdict.VIOLATED
     assert "misses constraints.p_min" in hopeless.certificate.reasons[0]
-    soft, posterior = judged(hand_made("each_step", slack_max_db=30.0), GAP)
+    soft, posterior = assessed(hand_made("each_step", slack_max_db=30.0), GAP)
     power = posterior.predict(ALONG[1:])
     margins = power.mean_db - 1.2815515655446004 * power.deviation_db - THRESHOLD_DBM
     assert soft.verdict is Verdict.VERIFIED
     assert soft.certificate.relaxed_steps == (2, 3)
     assert soft.certificate.relaxation_db == pytest.approx((-margins[1], -margins[2]))
     assert soft.certificate.rule.slack_db == pytest.approx(-margins.min())
-    tight, _ = judged(hand_made("each_step", slack_max_db=-margins.min() - 0.01), GAP)
+    tight, _ = assessed(hand_made("each_step", slack_max_db=-margins.min() - 0.01), GAP)
     assert tight.verdict is Verdict.VIOLATED
 
 
@@ -330,6 +332,6 @@ def test_whole_rules_are_kept_where_power_is_good():
         ("outage", {"outage_max_m": 0.0}),
         ("data", {"p_min": 0.0, "data_mbit": 4.0, "deadline_s": 5.0, "rate_mbit_s": 1.0}),
     ):
-        judgement, _ = judged(hand_made(form, slack_max_db=3.0, **rule), good_everywhere)
+        judgement, _ = assessed(hand_made(form, slack_max_db=3.0, **rule), good_everywhere)
         assert judgement.verdict is Verdict.VERIFIED
         assert judgement.certificate.rule.slack_db == 0.0

@@ -30,7 +30,7 @@ from tests.planning.two_stations import (
 POWERS = (west_power, east_power)
 
 
-def judged(problem: Problem, belief, path: np.ndarray) -> tuple[Certificate, Verdict]:
+def assessed(problem: Problem, belief, path: np.ndarray) -> tuple[Certificate, Verdict]:
     """Certificate and verdict of a path."""
     under = known_in(problem, belief)
     index = index_obstacles(problem.workspace)
@@ -47,7 +47,7 @@ def across(**changes: object) -> tuple[Problem, np.ndarray]:
 def test_a_path_that_is_handed_over_is_verified() -> None:
     """By the exact posterior."""
     problem, path = across()
-    certificate, verdict = judged(problem, belief_in(problem, POWERS), path)
+    certificate, verdict = assessed(problem, belief_in(problem, POWERS), path)
     assert verdict is Verdict.VERIFIED
     assert certificate.relaxed_steps == ()
     assert certificate.posterior == "exact"
@@ -67,10 +67,10 @@ def test_it_is_not_without_either_station(station: int) -> None:
         base, (bad_everywhere, east_power) if station else (west_power, bad_everywhere)
     )
     left = alone_in(belief, station)
-    assert judged(hard(base), belief, path)[1] is Verdict.VERIFIED
-    assert judged(hard(alone(base, station)), left, path)[1] is Verdict.VIOLATED
-    assert judged(hard(base), dead, path)[1] is Verdict.VIOLATED
-    certificate, _ = judged(alone(base, station), left, path)
+    assert assessed(hard(base), belief, path)[1] is Verdict.VERIFIED
+    assert assessed(hard(alone(base, station)), left, path)[1] is Verdict.VIOLATED
+    assert assessed(hard(base), dead, path)[1] is Verdict.VIOLATED
+    certificate, _ = assessed(alone(base, station), left, path)
     assert len(certificate.relaxed_steps) > 0
 
 
@@ -82,15 +82,15 @@ def test_it_is_violated_with_either_threshold_raised(station: int) -> None:
     raised = replace(stations[station], threshold_dbm=stations[station].threshold_dbm + 40.0)
     stations[station] = raised
     changed = hard(replace(problem, stations=tuple(stations)))
-    assert judged(changed, belief_in(problem, POWERS), path)[1] is Verdict.VIOLATED
+    assert assessed(changed, belief_in(problem, POWERS), path)[1] is Verdict.VIOLATED
 
 
 def test_the_order_of_stations_does_not_matter() -> None:
     """To rounding, or to the solver's tolerance."""
     problem, path = across()
     belief = belief_in(problem, POWERS)
-    one, verdict = judged(problem, belief, path)
-    other, same = judged(swapped(problem), swapped_belief(belief), path)
+    one, verdict = assessed(problem, belief, path)
+    other, same = assessed(swapped(problem), swapped_belief(belief), path)
     assert verdict is same
     assert other.min_connectivity == pytest.approx(one.min_connectivity, abs=1e-12)
 
@@ -195,11 +195,11 @@ def test_rules_hold_with_both_stations_and_not_with_one(name: str) -> None:
     p_min, rule = RULES[name]
     problem = with_rule(base, p_min, **rule)
     belief = belief_in(problem, POWERS)
-    certificate, verdict = judged(problem, belief, path)
+    certificate, verdict = assessed(problem, belief, path)
     assert verdict is Verdict.VERIFIED, certificate.reasons
     for station in (0, 1):
         left = alone(problem, station), alone_in(belief, station)
-        assert judged(*left, path)[1] is Verdict.VIOLATED
+        assert assessed(*left, path)[1] is Verdict.VIOLATED
 
 
 @pytest.mark.parametrize("name", ["average", "outage", "joint", "data", "probable data", "hard"])
@@ -210,7 +210,7 @@ def test_slack_is_what_all_thresholds_must_be_lowered_by(name: str) -> None:
     stations = tuple(replace(r, threshold_dbm=r.threshold_dbm + 25.0) for r in base.stations)
     problem = with_rule(replace(base, stations=stations), p_min, **(rule | {"slack_max_db": 40.0}))
     belief = belief_in(problem, POWERS)
-    certificate, verdict = judged(problem, belief, path)
+    certificate, verdict = assessed(problem, belief, path)
     assert verdict is Verdict.VERIFIED
     assert certificate.rule is not None
     slack = certificate.rule.slack_db
@@ -218,4 +218,4 @@ def test_slack_is_what_all_thresholds_must_be_lowered_by(name: str) -> None:
     strict = with_rule(problem, p_min, **(rule | {"slack_max_db": 0.0}))
     for lowered, expected in ((slack + 0.01, Verdict.VERIFIED), (slack - 0.01, Verdict.VIOLATED)):
         lower = tuple(replace(r, threshold_dbm=r.threshold_dbm - lowered) for r in stations)
-        assert judged(replace(strict, stations=lower), belief, path)[1] is expected
+        assert assessed(replace(strict, stations=lower), belief, path)[1] is expected

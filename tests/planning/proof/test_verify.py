@@ -50,7 +50,7 @@ from planopt.planning.solve import solve
 from planopt.world import index_obstacles
 
 
-def judged(
+def assessed(
     problem: Problem, path_m: np.ndarray, power_at=good_everywhere, start_m=None
 ) -> tuple[Certificate, Verdict]:
     """Judge a path of a robot that is where the path begins, or where the test says."""
@@ -88,7 +88,7 @@ def test_clearance_against_dense_sampling(places, data):
     polygons = data.draw(st.lists(st.sampled_from([WALL, CUP, RING]), min_size=1, unique=True))
     problem = small_problem(*polygons, speed_max_m_s=100.0)
     path = np.array(places)
-    certificate, _ = judged(problem, path)
+    certificate, _ = assessed(problem, path)
     obstacles = shapely.union_all(polygons)
     parts = np.linspace(0.0, 1.0, 1001)[:, None]
     samples = np.concatenate([a + parts * (b - a) for a, b in pairwise(path)])
@@ -102,7 +102,7 @@ def test_connectivity_against_plain_kriging():
     problem = small_problem(horizon=12)
     power = bad_where(lambda x, y: (x > 9) & (x < 16) & (y > 11))
     path = straight_path(problem)
-    certificate, _ = judged(problem, path, power)
+    certificate, _ = assessed(problem, path, power)
     mean, deviation = kriged(belief_of(problem, power), path[1:])
     probability = scipy.stats.norm.sf(-80.0, mean, deviation)
     assert certificate.min_connectivity == pytest.approx(probability.min(), abs=1e-9)
@@ -172,7 +172,7 @@ def test_every_reason_is_given():
     """A plan that breaks everything hears of everything."""
     problem = small_problem(WALL)
     path = [(19.0, 15.0), (45.0, 15.0)]
-    certificate, verdict = judged(problem, path, bad_everywhere)
+    certificate, verdict = assessed(problem, path, bad_everywhere)
     assert verdict is Verdict.VIOLATED
     for key in ("clearance_m", "bounds_m", "speed_max_m_s", "p_min"):
         assert any(key in reason for reason in certificate.reasons)
@@ -186,7 +186,7 @@ def test_margin_to_a_hundredth_of_a_db():
     limit = float(mean[0] - scipy.stats.norm.ppf(0.9) * deviation[0])
 
     def at(threshold_dbm):
-        return judged(unpriced(small_problem(horizon=1, threshold_dbm=threshold_dbm)), path)
+        return assessed(unpriced(small_problem(horizon=1, threshold_dbm=threshold_dbm)), path)
 
     # The belief's mean is the usual threshold, whatever this problem's own is.
     certificate, verdict = at(limit + 0.01)
@@ -214,7 +214,7 @@ WIDE, OPEN_WIDE = bad_band(15.0, 25.0), bad_band(15.0, 25.0, open_above_m=20.0)
 def test_path_cost_is_the_plans_by_hand():
     """Metres driven, those of steps below the bound by 1 + price (1 - P), and the rest."""
     problem, power = priced(3.0), WIDE
-    certificate = assert_verified(judged(problem, CROSSING, power))
+    certificate = assert_verified(assessed(problem, CROSSING, power))
     mean, deviation = kriged(belief_of(problem, power), CROSSING)
     score = (mean - THRESHOLD_DBM) / deviation
     share = np.where(score < scipy.stats.norm.ppf(0.9), scipy.stats.norm.sf(score), 0.0)
@@ -226,23 +226,23 @@ def test_path_cost_is_the_plans_by_hand():
 @pytest.mark.parametrize("beyond_m", [-0.1, 0.1])
 def test_just_as_much_dearer_as_is_tolerated(monkeypatch, beyond_m):
     """Whatever the tolerance is: cost equal to it is excused, a little more is not."""
-    certificate = assert_verified(judged(small_problem(), CROSSING, WIDE))
+    certificate = assert_verified(assessed(small_problem(), CROSSING, WIDE))
     over = certificate.path_cost_m / certificate.best_cost_m - 1.0
     monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", 0.0)
     monkeypatch.setattr(single_steps, "COST_TOLERANCE", over - beyond_m / 100.0)
-    _, verdict = judged(small_problem(), CROSSING, WIDE)
+    _, verdict = assessed(small_problem(), CROSSING, WIDE)
     assert (verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
 
 
 @pytest.mark.parametrize("beyond_m", [-0.1, 0.1])
 def test_the_leeway_is_of_steps_out_of_contact(monkeypatch, beyond_m):
     """So many longest steps, each metre of them at the whole price."""
-    certificate = assert_verified(judged(small_problem(), CROSSING, WIDE))
+    certificate = assert_verified(assessed(small_problem(), CROSSING, WIDE))
     over = certificate.path_cost_m - certificate.best_cost_m
     step = small_problem().step_length_m * 11.0
     monkeypatch.setattr(single_steps, "COST_TOLERANCE", 0.0)
     monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", (over - beyond_m) / step)
-    _, verdict = judged(small_problem(), CROSSING, WIDE)
+    _, verdict = assessed(small_problem(), CROSSING, WIDE)
     assert (verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
 
 
@@ -250,7 +250,7 @@ def test_the_leeway_is_of_steps_out_of_contact(monkeypatch, beyond_m):
 def test_a_run_may_not_waste_more_than_one_plan(beyond_m):
     """What steps below the bound have cost beyond the cheapest paths counts for all of the run."""
     problem = small_problem()
-    certificate = assert_verified(judged(problem, CROSSING, WIDE))
+    certificate = assert_verified(assessed(problem, CROSSING, WIDE))
     leeway = single_steps.COST_LEEWAY_STEPS * problem.step_length_m * 11.0
     driven = 70.0 + certificate.step_cost_m
     left = single_steps.COST_TOLERANCE * driven + leeway - certificate.step_excess_m
@@ -288,8 +288,8 @@ def test_a_mirrored_hole_is_judged_the_same(path):
     problem = small_problem()
     robot = replace(problem.robots[0], start_m=(35.0, 15.0), goal_m=(5.0, 15.0))
     other = replace(problem, robots=(robot,))
-    one, verdict = judged(problem, path, OPEN_WIDE)
-    two, other_verdict = judged(other, mirrored(path), lambda q: OPEN_WIDE(mirrored(q)))
+    one, verdict = assessed(problem, path, OPEN_WIDE)
+    two, other_verdict = assessed(other, mirrored(path), lambda q: OPEN_WIDE(mirrored(q)))
     assert verdict is other_verdict
     assert one.path_cost_m == pytest.approx(two.path_cost_m)
     assert one.best_cost_m == pytest.approx(two.best_cost_m)
@@ -299,7 +299,7 @@ def test_bound_that_is_met_nowhere():
     """Every step is below, no place is better: an answer with its number, not a plan."""
     problem = small_problem()
     certificate = assert_rejected(
-        judged(problem, straight_path(problem), bad_everywhere), "met nowhere", "dB"
+        assessed(problem, straight_path(problem), bad_everywhere), "met nowhere", "dB"
     )
     assert certificate.relaxed_steps == (1, 2, 3, 4)
     everywhere = np.stack(np.meshgrid(np.arange(41.0), np.arange(31.0)), axis=-1).reshape(-1, 2)
@@ -338,9 +338,9 @@ def test_searches_by_nearby_measurements(monkeypatch):
     problem = unpriced(small_problem())
     path = straight_path(small_problem())
     power = bad_disc(5.0, 15.0, 3.5)
-    exact = assert_verified(judged(problem, path, power))
+    exact = assert_verified(assessed(problem, path, power))
     monkeypatch.setattr(predictions, "SEARCH_EXACT_LIMIT", 10)
-    nearby = assert_verified(judged(problem, path, power))
+    nearby = assert_verified(assessed(problem, path, power))
     assert nearby.posterior == "exact"
     assert nearby.relaxation_db == exact.relaxation_db
     assert nearby.best_margin_db == pytest.approx(exact.best_margin_db, abs=0.05)
@@ -363,7 +363,7 @@ def test_moving_the_scene_changes_no_judgement(seed):
     problem = small_problem(CUP)
     path = np.vstack([(5.0, 15.0), rng.normal(0.0, 1.2, (4, 2))]).cumsum(axis=0)
     power = bad_disc(*rng.uniform((5, 10), (20, 20)), 3.0)
-    certificate, verdict = judged(problem, path, power)
+    certificate, verdict = assessed(problem, path, power)
 
     def mirrored(q):
         return np.asarray(q) * (-1.0, 1.0) + (40.0, 0.0)
@@ -372,7 +372,7 @@ def test_moving_the_scene_changes_no_judgement(seed):
         small_problem(shapely.transform(CUP, mirrored)),
         robots=(replace(problem.robots[0], goal_m=(5.0, 15.0)),),
     )
-    flipped, other_verdict = judged(other, mirrored(path), lambda q: power(mirrored(q)))
+    flipped, other_verdict = assessed(other, mirrored(path), lambda q: power(mirrored(q)))
     assert other_verdict is verdict
     assert flipped.min_clearance_m == pytest.approx(certificate.min_clearance_m, abs=1e-9)
     assert flipped.min_connectivity == pytest.approx(certificate.min_connectivity, abs=1e-9)

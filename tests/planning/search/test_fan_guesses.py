@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 import shapely
-from terms_scene import LEARNING, judge_of, situation_of, terms_problem
+from terms_scene import LEARNING, context_of, scorer_of, terms_problem
 
 from planopt.channel import Station, condition
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -33,23 +33,23 @@ from planopt.world import clearance_m, inside_bounds, swept_clearance_m
 def fan_of(horizon, position_m=None):
     """A fan from a place, its situation and ground."""
     problem = terms_problem(LEARNING, horizon=horizon)
-    situation, belief = situation_of(problem)
+    context, belief = context_of(problem)
     if position_m is not None:
-        situation = replace(situation, state=np.asarray(position_m))
-    _, ground = judge_of(situation, belief)
+        context = replace(context, state=np.asarray(position_m))
+    _, ground = scorer_of(context, belief)
     rough = rough_clearance(problem, ground.index)
-    return fan_paths(situation, ground.index, rough, horizon), situation, ground, rough
+    return fan_paths(context, ground.index, rough, horizon), context, ground, rough
 
 
 @pytest.mark.parametrize("position_m", [None, (16.9, 20.0), (1.0, 39.0)])
 @pytest.mark.parametrize("horizon", [1, 5, 20])
 def test_every_way_is_free(horizon, position_m):
     """By the exact distances, with the pad; no step is longer than allowed."""
-    ways, situation, ground, _ = fan_of(horizon, position_m)
-    problem = situation.problem
+    ways, context, ground, _ = fan_of(horizon, position_m)
+    problem = context.problem
     assert ways.shape == (HEADINGS * (len(TURNS_RAD) if horizon > 1 else 1), horizon, 2)
     for way in ways:
-        path = np.vstack([situation.position_m, way])
+        path = np.vstack([context.position_m, way])
         assert inside_bounds(problem.workspace, path).all()
         moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 0.0
         clear = swept_clearance_m(ground.index, path)
@@ -59,10 +59,10 @@ def test_every_way_is_free(horizon, position_m):
 
 def test_ways_in_the_open_are_straight_and_even_arcs():
     """Nothing is in the way: at full speed, the turn the same at every step."""
-    ways, situation, *_ = fan_of(3, (8.0, 20.0))
+    ways, context, *_ = fan_of(3, (8.0, 20.0))
     legs = np.diff(np.concatenate([np.full((len(ways), 1, 2), [8.0, 20.0]), ways], axis=1), axis=1)
     np.testing.assert_allclose(
-        np.linalg.norm(legs, axis=2), situation.problem.step_length_m, atol=1e-5
+        np.linalg.norm(legs, axis=2), context.problem.step_length_m, atol=1e-5
     )
     heading = np.unwrap(np.arctan2(legs[..., 1], legs[..., 0]), axis=1)
     turn = np.diff(heading, axis=1)
@@ -72,19 +72,19 @@ def test_ways_in_the_open_are_straight_and_even_arcs():
 
 def test_ways_go_on_at_a_wall():
     """From beside the obstacle straight ways at it turn aside instead of standing still."""
-    ways, situation, *_ = fan_of(10, (15.0, 20.0))
+    ways, context, *_ = fan_of(10, (15.0, 20.0))
     ahead = ways[0]
-    assert np.linalg.norm(ahead[-1] - situation.position_m) > 3.0 * situation.problem.step_length_m
+    assert np.linalg.norm(ahead[-1] - context.position_m) > 3.0 * context.problem.step_length_m
     assert (np.linalg.norm(np.diff(ahead, axis=0), axis=1) > 0.0).sum() >= 7
 
 
 def test_slow_ways_are_short():
     """Speed is a share of the largest."""
-    _, situation, ground, rough = fan_of(4)
+    _, context, ground, rough = fan_of(4)
     turn, speed = np.zeros((4, 1)), np.array([[1.0], [0.5], [0.0], [0.25]])
-    way = driven_paths(situation, ground.index, rough, turn, speed)[0]
+    way = driven_paths(context, ground.index, rough, turn, speed)[0]
     np.testing.assert_allclose(
-        way[:, 0] - situation.position_m[0], 2.0 * np.cumsum(speed[:, 0]), atol=1e-5
+        way[:, 0] - context.position_m[0], 2.0 * np.cumsum(speed[:, 0]), atol=1e-5
     )
 
 
@@ -145,43 +145,43 @@ def test_arcs_have_their_chord(chord, steps):
 INFORMATION = {"kind": "mapping", "form": "information"}
 
 
-def plan_for(situation, belief):
+def plan_for(context, belief):
     """The plan from a situation."""
-    judge, ground = judge_of(situation, replace(belief, posterior=situation.posterior))
-    return HorizonPlanner(situation.problem, ground).plan(situation, judge)
+    scorer, ground = scorer_of(context, replace(belief, posterior=context.posterior))
+    return HorizonPlanner(context.problem, ground).plan(context, scorer)
 
 
 @pytest.mark.parametrize("horizon", [1, 8])
 def test_ways_are_better_than_the_fan(horizon):
     """And sound, and the same each time."""
     problem = terms_problem(INFORMATION, horizon=horizon)
-    situation, belief = situation_of(problem)
-    judge, ground = judge_of(situation, belief)
+    context, belief = context_of(problem)
+    scorer, ground = scorer_of(context, belief)
     search = FanGuesses(problem, ground)
-    found = search.find_paths(situation, [])
+    found = search.find_paths(context, [])
     rough = rough_clearance(problem, ground.index)
-    fan = fan_paths(situation, ground.index, rough, horizon)
-    assert judge.objective(found[0]) >= LocalRanking(situation, fan)(fan).max() - 1e-9
-    for way, again in zip(found, search.find_paths(situation, []), strict=True):
+    fan = fan_paths(context, ground.index, rough, horizon)
+    assert scorer.objective(found[0]) >= LocalRanking(context, fan)(fan).max() - 1e-9
+    for way, again in zip(found, search.find_paths(context, []), strict=True):
         np.testing.assert_array_equal(way, again)
 
 
 @pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
 def test_a_redundant_obstacle_changes_nothing(terms):
     """One inside another obstacle, or beyond all steps."""
-    situation, belief = situation_of(terms_problem(*terms))
-    plan = plan_for(situation, belief)
-    workspace = situation.problem.workspace
+    context, belief = context_of(terms_problem(*terms))
+    plan = plan_for(context, belief)
+    workspace = context.problem.workspace
     known = workspace.obstacles[0]
     more = (
         replace(known, name="inner", polygon=shapely.box(19.0, 15.0, 21.0, 20.0)),
         replace(known, name="far", polygon=shapely.box(36.0, 36.0, 38.0, 38.0)),
     )
     problem = replace(
-        situation.problem,
+        context.problem,
         workspace=replace(workspace, obstacles=(*workspace.obstacles, *more)),
     )
-    other = plan_for(replace(situation, problem=problem), belief)
+    other = plan_for(replace(context, problem=problem), belief)
     np.testing.assert_allclose(other.positions_m, plan.positions_m, atol=1e-6)
 
 
@@ -189,9 +189,9 @@ def test_a_redundant_obstacle_changes_nothing(terms):
 def test_centimetres_for_metres_give_the_scaled_plan(terms, monkeypatch):
     """All lengths a hundred times as long, path loss adapted; polished to the optimum."""
     monkeypatch.setattr(path_nlp, "SETTLED", {})
-    situation, belief = situation_of(terms_problem(*terms))
-    plan = plan_for(situation, belief)
-    problem, parameters = situation.problem, situation.posterior.parameters
+    context, belief = context_of(terms_problem(*terms))
+    plan = plan_for(context, belief)
+    problem, parameters = context.problem, context.posterior.parameters
     site = problem.stations[0].site
 
     def longer(station):
@@ -216,7 +216,7 @@ def test_centimetres_for_metres_give_the_scaled_plan(terms, monkeypatch):
         stations=(replace(problem.stations[0], **asdict(longer(site))),),
         constraints=replace(problem.constraints, clearance_m=1e2 * problem.constraints.clearance_m),
     )
-    measured = situation.posterior.measurements
+    measured = context.posterior.measurements
     posterior = condition(
         replace(
             parameters,
@@ -228,11 +228,11 @@ def test_centimetres_for_metres_give_the_scaled_plan(terms, monkeypatch):
     )
     other = plan_for(
         replace(
-            situation,
+            context,
             problem=scaled,
             posteriors=(posterior,),
-            state=1e2 * situation.state,
-            region=replace(situation.region, grid_m=1e2 * situation.region.grid_m),
+            state=1e2 * context.state,
+            region=replace(context.region, grid_m=1e2 * context.region.grid_m),
         ),
         belief,
     )

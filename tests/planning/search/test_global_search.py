@@ -13,10 +13,10 @@ from scenes import (
     bad_band,
     bad_disc,
     belief_of,
+    context_of,
     good_everywhere,
     kriged,
     search_of,
-    situation_of,
     small_problem,
     verified,
 )
@@ -31,7 +31,7 @@ from planopt.planning.search.pivot import Ahead
 def found(problem, power_at=good_everywhere) -> GlobalStart:
     """The start path from the problem's start."""
     search, belief, _ = search_of(problem, power_at)
-    start = search.find_start(situation_of(problem, belief, np.asarray(problem.robots[0].start_m)))
+    start = search.find_start(context_of(problem, belief, np.asarray(problem.robots[0].start_m)))
     assert start is not None
     return start
 
@@ -43,7 +43,7 @@ def test_path_is_one_that_can_be_driven(cost_to_go, horizon):
     problem = small_problem(CUP, cost_to_go=cost_to_go, horizon=horizon, start_m=(18.0, 15.0))
     search, belief, scene = search_of(problem)
     at = np.asarray(problem.robots[0].start_m)
-    start = search.find_start(situation_of(problem, belief, at))
+    start = search.find_start(context_of(problem, belief, at))
     assert start.path_m.shape == (horizon, 2)
     assert (scene.road_map.nodes_m[start.nodes] == start.path_m).all()
     path = np.vstack([at, start.path_m])
@@ -100,7 +100,7 @@ def test_cost_to_go_against_networkx(price, charge, slack_max_db):
     problem = replace(problem, constraints=replace(problem.constraints, rule=rule))
     power = bad_disc(20.0, 4.0, 6.0)
     search, belief, scene = search_of(problem, power)
-    start = search.find_start(situation_of(problem, belief, np.array([12.0, 15.0])))
+    start = search.find_start(context_of(problem, belief, np.array([12.0, 15.0])))
     road_map = scene.road_map
     corrected = search.margins
     z = (corrected.mean_db + 80.0) / corrected.deviation_db
@@ -163,7 +163,7 @@ def test_who_has_wandered_drives_the_shortest_path():
         (replace(BEGINNING, steps=most + 2), True),
         (replace(BEGINNING, has_circled=True), True),
     ):
-        start = search.find_start(situation_of(problem, belief, here, history))
+        start = search.find_start(context_of(problem, belief, here, history))
         assert start.is_direct == direct
     assert start.path_m[:, 1] == pytest.approx(15.0, abs=2.0)
 
@@ -177,9 +177,9 @@ def test_nodes_far_behind_are_left_out_and_change_no_path(jump, monkeypatch):
     nodes_m = scene.road_map.nodes_m
     away = np.linalg.norm(nodes_m - np.asarray(problem.goal_m), axis=1)
     near, far = nodes_m[np.argsort(away)[3]], nodes_m[np.argmax(away)]
-    search.find_start(situation_of(problem, belief, near))
-    situation = situation_of(problem, belief, far if jump else near)
-    again, fresh = search.find_start(situation), search_of(problem)[0].find_start(situation)
+    search.find_start(context_of(problem, belief, near))
+    context = context_of(problem, belief, far if jump else near)
+    again, fresh = search.find_start(context), search_of(problem)[0].find_start(context)
     assert again is not None and fresh is not None
     assert (again.nodes == fresh.nodes).all() and (again.route_m == fresh.route_m).all()
     known = np.isfinite(again.ways.cost_m)

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from scenes import bad_where, belief_of, situation_of, small_problem
+from scenes import bad_where, belief_of, context_of, small_problem
 from scipy.optimize import brentq
-from terms_scene import SENDING, judge_of, terms_problem
+from terms_scene import SENDING, scorer_of, terms_problem
 
 from planopt import Verdict
 from planopt.channel.kriging import predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.extend import Rung, Termination
-from planopt.planning.candidates import Judge
+from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.search.place_paths import paths_to_good_place
@@ -51,9 +51,9 @@ def just_in_reach(*polygons, planner="lattice", **more):
 def planned(problem, start):
     """The plan from the start."""
     belief = belief_of(problem, LEFT_BAD)
-    situation = situation_of(problem, belief, start)
-    judge, ground = judge_of(situation, belief)
-    return HorizonPlanner(problem, ground).plan(situation, judge)
+    situation = context_of(problem, belief, start)
+    scorer, ground = scorer_of(situation, belief)
+    return HorizonPlanner(problem, ground).plan(situation, scorer)
 
 
 @pytest.mark.parametrize("planner", ["lattice", "auto"])
@@ -67,25 +67,25 @@ def test_a_place_that_the_lattice_comes_to_too_late(planner):
 
 
 def standing(problem, start, steps):
-    """The judge of a step, and a candidate that stands still."""
+    """The scorer of a step, and a candidate that stands still."""
     index = index_obstacles(problem.workspace)
     posteriors = belief_of(problem, LEFT_BAD).posteriors
-    judge = Judge(VerifierContext(problem, index, posteriors, start), lambda *_: 0.0)
+    scorer = Scorer(VerifierContext(problem, index, posteriors, start), lambda *_: 0.0)
     path = np.tile(start, (steps, 1))
-    return judge, judge.judged(judge.candidate(path, Rung.STOP, Termination.NO_PATH))
+    return scorer, scorer.assessed(scorer.candidate(path, Rung.STOP, Termination.NO_PATH))
 
 
 def test_the_way_leads_round_an_obstacle():
     """Clear all along, steps no longer than a step, and the good place in as few as can be."""
     post = shapely.box(16.4, 14.6, 17.0, 15.9)
     problem, start = just_in_reach(post)
-    judge, still = standing(problem, start, 5)
+    scorer, still = standing(problem, start, 5)
     assert still.avoidable[0] in (3, 4)
-    paths = paths_to_good_place(judge, [still])
+    paths = paths_to_good_place(scorer, [still])
     assert paths
     way = np.vstack([start, paths[0]])
     assert way.shape == (6, 2)
-    assert swept_clearance_m(judge.index, way).min() >= problem.constraints.clearance_m
+    assert swept_clearance_m(scorer.index, way).min() >= problem.constraints.clearance_m
     assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= problem.step_length_m
-    margins = judge.margins_db(predict(judge.context.posterior, way[1:]))
+    margins = scorer.margins_db(predict(scorer.context.posterior, way[1:]))
     assert (margins >= 0.0).tolist() == [False, False, False, True, True]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import ENERGY, LEARNING, TRACKING, situation_of, terms_problem
+from terms_scene import ENERGY, LEARNING, TRACKING, context_of, terms_problem
 
 from planopt.channel import condition
 from planopt.objectives.stage_power import CUSP_ROUNDING
@@ -22,11 +22,11 @@ def mapping(form):
     return term
 
 
-def ways_of(situation, count=7):
+def ways_of(context, count=7):
     """Ways in all directions."""
     rng = np.random.default_rng(2)
-    shape = (count, situation.problem.planner.horizon, 2)
-    return situation.position_m + np.cumsum(rng.normal(size=shape), axis=1)
+    shape = (count, context.problem.planner.horizon, 2)
+    return context.position_m + np.cumsum(rng.normal(size=shape), axis=1)
 
 
 @pytest.mark.parametrize(
@@ -46,29 +46,29 @@ def test_values_are_the_exact_worths(terms, horizon, stations):
     """
     if stations > 1 and terms[0].get("form") == "two_layer":
         return  # refused when it is loaded
-    situation, _ = situation_of(terms_problem(*terms, horizon=horizon, stations=stations))
-    ways, worth = ways_of(situation), ObjectiveValue(situation)
+    context, _ = context_of(terms_problem(*terms, horizon=horizon, stations=stations))
+    ways, worth = ways_of(context), ObjectiveValue(context)
     exact = [worth(way) for way in ways]
     near = 3e-2 if terms[0].get("form") == "average" else 2e-4
-    np.testing.assert_allclose(LocalRanking(situation, ways)(ways), exact, rtol=near, atol=2e-4)
+    np.testing.assert_allclose(LocalRanking(context, ways)(ways), exact, rtol=near, atol=2e-4)
 
 
-def chances(situation, ways, threshold_dbm):
+def chances(context, ways, threshold_dbm):
     """P(connected) at every place of the ways."""
-    found = situation.posterior.connectivity(ways.reshape(-1, 2), threshold_dbm)
+    found = context.posterior.connectivity(ways.reshape(-1, 2), threshold_dbm)
     return found.reshape(ways.shape[:2])
 
 
 def test_ways_that_miss_the_bound_come_last():
     """Whatever they are worth."""
-    situation, _ = situation_of(terms_problem(LEARNING))
-    ways = ways_of(situation, 60)
-    chance = chances(situation, ways, -32.0)
-    station = replace(situation.problem.stations[0], threshold_dbm=-32.0)
-    free = replace(situation, problem=replace(situation.problem, stations=(station,)))
+    context, _ = context_of(terms_problem(LEARNING))
+    ways = ways_of(context, 60)
+    chance = chances(context, ways, -32.0)
+    station = replace(context.problem.stations[0], threshold_dbm=-32.0)
+    free = replace(context, problem=replace(context.problem, stations=(station,)))
     bounded = replace(free.problem, constraints=replace(free.problem.constraints, p_min=0.5))
-    situation = replace(situation, problem=bounded)
-    values, worths = LocalRanking(situation, ways)(ways), LocalRanking(free, ways)(ways)
+    context = replace(context, problem=bounded)
+    values, worths = LocalRanking(context, ways)(ways), LocalRanking(free, ways)(ways)
     kept = (chance >= 0.5).all(axis=1)
     assert 0 < kept.sum() < len(ways)
     np.testing.assert_allclose(values[kept], worths[kept])
@@ -78,14 +78,14 @@ def test_ways_that_miss_the_bound_come_last():
 
 def test_order_of_measurements_changes_nothing():
     """A channel is a set of measurements."""
-    situation, _ = situation_of(terms_problem(LEARNING, mapping("information")))
-    before = situation.posterior
+    context, _ = context_of(terms_problem(LEARNING, mapping("information")))
+    before = context.posterior
     order = np.random.default_rng(0).permutation(len(before.measurements))
     shuffled = condition(before.parameters, before.measurements.take(order))
-    ways = ways_of(situation)
+    ways = ways_of(context)
     np.testing.assert_allclose(
-        LocalRanking(replace(situation, posteriors=(shuffled,)), ways)(ways),
-        LocalRanking(situation, ways)(ways),
+        LocalRanking(replace(context, posteriors=(shuffled,)), ways)(ways),
+        LocalRanking(context, ways)(ways),
         rtol=1e-4,
     )
 
@@ -104,13 +104,13 @@ def differences(value, ways):
     return found
 
 
-def smooth_ways(situation):
+def smooth_ways(context):
     """Ways none of whose places are near a cusp: a measurement, or another place."""
     rng = np.random.default_rng(2)
-    parameters = situation.posterior.parameters
-    ways = situation.position_m + np.cumsum(rng.normal(size=(60, 4, 2)), axis=1)
+    parameters = context.posterior.parameters
+    ways = context.position_m + np.cumsum(rng.normal(size=(60, 4, 2)), axis=1)
     others = np.concatenate(
-        [np.tile(situation.posterior.measurements.positions_m, (60, 1, 1)), ways], axis=1
+        [np.tile(context.posterior.measurements.positions_m, (60, 1, 1)), ways], axis=1
     )
     apart = np.linalg.norm(ways[:, :, None] - others[:, None], axis=3)
     apart[apart == 0.0] = np.inf
@@ -132,9 +132,9 @@ def test_slopes_are_those_of_the_values(terms, stations):
     """In single precision; of one station, and added up over two."""
     if stations > 1 and terms[0].get("form") == "two_layer":
         return  # refused when it is loaded
-    situation, _ = situation_of(terms_problem(*terms, horizon=4, stations=stations))
-    ways = smooth_ways(situation)
-    ranking = LocalRanking(situation, ways)
+    context, _ = context_of(terms_problem(*terms, horizon=4, stations=stations))
+    ways = smooth_ways(context)
+    ranking = LocalRanking(context, ways)
     _, slopes = ranking.slopes(ways)
     wanted = differences(lambda moved: ranking.slopes(moved)[0], ways)
     np.testing.assert_allclose(slopes, wanted, atol=2e-2 * np.abs(wanted).max())
@@ -143,17 +143,17 @@ def test_slopes_are_those_of_the_values(terms, stations):
 @pytest.mark.parametrize("rule", ["each_step", "joint"])
 def test_slopes_lead_to_where_the_bound_is_kept(rule):
     """Where ways miss it, what is missing counts far more than all else."""
-    situation, _ = situation_of(terms_problem(mapping("information"), horizon=4))
-    ways = smooth_ways(situation)
-    station = replace(situation.problem.stations[0], threshold_dbm=-32.0)
+    context, _ = context_of(terms_problem(mapping("information"), horizon=4))
+    ways = smooth_ways(context)
+    station = replace(context.problem.stations[0], threshold_dbm=-32.0)
     constraints = replace(
-        situation.problem.constraints,
+        context.problem.constraints,
         p_min=0.8,
-        rule=replace(situation.problem.constraints.rule, connectivity=rule),
+        rule=replace(context.problem.constraints.rule, connectivity=rule),
     )
-    problem = replace(situation.problem, stations=(station,), constraints=constraints)
-    bounded = LocalRanking(replace(situation, problem=problem), ways)
-    free = LocalRanking(situation, ways)
+    problem = replace(context.problem, stations=(station,), constraints=constraints)
+    bounded = LocalRanking(replace(context, problem=problem), ways)
+    free = LocalRanking(context, ways)
     values, slopes = bounded.slopes(ways)
     missed = values < free(ways) - 1e-6
     assert missed.any()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 from scenes import small_road_map
-from terms_scene import TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import Measurements
 from planopt.channel import ChannelParameters, Station, condition
@@ -79,14 +79,14 @@ def test_a_new_belief_forgets_the_corrections(road_map, margins):
 
 def test_places_have_the_power_of_the_nearest_node_of_the_window():
     """Also beyond the window, and at the border of the lattice; none where nodes are not free."""
-    situation, belief = situation_of(terms_problem(TRACKING))
-    lattice = judge_of(situation, belief)[1].road_map.lattice
+    context, belief = context_of(terms_problem(TRACKING))
+    lattice = scorer_of(context, belief)[1].road_map.lattice
     field = NodeField(lattice)
-    field.refresh(situation, 12.0)
+    field.refresh(context, 12.0)
     rows, columns = np.mgrid[field.window].reshape(2, -1)
     inside = (rows < lattice.shape[0]) & (columns < lattice.shape[1])
     nodes = np.column_stack([rows, columns])[inside]
-    places = situation.position_m + np.random.default_rng(0).uniform(-14.0, 14.0, (300, 2))
+    places = context.position_m + np.random.default_rng(0).uniform(-14.0, 14.0, (300, 2))
     away = np.linalg.norm(places[:, None] - field.places_m(nodes), axis=2)
     beside = nodes[away.argmin(axis=1)]
     found = field.nearest(places)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import Verdict
 from planopt.planning.planners import planner_for
@@ -20,46 +20,46 @@ RECOURSE = {**TRACKING, "form": "recourse"}
 
 @pytest.fixture(scope="module")
 def step():
-    """A situation with its judge and ground."""
+    """A situation with its scorer and ground."""
     problem = terms_problem(RECOURSE, horizon=6)
-    situation, belief = situation_of(problem)
-    judge, ground = judge_of(situation, belief)
-    return problem, situation, judge, ground
+    context, belief = context_of(problem)
+    scorer, ground = scorer_of(context, belief)
+    return problem, context, scorer, ground
 
 
-def found_ways(problem, situation, ground):
+def found_ways(problem, context, ground):
     """The ways of a search whose field knows what the situation does."""
     field = NodeField(ground.road_map.lattice)
-    field.refresh(situation, problem.planner.horizon * problem.step_length_m)
-    return ProbedPlaces(problem, ground).find_paths(situation, field)
+    field.refresh(context, problem.planner.horizon * problem.step_length_m)
+    return ProbedPlaces(problem, ground).find_paths(context, field)
 
 
 def test_ways_keep_the_step_length_and_end_at_rest(step):
     """All of them start where the robot is; the best come first by the value of the term."""
-    problem, situation, _, ground = step
-    ways = found_ways(problem, situation, ground)
+    problem, context, _, ground = step
+    ways = found_ways(problem, context, ground)
     assert len(ways) == PROBED
     for way in ways:
-        legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, way]), axis=0), axis=1)
+        legs = np.linalg.norm(np.diff(np.vstack([context.position_m, way]), axis=0), axis=1)
         assert legs.max() <= problem.step_length_m
 
 
 def test_plans_try_what_is_worth_it(step):
     """The released plan is verified, and worth no less than any way of the search."""
-    problem, situation, judge, ground = step
-    plan = planner_for(problem, ground, np.random.default_rng(0)).plan(situation, judge)
+    problem, context, scorer, ground = step
+    plan = planner_for(problem, ground, np.random.default_rng(0)).plan(context, scorer)
     assert plan.verdict is Verdict.VERIFIED
-    for way in found_ways(problem, situation, ground):
-        assert plan.objective >= judge.objective(way) - 1e-12
+    for way in found_ways(problem, context, ground):
+        assert plan.objective >= scorer.objective(way) - 1e-12
 
 
 def test_known_connection_draws_the_robot(step):
     """A measurement with connection beside the target is where the plan ends."""
-    problem, situation, _, ground = step
-    here = situation.position_m
+    problem, context, _, ground = step
+    here = context.position_m
     beside = here + np.array([1.1 * problem.step_length_m, 0.0])
-    links = replace(situation.links, connected_m=beside[None], lost_m=np.zeros((0, 2)))
-    known = replace(situation, target_m=np.tile(beside + (1.0, 0.0), (6, 1)))
+    links = replace(context.links, connected_m=beside[None], lost_m=np.zeros((0, 2)))
+    known = replace(context, target_m=np.tile(beside + (1.0, 0.0), (6, 1)))
     object.__setattr__(known, "links", links)
     ends = [way[-1] for way in found_ways(problem, known, ground)]
     np.testing.assert_array_equal(ends[0], beside)
@@ -69,9 +69,9 @@ def test_known_connection_draws_the_robot(step):
 def test_the_best_of_all_places_is_among_the_compared(seed, monkeypatch):
     """Predicting the ends of all ways instead finds nothing that is worth a hundredth more."""
     problem = terms_problem(RECOURSE, horizon=6)
-    situation, belief = situation_of(problem, seed)
-    _, ground = judge_of(situation, belief)
-    worth = ObjectiveValue(situation)
-    best = max(worth(way) for way in found_ways(problem, situation, ground))
+    context, belief = context_of(problem, seed)
+    _, ground = scorer_of(context, belief)
+    worth = ObjectiveValue(context)
+    best = max(worth(way) for way in found_ways(problem, context, ground))
     monkeypatch.setattr(place_paths, "COMPARED", 10**6)
-    assert best >= 0.99 * max(worth(way) for way in found_ways(problem, situation, ground))
+    assert best >= 0.99 * max(worth(way) for way in found_ways(problem, context, ground))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt.planning.search.guess_search import StageRewards
 from planopt.planning.search.node_margins import NodeField
@@ -16,17 +16,17 @@ from planopt.planning.values.rule_rows import Guide
 
 def rewards_of(problem, reach_m=6.0):
     """Rewards about the start, the field and the situation."""
-    situation, belief = situation_of(problem)
-    _, ground = judge_of(situation, belief)
+    context, belief = context_of(problem)
+    _, ground = scorer_of(context, belief)
     field = NodeField(ground.road_map.lattice)
-    field.refresh(situation, reach_m)
+    field.refresh(context, reach_m)
     count = problem.planner.horizon
     guide = Guide(
         problem.constraints.p_min,
         np.full(count, problem.constraints.p_min > 0.0),
         np.zeros(count),
     )
-    return StageRewards(situation, field, guide), field, situation
+    return StageRewards(context, field, guide), field, context
 
 
 def nodes_near(field, count=5):
@@ -38,7 +38,7 @@ def nodes_near(field, count=5):
 
 def test_rewards_along_a_path_are_the_windows_and_its_worth():
     """Stage by stage; with good predictions at the nodes their sum is the path's worth."""
-    rewards, field, situation = rewards_of(terms_problem(TRACKING))
+    rewards, field, context = rewards_of(terms_problem(TRACKING))
     nodes = nodes_near(field)
     windows = [
         rewards(k + 1, (slice(row, row + 1), slice(column, column + 1)))[0, 0]
@@ -48,7 +48,7 @@ def test_rewards_along_a_path_are_the_windows_and_its_worth():
     assert field.correct(nodes)
     assert not field.correct(nodes)
     rewards.corrected(nodes)
-    worth = ObjectiveValue(situation)(field.places_m(nodes))
+    worth = ObjectiveValue(context)(field.places_m(nodes))
     assert rewards.along(nodes).sum() == pytest.approx(worth, rel=1e-9)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from scenes import search_of, situation_of, small_problem
+from scenes import context_of, search_of, small_problem
 
 from planopt.planning.scene import first_moves
 from planopt.world import MovingDiscs
@@ -26,7 +26,7 @@ def found_beside(problem, discs):
     """The start alone, and what is found beside discs."""
     search, belief, _ = search_of(problem)
     here = np.asarray(problem.robots[0].start_m)
-    start = search.find_start(situation_of(problem, belief, here))
+    start = search.find_start(context_of(problem, belief, here))
     return start, search.beside(here, start, discs)
 
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import shapely
-from terms_scene import ENERGY, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import ENERGY, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import Obstacle, Verdict
 from planopt.planning.horizon_planner import HorizonPlanner
@@ -24,27 +24,27 @@ BETWEEN = np.array([15.0, 20.0])
 
 
 def scene(*terms, spacing_m=7.0, **planner):
-    """Problem, situation, judge and ground, the robot at `BETWEEN` on a measurement of its own."""
+    """Problem, context, scorer and ground, the robot at `BETWEEN` on a measurement of its own."""
     problem = terms_problem(*(terms or (INFORMATION,)), **planner)
     channel = replace(problem.channel, measure_spacing_m=spacing_m)
     robot = replace(problem.robots[0], start_m=tuple(BETWEEN))
     problem = replace(problem, channel=channel, robots=(robot,))
-    situation, belief = situation_of(problem)
-    return problem, situation, *judge_of(situation, belief)
+    context, belief = context_of(problem)
+    return problem, context, *scorer_of(context, belief)
 
 
 def test_the_way_leads_to_an_open_place_and_is_short():
     """Every step clear and no longer than allowed; what it leads to brings a measurement."""
-    problem, situation, _, ground = scene(horizon=12)
-    way = path_to_unmeasured(situation, ground)
+    problem, context, _, ground = scene(horizon=12)
+    way = path_to_unmeasured(context, ground)
     assert way.shape == (12, 2)
     whole = np.vstack([BETWEEN, way])
     assert np.linalg.norm(np.diff(whole, axis=0), axis=1).max() <= problem.step_length_m
     assert swept_clearance_m(ground.index, whole).min() >= problem.constraints.clearance_m
-    taken = situation.measuring.takes(way)
-    assert taken.any() and not situation.measuring.takes(way[:1]).any()
+    taken = context.measuring.takes(way)
+    assert taken.any() and not context.measuring.takes(way[:1]).any()
     nodes = ground.road_map.nodes_m
-    lengths = PathsFrom(problem, ground, BETWEEN).length_m[situation.measuring.is_open(nodes)]
+    lengths = PathsFrom(problem, ground, BETWEEN).length_m[context.measuring.is_open(nodes)]
     fewest = np.ceil(lengths.min() / problem.step_length_m)
     assert int(taken.argmax()) + 1 <= fewest + 2
 
@@ -54,29 +54,29 @@ def test_the_way_leads_to_an_open_place_and_is_short():
 def test_plans_that_cannot_measure_lead_out(planner, horizon):
     """Verified, and nearer to what is open, instead of standing where nothing is worth anything."""
     name = "one_step" if planner is OneStepPlanner else "auto"
-    problem, situation, judge, ground = scene(horizon=horizon, name=name)
-    plan = planner(problem, ground).plan(situation, judge)
+    problem, context, scorer, ground = scene(horizon=horizon, name=name)
+    plan = planner(problem, ground).plan(context, scorer)
     assert plan.verdict is Verdict.VERIFIED
     assert plan.objective == 0.0
     assert 1.5 < np.linalg.norm(plan.positions_m[1] - BETWEEN) <= 2.0
-    nodes = ground.road_map.nodes_m[situation.measuring.is_open(ground.road_map.nodes_m)]
+    nodes = ground.road_map.nodes_m[context.measuring.is_open(ground.road_map.nodes_m)]
     away = [np.linalg.norm(nodes - place, axis=1).min() for place in plan.positions_m]
     assert away[1] < away[0] and away[-1] <= away[1]
 
 
 def test_other_terms_decide_for_themselves():
     """Who tracks a target as well is not sent away from it."""
-    problem, situation, _, ground = scene(TRACKING, INFORMATION, horizon=1)
+    problem, context, _, ground = scene(TRACKING, INFORMATION, horizon=1)
     planner = HorizonPlanner(problem, ground)
-    assert planner._way_out(situation, []) is None
-    problem, situation, _, ground = scene(INFORMATION, ENERGY, horizon=1)
-    assert HorizonPlanner(problem, ground)._way_out(situation, []) is not None
+    assert planner._way_out(context, []) is None
+    problem, context, _, ground = scene(INFORMATION, ENERGY, horizon=1)
+    assert HorizonPlanner(problem, ground)._way_out(context, []) is not None
 
 
 def test_with_all_measured_there_is_no_way():
     """Also where what is left cannot be come to."""
-    problem, situation, _, ground = scene(spacing_m=100.0)
-    assert path_to_unmeasured(situation, ground) is None
+    problem, context, _, ground = scene(spacing_m=100.0)
+    assert path_to_unmeasured(context, ground) is None
     walls = tuple(
         Obstacle(f"wall {k}", box)
         for k, box in enumerate(
@@ -89,19 +89,19 @@ def test_with_all_measured_there_is_no_way():
         )
     )
     closed = replace(problem, workspace=replace(problem.workspace, obstacles=walls))
-    situation, belief = situation_of(replace(closed, channel=scene()[0].channel))
-    _, ground = judge_of(situation, belief)
+    context, belief = context_of(replace(closed, channel=scene()[0].channel))
+    _, ground = scorer_of(context, belief)
     places = np.stack(np.meshgrid(np.arange(8.0, 25.0), np.arange(8.0, 33.0)), axis=-1)
 
-    some = situation.posterior.measurements
+    some = context.posterior.measurements
     everywhere = some.take(np.zeros(places.size // 2, dtype=np.intp))
     inside = SimpleNamespace(
         measurements=replace(everywhere, positions_m=places.reshape(-1, 2)),
-        parameters=situation.posterior.parameters,
+        parameters=context.posterior.parameters,
     )
-    hemmed = replace(situation, posteriors=(inside,))
+    hemmed = replace(context, posteriors=(inside,))
     assert path_to_unmeasured(hemmed, ground) is None
-    assert situation.measuring.is_open(ground.road_map.nodes_m).any()
+    assert context.measuring.is_open(ground.road_map.nodes_m).any()
 
 
 @pytest.mark.parametrize("horizon", [1, 4])

@@ -26,7 +26,7 @@ SCENES = {
     "they meet in a street with a niche": (NICHE, [((4, 15), (36, 15)), ((36, 15), (4, 15))]),
     "both are in the street": (STREET, [((11, 15), (36, 15)), ((29, 15), (4, 15))]),
     "one stops in the way of the other": (NICHE, [((13, 15), (20.5, 15)), ((4, 15), (36, 15))]),
-    "one stands in the way already": (NICHE, [((20.5, 15), (20.5, 15)), ((4, 15), (36, 15))]),
+    "one makes this infeasible already": (NICHE, [((20.5, 15), (20.5, 15)), ((4, 15), (36, 15))]),
     "the nearer goal shuts the farther one in": (
         DEAD_END,
         [((4, 10), (12, 15)), ((4, 28), (36, 15))],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rules_scene import RULES, ruled_problem
 from scipy.stats import binomtest
-from terms_scene import LEARNING, TRACKING, judge_of, situation_of, terms_problem
+from terms_scene import LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import ConnectivityRule, Verdict
 from planopt.channel import sample_power
@@ -36,10 +36,10 @@ def test_plan_keeps_a_rule_that_binds(form):
     free = free_plan()
     assert plan.objective < free.objective
     problem = ruled_problem(form)
-    situation, belief = situation_of(problem, SEED)
-    broken = judge_of(situation, belief)[0]
-    judged = broken.judged(broken.candidate(free.positions_m[1:], plan.rung, plan.termination))
-    assert judged.verdict is Verdict.VIOLATED
+    context, belief = context_of(problem, SEED)
+    broken = scorer_of(context, belief)[0]
+    assessed = broken.assessed(broken.candidate(free.positions_m[1:], plan.rung, plan.termination))
+    assert assessed.verdict is Verdict.VIOLATED
     # The bound is used, not only kept: little of what is asked is left over.
     if form not in ("each_step", "outage"):
         assert -result.missing < 0.02 * result.asked
@@ -51,18 +51,18 @@ def test_plan_keeps_a_rule_that_binds(form):
 def test_no_driven_way_of_many_is_worth_more(form):
     """Random ways that keep the rule are worth no more than the plan."""
     problem = ruled_problem(form)
-    situation, belief = situation_of(problem, SEED)
-    judge, ground = judge_of(situation, belief)
-    plan = HorizonPlanner(problem, ground).plan(situation, judge)
+    context, belief = context_of(problem, SEED)
+    scorer, ground = scorer_of(context, belief)
+    plan = HorizonPlanner(problem, ground).plan(context, scorer)
     generator = np.random.default_rng(0)
     best = -np.inf
     for _ in range(300):
         heading = generator.uniform(0, 2 * np.pi) + np.cumsum(generator.normal(0, 0.4, 5))
         steps = generator.uniform(0, 2, (5, 1)) * np.stack([np.cos(heading), np.sin(heading)], 1)
-        path = situation.position_m + np.cumsum(steps, axis=0)
-        worth = judge.objective(path)
+        path = context.position_m + np.cumsum(steps, axis=0)
+        worth = scorer.objective(path)
         if worth > best:
-            found = judge.judged(judge.candidate(path, plan.rung, plan.termination))
+            found = scorer.assessed(scorer.candidate(path, plan.rung, plan.termination))
             best = worth if found.verdict is Verdict.VERIFIED else best
     assert plan.objective >= best
 
@@ -84,14 +84,14 @@ def test_slack_of_single_steps_has_its_price():
     """The objective is that of the terms less price times all missing dB."""
     asked = {"p_min": 0.97, "slack_max_db": 2.0, "slack_price": 0.5}
     problem = ruled_problem("each_step", **asked)
-    situation, belief = situation_of(problem, SEED)
-    judge, ground = judge_of(situation, belief)
-    plan = HorizonPlanner(problem, ground).plan(situation, judge)
+    context, belief = context_of(problem, SEED)
+    scorer, ground = scorer_of(context, belief)
+    plan = HorizonPlanner(problem, ground).plan(context, scorer)
     missing = sum(plan.certificate.relaxation_db)
     assert plan.verdict is Verdict.VERIFIED
     assert 0.0 < missing
     assert max(plan.certificate.relaxation_db) <= 2.0 + 1e-6
-    terms = sum(ObjectiveValue(situation).by_term(plan.positions_m[1:]))
+    terms = sum(ObjectiveValue(context).by_term(plan.positions_m[1:]))
     assert plan.objective == pytest.approx(terms - 0.5 * missing, abs=1e-6)
 
 

@@ -12,8 +12,8 @@ from terms_scene import (
     CONNECT,
     LEARNING,
     TRACKING,
-    judge_of,
-    situation_of,
+    context_of,
+    scorer_of,
     terms_problem,
 )
 
@@ -37,7 +37,7 @@ def plan_of(verdict=Verdict.VERIFIED, rung=Rung.PLAN, then_m=0.0):
 
 def driven(problem, places, learnt, plan=None, posteriors=None):
     """One robot that was driven along `places`."""
-    found = situation_of(problem)[0].stations if posteriors is None else posteriors
+    found = context_of(problem)[0].stations if posteriors is None else posteriors
     return Progress(
         problem, [np.asarray(p) for p in places], learnt, [plan or plan_of()] * len(learnt), found
     )
@@ -100,14 +100,14 @@ def test_circling_is_a_stall() -> None:
 
 def everything_measured(problem):
     """What is believed once all of the workspace has been measured."""
-    situation, _ = situation_of(problem)
-    lattice = judge_of(*situation_of(problem))[1].road_map
+    context, _ = context_of(problem)
+    lattice = scorer_of(*context_of(problem))[1].road_map
     step = 0.6 * problem.channel.measure_spacing_m
     x = np.arange(*problem.workspace.bounds_m[::2], step)
     y = np.arange(*problem.workspace.bounds_m[1::2], step)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     assert len(lattice.nodes_m)
-    posterior = situation.posterior
+    posterior = context.posterior
     return SimpleNamespace(measurements=SimpleNamespace(positions_m=places), real=posterior)
 
 
@@ -119,14 +119,14 @@ def test_with_nothing_left_to_learn_a_run_is_completed() -> None:
     ended = terms_ending(problem, no_packet(), [standing(problem, posteriors=[known])])
     assert ended == (Outcome.COMPLETED, "nothing left to learn after step 1")
     # One gap is enough, also one without a node in it.
-    node = judge_of(*situation_of(problem))[1].road_map
+    node = scorer_of(*context_of(problem))[1].road_map
     gap = np.array([30.0, 31.0])
     away = np.linalg.norm(node.nodes_m - gap, axis=1).min()
     places = known.measurements.positions_m
     kept = places[np.linalg.norm(places - gap, axis=1) > 2.3]
     some = SimpleNamespace(measurements=SimpleNamespace(positions_m=kept))
     left = left_to_learn(
-        problem, judge_of(*situation_of(problem))[1].index, node.lattice, HERE, [some]
+        problem, scorer_of(*context_of(problem))[1].index, node.lattice, HERE, [some]
     )
     assert len(left) and np.linalg.norm(left - gap, axis=1).max() < 2.0 + away
     outcome, _ = terms_ending(problem, no_packet(), [standing(problem, posteriors=[some])])
@@ -178,7 +178,7 @@ def test_places_that_the_others_measured_are_not_left() -> None:
     robot = problem.robots[0]
     x, y = np.meshgrid(np.arange(0.0, 41.0, 3.0), np.arange(0.0, 41.0, 3.0))
     everywhere = np.column_stack([x.ravel(), y.ravel()])
-    (before,) = situation_of(problem)[0].stations
+    (before,) = context_of(problem)[0].stations
     knowing = before.extend(Measurements(everywhere, np.full(len(everywhere), -50.0)))
     circling = [HERE, HERE + 0.1] * 20
     track = [HERE, *everywhere, *circling]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from apart_scene import apart_problem
 from team_scene import two_trackers
-from terms_scene import CONNECT, LEARNING, TRACKING, own_term, situation_of, terms_problem
+from terms_scene import CONNECT, LEARNING, TRACKING, context_of, own_term, terms_problem
 
 import planopt.planning.proof.context as predictions
 import planopt.planning.team.team_step as team_step
@@ -154,8 +154,8 @@ def test_the_objective_is_the_paths_own(name, monkeypatch):
         monkeypatch.setattr(module, "SEARCH_EXACT_LIMIT", 10)
     monkeypatch.setattr(predictions, "SEARCH_NEIGHBOURS", 6)
     problem = terms_problem(TRACKING, name=name, p_min=0.6)
-    situation, belief = situation_of(problem)
+    situation, belief = context_of(problem)
     member = build_team(problem, team_seeds(problem, 0))[0]
     plan, _ = member.plan(belief, member.start, Aim(situation.target_m, None), None)
-    alone, _ = situation_of(problem)
+    alone, _ = context_of(problem)
     assert plan.objective == pytest.approx(ObjectiveValue(alone)(plan.positions_m[1:]), rel=1e-12)

@@ -8,7 +8,7 @@ import networkx
 import numpy as np
 import pytest
 from scipy.stats import norm
-from terms_scene import CONNECT, judge_of, situation_of, terms_problem
+from terms_scene import CONNECT, context_of, scorer_of, terms_problem
 
 from planopt import Measurements
 from planopt.channel import condition
@@ -38,12 +38,12 @@ def search_problem(start_m=(32.0, 34.0), threshold_dbm=THRESHOLD_DBM, **planner)
 
 def known(problem, count=20):
     """StepContext and ground with few measurements, so that every prediction rests on all."""
-    situation, belief = situation_of(problem)
-    few = situation.posterior
+    context, belief = context_of(problem)
+    few = context.posterior
     kept = measured(few.measurements.positions_m[:count], few.measurements.power_dbm[:count])
     posterior = condition(few.parameters, kept)
-    _, ground = judge_of(situation, belief)
-    return replace(situation, posteriors=(posterior,), steering=None), ground
+    _, ground = scorer_of(context, belief)
+    return replace(context, posteriors=(posterior,), steering=None), ground
 
 
 def measured(places_m, power_dbm):
@@ -51,34 +51,34 @@ def measured(places_m, power_dbm):
     return Measurements(places_m, power_dbm, np.zeros(len(places_m), dtype=bool))
 
 
-def steered(situation, ground):
+def steered(context, ground):
     """The way that a search is steered along."""
-    problem = situation.problem
-    return ConnectionSteering(problem, ground, problem.terms[0]).find_way(situation)
+    problem = context.problem
+    return ConnectionSteering(problem, ground, problem.terms[0]).find_way(context)
 
 
-def oracle(situation, ground):
+def oracle(context, ground):
     """Nodes, and by networkx and the formula written out how long a search by each is."""
-    problem, road_map = situation.problem, ground.road_map
+    problem, road_map = context.problem, ground.road_map
     graph = networkx.DiGraph()
     for begin, end, length in zip(
         road_map.edge_from, road_map.edge_to, road_map.edge_length_m, strict=True
     ):
         graph.add_edge(int(begin), int(end), weight=float(length))
     nodes = road_map.nodes_m
-    here = int(np.linalg.norm(nodes - situation.position_m, axis=1).argmin())
-    offset = float(np.linalg.norm(nodes[here] - situation.position_m))
+    here = int(np.linalg.norm(nodes - context.position_m, axis=1).argmin())
+    offset = float(np.linalg.norm(nodes[here] - context.position_m))
     ways = networkx.single_source_dijkstra_path_length(graph, here)
     length = np.array([ways.get(number, np.inf) + offset for number in range(len(nodes))])
-    power = predict(situation.posterior, nodes)
+    power = predict(context.posterior, nodes)
     score = (power.mean_db - problem.stations[0].threshold_dbm) / power.deviation_db
     chance = norm.cdf(score)
-    apart = situation.posterior.parameters.decorrelation_m
+    apart = context.posterior.parameters.decorrelation_m
     found = length + apart / 3.0 * (1.0 - chance) / np.maximum(chance, 1e-12)
     spacing = 1.25 * problem.channel.measure_spacing_m
-    measured_m = situation.posterior.measurements
+    measured_m = context.posterior.measurements
     failed = measured_m.power_dbm < problem.stations[0].threshold_dbm
-    places = np.vstack([situation.position_m, measured_m.positions_m[failed]])
+    places = np.vstack([context.position_m, measured_m.positions_m[failed]])
     away = np.linalg.norm(nodes[:, None] - places, axis=2).min(axis=1)
     found[away < spacing] = np.inf
     return nodes, found
@@ -89,14 +89,14 @@ def oracle(situation, ground):
 )
 def test_the_end_makes_for_the_shortest_search(start, threshold):
     """Of all nodes, by another shortest path and the formula written out."""
-    situation, ground = known(search_problem(start, threshold))
-    way = steered(situation, ground)
-    nodes, lengths = oracle(situation, ground)
+    context, ground = known(search_problem(start, threshold))
+    way = steered(context, ground)
+    nodes, lengths = oracle(context, ground)
     end = int(np.linalg.norm(nodes - way.end_m, axis=1).argmin())
     np.testing.assert_allclose(nodes[end], way.end_m)
     assert lengths[end] == pytest.approx(lengths.min(), rel=1e-6)
     away = swept_clearance_m(ground.index, way.turns_m)
-    assert is_clear(away, situation.problem.constraints.clearance_m).all()
+    assert is_clear(away, context.problem.constraints.clearance_m).all()
 
 
 def test_one_more_connected_place_never_makes_the_search_longer():
@@ -116,26 +116,26 @@ def test_one_more_connected_place_never_makes_the_search_longer():
 def test_a_plan_is_charged_the_way_that_is_left():
     """And after it what a failed try is expected to cost; more, the farther it ends away."""
     problem = search_problem(horizon=3)
-    situation, ground = known(problem)
-    way = steered(situation, ground)
-    situation = replace(situation, steering=way)
+    context, ground = known(problem)
+    way = steered(context, ground)
+    context = replace(context, steering=way)
     path = way.path_m(3, problem.step_length_m)
-    legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path]), axis=0), axis=1)
+    legs = np.linalg.norm(np.diff(np.vstack([context.position_m, path]), axis=0), axis=1)
     assert (legs <= problem.step_length_m + 1e-9).all()
     term = problem.terms[0]
-    power = predict(situation.posterior, way.end_m[None])
+    power = predict(context.posterior, way.end_m[None])
     chance = norm.cdf((power.mean_db[0] - THRESHOLD_DBM) / power.deviation_db[0])
     whole = float(np.linalg.norm(np.diff(way.turns_m, axis=0), axis=1).sum())
-    apart = situation.posterior.parameters.decorrelation_m
+    apart = context.posterior.parameters.decorrelation_m
     search = whole + apart / 3.0 * (1.0 - chance) / chance
     search = min(search, whole + np.hypot(40.0, 40.0))
     after = search - legs.sum()
     expected = charged_distance_m(
-        situation.posteriors, path, replace(term.search(situation), beyond_m=after)
+        context.posteriors, path, replace(term.search(context), beyond_m=after)
     )
-    assert ObjectiveValue(situation)(path) == pytest.approx(-expected, rel=1e-6)
-    still = np.tile(situation.position_m, (3, 1))
-    assert ObjectiveValue(situation)(path) > ObjectiveValue(situation)(still)
+    assert ObjectiveValue(context)(path) == pytest.approx(-expected, rel=1e-6)
+    still = np.tile(context.position_m, (3, 1))
+    assert ObjectiveValue(context)(path) > ObjectiveValue(context)(still)
 
 
 @pytest.mark.parametrize("horizon", [1, 5])
@@ -162,18 +162,18 @@ def test_a_mirrored_scene_steers_to_the_mirrored_place():
     def mirror(places):
         return np.asarray(places) * [-1.0, 1.0] + [40.0, 0.0]
 
-    situation, ground = known(search_problem((32.0, 20.0), -36.0))
-    way = steered(situation, ground)
-    parameters, taken = situation.posterior.parameters, situation.posterior.measurements
+    context, ground = known(search_problem((32.0, 20.0), -36.0))
+    way = steered(context, ground)
+    parameters, taken = context.posterior.parameters, context.posterior.measurements
     station = replace(parameters.station, position_m=tuple(mirror(parameters.station.position_m)))
     posterior = condition(
         replace(parameters, station=station),
         measured(mirror(taken.positions_m), taken.power_dbm),
     )
-    there = tuple(float(part) for part in mirror(situation.position_m))
+    there = tuple(float(part) for part in mirror(context.position_m))
     problem = search_problem(there, -36.0)
     other = replace(
-        situation, problem=problem, posteriors=(posterior,), state=mirror(situation.position_m)
+        context, problem=problem, posteriors=(posterior,), state=mirror(context.position_m)
     )
     found = steered(other, build_ground(problem, other.position_m))
     np.testing.assert_allclose(mirror(found.turns_m), way.turns_m, atol=1e-9)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.stats import norm
-from terms_scene import LEARNING, judge_of, situation_of, terms_problem
+from terms_scene import LEARNING, context_of, scorer_of, terms_problem
 
 from planopt import InputError, check, load, load_result, simulate
 from planopt.planning.proof.context import search_prediction
@@ -38,8 +38,8 @@ def with_obstacles(problem, *shapes):
 
 def scene(problem):
     """What is known at the start, and what steers."""
-    situation, belief = situation_of(problem)
-    ground = judge_of(situation, belief)[1]
+    situation, belief = context_of(problem)
+    ground = scorer_of(situation, belief)[1]
     return situation, ground, GoalSteering(problem, ground, problem.terms[0])
 
 
@@ -81,7 +81,7 @@ def test_the_way_goes_round_a_hole():
         return total
 
     found = steering.find_way(situation)
-    ground = judge_of(*situation_of(problem))[1]
+    ground = scorer_of(*context_of(problem))[1]
     unasked = replace(problem, constraints=replace(problem.constraints, p_min=0.0))
     short = GoalSteering(unasked, ground, problem.terms[0]).find_way(situation)
     assert short.rest_m[0] < found.rest_m[0]

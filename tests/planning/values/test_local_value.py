@@ -10,8 +10,8 @@ from terms_scene import (
     ENERGY,
     LEARNING,
     TRACKING,
+    context_of,
     own_term,
-    situation_of,
     terms_problem,
 )
 
@@ -95,7 +95,7 @@ def full(hessian, stages):
 def test_derivatives_are_those_of_the_value(stations, terms, p_min):
     """Gradient, Hessian and margins by central differences; stagewise sums have no cross terms."""
     problem = terms_problem(*terms, p_min=p_min, stations=stations)
-    situation, _ = situation_of(problem)
+    situation, _ = context_of(problem)
     path = a_path(situation)
     evaluate = local_value(situation, path)
     at = evaluate(path)
@@ -123,7 +123,7 @@ def test_derivatives_are_those_of_the_value(stations, terms, p_min):
 def test_value_is_near_the_exact_worth(stations, terms):
     """With all 40 measurements near, only the rounded cusps are between them."""
     problem = terms_problem(*terms, stations=stations)
-    situation, _ = situation_of(problem)
+    situation, _ = context_of(problem)
     path, other = a_path(situation), a_path(situation)[::-1]
     evaluate, worth = local_value(situation, path), ObjectiveValue(situation)
     # Constants may differ: what a start costs is not a solver's matter.

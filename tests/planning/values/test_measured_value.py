@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from terms_scene import LEARNING, situation_of, terms_problem
+from terms_scene import LEARNING, context_of, terms_problem
 
 from planopt.channel import measure
 from planopt.channel.kriging import predict
@@ -28,10 +28,10 @@ TERMS = {kind: {**LEARNING, "criterion": kind} for kind in "TDA"} | {
 }
 
 
-def paths(situation):
+def paths(context):
     """One that only sees new places, and those that revisit, stand, and pass by measurements."""
-    at = situation.position_m
-    known = situation.posterior.measurements.positions_m
+    at = context.position_m
+    known = context.posterior.measurements.positions_m
     beside = known[np.linalg.norm(known - at, axis=1).argmin()]
     onward = at + np.array([[1.5, 0.4], [2.9, -0.3], [3.5, 1.2], [4.1, 2.8], [5.0, 4.0]])
     return {
@@ -43,13 +43,13 @@ def paths(situation):
     }
 
 
-def collected(problem, seed, name, path, situation):
+def collected(problem, seed, name, path, context):
     """The information gained by driving the path through the loop's own measuring; and how often.
 
     Nothing of the worth's formulas is in it: information matrices and variances before and after.
     """
     prepared = prepare(problem, seed)
-    belief, gained, count, driven = prepared.belief, 0.0, 0, situation.position_m
+    belief, gained, count, driven = prepared.belief, 0.0, 0, context.position_m
     length = 0.0
     for place in path:
         length += float(np.linalg.norm(place - driven))
@@ -67,7 +67,7 @@ def collected(problem, seed, name, path, situation):
                 gained += max(variance - THRESHOLD_DB2, 0.0) * np.exp(-DECAY_PER_M * length)
         count += len(after.posterior.measurements) > len(belief.posterior.measurements)
         belief = after
-    region = situation.near_region
+    region = context.near_region
     for before, after in zip(prepared.belief.posteriors, belief.posteriors, strict=True):
         if name == "average":
             first, last = (predict(p, region.grid_m).deviation_db ** 2 for p in (before, after))
@@ -88,12 +88,12 @@ def collected(problem, seed, name, path, situation):
 def test_worth_is_what_the_loop_collects(name, seed, stations):
     """Also where a path stands, comes back, or passes by measured places."""
     problem = terms_problem(TERMS[name], stations=stations)
-    situation, _ = situation_of(problem, seed)
-    worth, counts = ObjectiveValue(situation), {}
-    for kind, path in paths(situation).items():
-        wanted, counts[kind] = collected(problem, seed, name, path, situation)
+    context, _ = context_of(problem, seed)
+    worth, counts = ObjectiveValue(context), {}
+    for kind, path in paths(context).items():
+        wanted, counts[kind] = collected(problem, seed, name, path, context)
         assert worth(path) == pytest.approx(wanted, rel=1e-6, abs=1e-9)
-        assert situation.measuring.takes(path).sum() == counts[kind]
+        assert context.measuring.takes(path).sum() == counts[kind]
     assert counts["standing still"] == 1
     assert counts["nothing to measure"] == 0
     assert counts["new places"] > counts["to and fro"] > 1
@@ -105,11 +105,11 @@ def test_what_a_solver_counts_is_the_worth(name):
 
     Within 2 %, for rounded cusps; the path form's threshold gives 3/16 of its width a step.
     """
-    situation, _ = situation_of(terms_problem(TERMS[name]))
-    worth = ObjectiveValue(situation)
-    for path in paths(situation).values():
-        evaluate = local_value(situation, path)
-        nothing = np.tile(situation.posterior.measurements.positions_m[0], (5, 1))
+    context, _ = context_of(terms_problem(TERMS[name]))
+    worth = ObjectiveValue(context)
+    for path in paths(context).values():
+        evaluate = local_value(context, path)
+        nothing = np.tile(context.posterior.measurements.positions_m[0], (5, 1))
         found = evaluate(path).value.value - evaluate(nothing).value.value
         near = 0.15 if name == "path" else 0.05
         assert found == pytest.approx(worth(path), rel=0.02, abs=near)
@@ -118,8 +118,8 @@ def test_what_a_solver_counts_is_the_worth(name):
 @pytest.mark.parametrize("name", TERMS)
 def test_a_measurement_more_never_hurts(name):
     """What a path collects does not fall when it drives on."""
-    situation, _ = situation_of(terms_problem(TERMS[name]))
-    worth = ObjectiveValue(situation)
-    for path in paths(situation).values():
+    context, _ = context_of(terms_problem(TERMS[name]))
+    worth = ObjectiveValue(context)
+    for path in paths(context).values():
         values = [worth(path[:count]) for count in range(1, 6)]
         assert np.diff(values).min() >= -1e-9

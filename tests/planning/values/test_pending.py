@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, situation_of, terms_problem
+from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, context_of, terms_problem
 
 from planopt.objectives.moments import posterior_moments
 from planopt.planning.search.local_ranking import LocalRanking
@@ -56,7 +56,7 @@ def together(term, posterior, places, situation):
 def test_values_given_the_others_add_up(form):
     """F(1) + F(2 | 1) + F(3 | 1, 2) is F of all places together, far from each other."""
     term = mapping(form) if form in ("information", "average") else {**LEARNING, "criterion": form}
-    situation, belief = situation_of(terms_problem(term))
+    situation, belief = context_of(terms_problem(term))
     first, second, third = paths(situation)
     added = (
         ObjectiveValue(situation)(first)
@@ -71,7 +71,7 @@ def test_values_given_the_others_add_up(form):
 
 def test_anticipated_measurements_change_no_mean():
     """The predicted power, measured, leaves all predictions where they are, and surer."""
-    situation, belief = situation_of(terms_problem(mapping("information")))
+    situation, belief = context_of(terms_problem(mapping("information")))
     (found,) = beside(situation, *paths(situation)).anticipated
     places = situation.region.grid_m
     before, after = belief.posterior.predict(places), found.predict(places)
@@ -83,7 +83,7 @@ def test_anticipated_measurements_change_no_mean():
 
 def test_the_same_path_twice_brings_little():
     """The second robot is not paid for what the first brings: by the spacing, nothing at all."""
-    situation, _ = situation_of(terms_problem(mapping("information")))
+    situation, _ = context_of(terms_problem(mapping("information")))
     path = paths(situation)[0]
     assert ObjectiveValue(beside(situation, path))(path) == 0.0
     near = ObjectiveValue(beside(situation, path))(path + 0.8)
@@ -94,7 +94,7 @@ def test_the_same_path_twice_brings_little():
 @pytest.mark.parametrize("terms", COUNTING)
 def test_searches_and_solvers_count_the_others(terms, stations):
     """Ranking and local worth agree with the exact worth, and derivatives with differences."""
-    situation, _ = situation_of(terms_problem(*terms, stations=stations))
+    situation, _ = context_of(terms_problem(*terms, stations=stations))
     first, second, path = paths(situation)
     at = beside(situation, first, second)
     exact = ObjectiveValue(at)(path)
@@ -119,7 +119,7 @@ def test_searches_and_solvers_count_the_others(terms, stations):
 
 def test_packets_of_the_others_are_counted():
     """A second robot on the same path is worth less; far from the target it changes nothing."""
-    situation, _ = situation_of(terms_problem({**TRACKING, "form": "recourse"}))
+    situation, _ = context_of(terms_problem({**TRACKING, "form": "recourse"}))
     target = situation.target_m
     alone = ObjectiveValue(situation)(target)
     assert 0.0 < ObjectiveValue(beside(situation, target))(target) < 0.999 * alone

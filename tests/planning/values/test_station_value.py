@@ -9,7 +9,7 @@ import pytest
 from terms_scene import (
     CONNECT,
     LEARNING,
-    situation_of,
+    context_of,
     terms_problem,
 )
 
@@ -60,7 +60,7 @@ def drawn_connected(situation: StepContext, path: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("by_db", [0.0, 6.0])
 def test_distance_until_connected_is_that_of_drawn_channels(by_db: float) -> None:
     """To whichever station comes first."""
-    situation, _ = situation_of(terms_problem({**CONNECT, "beyond_m": 20.0}, stations=2))
+    situation, _ = context_of(terms_problem({**CONNECT, "beyond_m": 20.0}, stations=2))
     situation = raised(situation, by_db)
     path = a_path(situation)
     legs = np.linalg.norm(np.diff(np.vstack([situation.position_m, path]), axis=0), axis=1)
@@ -74,7 +74,7 @@ def test_distance_until_connected_is_that_of_drawn_channels(by_db: float) -> Non
 
 def test_search_looks_at_nearly_the_same_distance() -> None:
     """Filtered in the same way, from the measurements near the path."""
-    situation, _ = situation_of(terms_problem({**CONNECT, "beyond_m": 20.0}, stations=2))
+    situation, _ = context_of(terms_problem({**CONNECT, "beyond_m": 20.0}, stations=2))
     situation = raised(situation, 5.0)
     path = a_path(situation)
     (found,) = LocalRanking(situation, path[None])(path[None])
@@ -93,7 +93,7 @@ def test_search_looks_at_nearly_the_same_distance() -> None:
 )
 def test_what_measurements_tell_of_each_station_adds_up(term: dict[str, object]) -> None:
     """Stations fade independently of each other."""
-    situation, _ = situation_of(terms_problem(term, stations=2))
+    situation, _ = context_of(terms_problem(term, stations=2))
     path = a_path(situation)
     each = [ObjectiveValue(alone(situation, station))(path) for station in (0, 1)]
     assert ObjectiveValue(situation)(path) == pytest.approx(sum(each), rel=1e-9)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from terms_scene import judge_of, situation_of, terms_problem
+from terms_scene import context_of, scorer_of, terms_problem
 
 from planopt import Obstacle
 from planopt.planning.search.steering import Steering
@@ -28,20 +28,20 @@ def scene(obstacles=None, **changes):
     if obstacles is not None:
         named = tuple(Obstacle(f"{k}", shape) for k, shape in enumerate(obstacles))
         problem = replace(problem, workspace=replace(problem.workspace, obstacles=named))
-    situation, belief = situation_of(problem)
-    return situation, belief, judge_of(situation, belief)[1], problem
+    context, belief = context_of(problem)
+    return context, belief, scorer_of(context, belief)[1], problem
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.05, 0.5])
 def test_without_obstacles_the_target_is_that_of_the_equation(decay):
     """With all measurements as neighbours the argmax of J_CH over unmeasured places, exactly."""
-    situation, _, ground, problem = scene((), closeness_per_m=decay)
-    places, at = situation.region.grid_m, situation.position_m
-    unmeasured = places[situation.measuring.is_open(places)]
-    variance = situation.posterior.predict(unmeasured).deviation_db ** 2
+    context, _, ground, problem = scene((), closeness_per_m=decay)
+    places, at = context.region.grid_m, context.position_m
+    unmeasured = places[context.measuring.is_open(places)]
+    variance = context.posterior.predict(unmeasured).deviation_db ** 2
     near = np.exp(-decay * np.linalg.norm(unmeasured - at, axis=1))
     best = int((np.maximum(0.0, variance - 2.0) * near).argmax())
-    way = Steering(problem, ground, problem.terms[0]).find_way(situation)
+    way = Steering(problem, ground, problem.terms[0]).find_way(context)
     np.testing.assert_allclose(way.end_m, unmeasured[best])
     np.testing.assert_allclose(way.turns_m, [at, unmeasured[best]])
     # One step ahead the nearest place to it is the best: the inner layer of the equation.
@@ -52,12 +52,12 @@ def test_without_obstacles_the_target_is_that_of_the_equation(decay):
     np.testing.assert_allclose(gained, straight)
 
 
-def only_place(situation, near_m):
+def only_place(context, near_m):
     """J_CH of one place alone, the nearest to `near_m`, and that place."""
-    chosen = int(np.linalg.norm(situation.region.grid_m - np.asarray(near_m), axis=1).argmin())
-    above = np.zeros(len(situation.region.grid_m))
+    chosen = int(np.linalg.norm(context.region.grid_m - np.asarray(near_m), axis=1).argmin())
+    above = np.zeros(len(context.region.grid_m))
     above[chosen] = 1.0
-    return above, situation.region.grid_m[chosen]
+    return above, context.region.grid_m[chosen]
 
 
 U_SHAPE = shapely.Polygon(
@@ -70,9 +70,9 @@ U_SHAPE = shapely.Polygon(
 )
 def test_one_step_ahead_reaches_its_target_round_obstacles(obstacle, shortest_m):
     """Each step goes where the distance is least within it; no step is lost at a corner."""
-    situation, _, ground, problem = scene(None if obstacle is None else (obstacle,))
+    context, _, ground, problem = scene(None if obstacle is None else (obstacle,))
     steering = Steering(problem, ground, problem.terms[0])
-    above, goal = only_place(situation, (27.0, 20.0))
+    above, goal = only_place(context, (27.0, 20.0))
     position = np.array([13.0, 20.0])
     angle = 2.0 * np.pi * np.arange(72) / 72
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -121,11 +121,11 @@ def test_distance_is_that_of_the_shortest_way():
 
 def test_places_that_the_clearance_keeps_out_are_never_targets():
     """Nearer to an obstacle than the robot may come: it would stand beside them for ever."""
-    situation, _, ground, problem = scene((shapely.box(16.0, 12.0, 22.0, 28.0),))
-    near = clearance_m(ground.index, situation.region.grid_m)
+    context, _, ground, problem = scene((shapely.box(16.0, 12.0, 22.0, 28.0),))
+    near = clearance_m(ground.index, context.region.grid_m)
     steering = Steering(problem, ground, problem.terms[0])
     assert (near < 0.5).any()
     for place in np.flatnonzero(near < 0.5):
         above = np.zeros(len(near))
         above[place] = 1.0
-        assert steering.way_to_best(above, situation.position_m) is None
+        assert steering.way_to_best(above, context.position_m) is None

@@ -259,11 +259,11 @@ class Liar:
     def __init__(self, problem, ground, generator) -> None:
         pass
 
-    def plan(self, situation, judge, warm=None):
+    def plan(self, context, scorer, warm=None):
         """A plan that claims."""
-        path = held(situation, [])
-        found = judge.judged(judge.candidate(path, Rung.PLAN, Termination.CONVERGED))
-        return judge.plan_from(replace(found, solve_s=1e-4), wall_s=1e-3)
+        path = held(context, [])
+        found = scorer.assessed(scorer.candidate(path, Rung.PLAN, Termination.CONVERGED))
+        return scorer.plan_from(replace(found, solve_s=1e-4), wall_s=1e-3)
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])

@@ -232,7 +232,7 @@ class ConnectivityLaw:
         )
 
     def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
-        """Draw the serving power along a path (N, 2) with seeds by station; ``(count, N)``."""
+        """Return samples ``(count, N)`` of the serving power along a path, a seed per station."""
         drawn: list[NDArray[np.float64]] = []
         for number, station in enumerate(self.posteriors):
             generator = np.random.default_rng([seed, number] if number else seed)

@@ -289,7 +289,7 @@ def held_out_report(
         ``(n,)`` fold of each measurement, from :func:`planopt.channel.held_out.deal`.
     learn
         Function that learns predictors from training measurements, from
-        :func:`planopt.channel.predictors_of`. They must include path loss alone.
+        :func:`planopt.channel.predictors_of`. One of them must be ``path_loss``.
     threshold_dbm
         Minimum power for a connection; None for the median power.
 

@@ -141,9 +141,9 @@ class ChannelPosterior:
         ``(kappa,)`` noise variance: omega^2, plus r^2 / 12 if rounded, or the site's variance. The
         variance of path loss due to position errors is added.
     whitened_values
-        ``(kappa,)`` z_y = L^-1 y with U = R + diag(noise) = L L'; empty without a factor.
+        ``(kappa,)`` z_y = L^-1 y with U = R + diag(noise) = L L'; empty if L is not computed.
     whitened_regressors
-        ``(kappa, 2)`` z_Gamma = L^-1 Gamma; empty without a factor.
+        ``(kappa, 2)`` z_Gamma = L^-1 Gamma; empty if L is not computed.
     theta
         ``(2,)`` estimated or known (K_PL, n_PL).
     theta_covariance
@@ -156,7 +156,7 @@ class ChannelPosterior:
     index
         Search tree of the measured positions.
     exact_limit
-        Maximum number of measurements with a factor.
+        Maximum number of measurements for which L is computed.
     buffer
         Storage of the factor, shared with posteriors that extend this one. None without a factor.
     information
@@ -273,8 +273,8 @@ def condition(
         uncorrelated with any estimate of theta that is linear in the measurements, so the variance
         is s + varphi' M varphi with M the error covariance of that estimate.
     exact_limit
-        Maximum number of measurements with a factor. Beyond it, predictions use the nearest
-        measurements, and theta comes from Vecchia's approximation (see
+        Maximum number of measurements for which L is computed. Beyond it, predictions use the
+        nearest measurements, and theta comes from Vecchia's approximation (see
         :data:`planopt.channel.neighbours.BLOCK_NEIGHBOURS` for its accuracy).
     similar
         Posterior of the same measurements under similar parameters; warm start of the sites of

@@ -301,7 +301,7 @@ class Excused:
 
     @property
     def words(self) -> str:
-        """Return the step, the shortfall and the excuse."""
+        """Return a phrase with the step, its shortfall and the reason why it is accepted."""
         why = "nothing excuses it"
         if self.excuse == "price":
             why = (
@@ -338,7 +338,7 @@ def excused_in_words(steps: Sequence[Excused]) -> list[str]:
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """Return shortfall `number` of a plan, labelled as step `step`."""
+    """Return the accepted shortfall with index `number`, reported under step `step`."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)

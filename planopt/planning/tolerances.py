@@ -34,7 +34,7 @@ RULE_TOLERANCE = 1e-7
 
 
 def margins_asked_db(problem: Problem, power: Prediction) -> NDArray[np.float64]:
-    """Return the margin (n,) of p_min for each predicted power; the bound holds if it is >= 0."""
+    """Return the margin (n,) in dB by which each predicted power meets p_min."""
     return bound_margin_db(
         power.mean_db,
         power.deviation_db,

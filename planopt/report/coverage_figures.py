@@ -88,7 +88,7 @@ class NetworkPicture:
 
 
 def draw_network(picture: NetworkPicture) -> Figure:
-    """Draw a network at the peak of its response and at its end, and its cost over time."""
+    """Draw a network at peak response and at the end of the run, and the cost over time."""
     run, eventful = picture.run, bool(picture.events)
     rows = ["AAABBB", "CCDDEE" if eventful else "CCCDDD"]
     figure, panels = new_figure(12.0, 8.2, rows, height_ratios=(1.75, 1.0))

@@ -94,7 +94,7 @@ def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
 
 
 def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> list[Row]:
-    """Return the rows of one setting, one per metric; the reference has the same seeds in order."""
+    """Return one row per metric; the runs of the reference must have the same seeds in order."""
     one = runs[0]
     steps = np.concatenate([run.step_s for run in runs])
     rates = np.array([run.verified_rate for run in runs])

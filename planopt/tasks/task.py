@@ -72,19 +72,19 @@ class Task:
         Model of the problem file, derived from :class:`planopt.extend.TaskFile`.
     build
         Function that builds a :class:`planopt.problems.TaskProblem` from validated tables, the
-        folder of relative file names, and the file (or None). It raises an InputError for faults
-        across tables. The default builds a plain ``TaskProblem``.
+        folder that relative file names refer to, and the file (or None). It raises an InputError
+        for faults across tables. The default builds a plain ``TaskProblem``.
     solve, simulate
         Functions of the problem, ``seed`` and keyword arguments that return a
         :class:`planopt.extend.TaskResult` or raise a NoPlanError; None if the task has no such
         action. ``simulate`` also takes ``on_step`` and calls it after every step. Arguments of
-        :func:`planopt.solve` that match their parameters are passed on, others go to `override`.
-        For a parameter ``saved``, a check passes the saved tables, so that each step can start from
+        :func:`planopt.solve` that the function accepts are passed to it, others to `override`. If
+        it has a parameter ``saved``, a check passes the saved tables, and each step can start from
         the saved state. Like `controller`, each may be a string ``"module:name"``, imported on
         demand.
     override
         Function of the problem and keyword arguments such as ``horizon`` and ``planner`` that
-        returns the problem with these settings; None if there are no such settings.
+        returns the problem with these settings; None if the task has no such settings.
     controller
         Function of the problem, ``seed`` and the keyword arguments of `override` that returns the
         task's counterpart of :class:`planopt.Planner`; None if the task does not plan stepwise.

@@ -118,7 +118,7 @@ def containing_obstacle(index: ObstacleIndex, position_m: NDArray[np.float64]) -
 
 
 def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> NDArray[np.float64]:
-    """Return the distance of each geometry (n,) to the nearest obstacle; (n,)."""
+    """Return the distances (n,) from n geometries to their nearest obstacles."""
     nearest = np.full(shapes.shape, np.inf)
     if index.obstacles and shapes.size:
         (which, _), distance = index.tree.query_nearest(

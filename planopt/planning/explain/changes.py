@@ -57,7 +57,7 @@ class Key:
         return abs(self.limit - self.value)
 
     def loosened(self, amount: float) -> float:
-        """Return the value loosened by `amount`, rounded towards looser."""
+        """Return the value relaxed by `amount`, rounded in the relaxing direction."""
         down = self.limit < self.value
         value = self.value + min(amount, self.most) * (-1.0 if down else 1.0)
         value = rounded(value, DIGITS, down=down)

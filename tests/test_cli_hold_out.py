@@ -99,12 +99,12 @@ def test_words_and_picture(log: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "fit"
     assert run(log, "--hold-out", "day", "--out", str(out)) == 0
     text = capsys.readouterr().out
-    assert "held out by day: 2 groups in 2 folds, no interval from fewer than 5 groups" in text
+    assert "held out by day: 2 groups in 2 folds, no intervals with fewer than 5 groups" in text
     scores = text.split("held out by")[1].split("P(power")[0]
     assert "channel" in scores and " to " not in scores
     for word in (*PREDICTORS, "inside 95%"):
         assert word in text
-    assert "P(power at least -9" in text and "no interval from fewer than 5 groups" in text
+    assert "P(power at least -9" in text and "no intervals with fewer than 5 groups" in text
     pictures = {"fit.png", "held_out.png", "reliability.png"}
     assert {file.name for file in out.iterdir()} == {"fit.json", *pictures}
     assert "held_out" in json.loads((out / "fit.json").read_text())

@@ -24,7 +24,8 @@ HoldOutOption = Annotated[
     option(
         "--hold-out",
         "COLUMN[:BLOCK][,...]",
-        "Predict rows that agree in these columns from all others, such as day or "
+        "Cross-validate: rows with equal values of these columns are a group, and each "
+        "group is predicted from the others, such as day or "
         "day,t_s:600 (blocks of 600 in t_s).",
     ),
 ]
@@ -34,7 +35,7 @@ ThresholdOption = Annotated[
     option(
         "--threshold",
         "DBM",
-        "With --hold-out: at least this power is a connection (the median power).",
+        "With --hold-out: minimum power of a connection (default: the median power).",
     ),
 ]
 
@@ -119,7 +120,7 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
         + (
             "intervals over the groups"
             if data["groups"] >= FEWEST_GROUPS
-            else f"no interval from fewer than {FEWEST_GROUPS} groups"
+            else f"no intervals with fewer than {FEWEST_GROUPS} groups"
         ),
         header.rstrip(),
     ]

@@ -99,7 +99,8 @@ class LogOptions:
         str | None, option("--time", "COLUMN", "Column of measurement times, in seconds.")
     ] = None
     forgetting: Annotated[
-        float | None, option("--forgetting", "S", "Shadowing changes over this time; needs --time.")
+        float | None,
+        option("--forgetting", "S", "Time constant of changes in shadowing; needs --time."),
     ] = None
     receiver: Annotated[
         str | None,
@@ -118,7 +119,7 @@ class LogOptions:
         option(
             "--origin",
             "LAT,LON",
-            "x and y of the log are longitude and latitude; (0, 0) is here, in degrees.",
+            "x and y of the log are longitude, latitude in degrees; LAT,LON is the origin.",
         ),
     ] = None
     loss: Annotated[

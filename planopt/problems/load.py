@@ -211,7 +211,7 @@ def with_overrides(
         for name, value in (
             ("horizon", horizon),
             ("planner", planner),
-            ("cost to go", cost_to_go),
+            ("cost-to-go", cost_to_go),
         )
         if value is not None
     }

@@ -113,7 +113,7 @@ def run_in_words(run: Run) -> list[str]:
     robots = "1 robot" if len(run.runs) == 1 else f"{len(run.runs)} robots"
     steps = sum(len(one.log.t_s) - 1 for one in run.runs)
     measured = sum(one.metrics.measured_steps for one in run.runs)
-    ahead = f", cost to go {problem.cost_to_go}" if problem.cost_to_go is not None else ""
+    ahead = f"; cost-to-go {problem.cost_to_go}" if problem.cost_to_go is not None else ""
     head = (
         f"{problem.name}: {run.outcome.value} ({run.reason}), horizon {planner.horizon}, "
         f"planner {planner.name}{ahead}, seed {run.seed}"
@@ -250,7 +250,7 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
     The minimum probability of a run refers to executed steps.
     """
     return (
-        f"clearance {shown_number(clearance_m, ' m')}, least P(connected) of the planned steps "
+        f"clearance {shown_number(clearance_m, ' m')}, lowest P(connected) over the planned steps: "
         f"{shown_number(connectivity)}"
     )
 

@@ -155,7 +155,7 @@ def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
     ones = [setting.one for setting in settings]
     columns = [["problem", *(one.problem for one in ones)]] if comparison.others else []
     columns += [[key, *(str(one.sweep.get(key, OWN)) for one in ones)] for key in swept]
-    columns += [["cost to go", *(str(one.cost_to_go) for one in ones)]] if to_goal else []
+    columns += [["cost-to-go", *(str(one.cost_to_go) for one in ones)]] if to_goal else []
     horizons = [str(one.horizon) if has_horizon(one) else MISSING for one in ones]
     columns += [["planner", *(one.planner for one in ones)], ["horizon", *horizons]]
     return [list(line) for line in zip(*columns, strict=True)]
@@ -285,7 +285,7 @@ def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
     """Return a note on where the 95 % intervals are shown, or why there is none."""
     if any(row.ci_low is not None for row in comparison.rows):
         return f"95 % interval {where}"
-    return f"no interval from fewer than {FEWEST_GROUPS}"
+    return f"no intervals with fewer than {FEWEST_GROUPS}"
 
 
 def reliability_lines(
@@ -307,7 +307,7 @@ def reliability_lines(
         title += f"; intervals over {groups}"
         columns.append(["95 % interval", *map(_interval, bins)])
     elif groups is not None:
-        title += f"; no interval from fewer than {FEWEST_GROUPS} {groups}"
+        title += f"; no intervals with fewer than {FEWEST_GROUPS} {groups}"
     return [title, *aligned(list(zip(*columns, strict=True)), 1)]
 
 

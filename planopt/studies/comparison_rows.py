@@ -210,7 +210,7 @@ def setting_words(
 ) -> str:
     """Return a setting as text; parameters as in :func:`sweep_words`."""
     own = {
-        "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost to go",
+        "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost-to-go",
         "planner.name": f"planner {one.planner}",
         "planner.horizon": f"horizon {one.horizon}" if has_horizon(one) else None,
     }

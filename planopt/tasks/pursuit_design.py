@@ -375,7 +375,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
     lines = [
         f"{problem.name}: {data['verdict']}, {problem.method.words}",
         f"  slot width {1e3 * data['slot_width_s']:.4g} ms, rate divisor {data['rate_divisor']}, "
-        f"{data['bits_per_axis']} bits an axis: {data['cost_w']:.6g} W",
+        f"{data['bits_per_axis']} bits per axis: {data['cost_w']:.6g} W",
         f"  binding: {binding or 'nothing, the optimum is inside all limits'}",
     ]
     if data["bound"] is not None:

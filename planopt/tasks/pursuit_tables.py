@@ -254,7 +254,7 @@ class PursuitProblem(TaskProblem):
             f"  task        pursuit, planner {given.planner.name}, "
             f"steps of {given.pursuit.step_s:g} s, at most {given.pursuit.max_steps}",
             f"  motes       {side} x {side}, {service.mote_spacing_m:g} m apart, frames of "
-            f"{service.frame_s:g} s, {service.bits_per_axis} bits an axis",
+            f"{service.frame_s:g} s, {service.bits_per_axis} bits per axis",
             f"  captured    within {given.pursuit.capture_radius_m:g} m",
             f"  world       {len(self.obstacles)} obstacles",
         ]

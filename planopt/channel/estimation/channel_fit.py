@@ -173,7 +173,7 @@ class ChannelFit:
     method
         Estimation method; ``given`` if all parameters, or all except path loss, were known.
     status
-        ``"ok"``, ``"weak"`` or ``"degenerate"``. It is weak if a parameter is hardly determined,
+        ``"ok"``, ``"weak"`` or ``"degenerate"``. It is weak if a parameter is poorly determined,
         other parameters are nearly as likely, or a value is implausible. It is degenerate if a
         parameter is not determined (it is at a bound, or an assumed value is used).
     parameters

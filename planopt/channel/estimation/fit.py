@@ -152,7 +152,7 @@ def _with_line(
 
 
 WEAK_SHARE = 0.5
-"""Relative standard error above which a parameter is hardly determined; the ends of its 95 %
+"""Relative standard error above which a parameter is poorly determined; the ends of its 95 %
 interval then differ by a factor of seven."""
 
 WORDS: dict[str, tuple[str, str]] = {
@@ -177,7 +177,7 @@ def _weak_words(
         most = PRIOR_N_PL_STD if name == "n_pl" else WEAK_SHARE * value
         if most < error < math.inf and not (name == "n_pl" and n_pl_is_assumed):
             known = f"{value:.3g} with standard error {error:.2g} {unit}".rstrip()
-            said.append(f"the {called} is hardly determined: {known}")
+            said.append(f"the {called} is poorly determined: {known}")
     return said
 
 

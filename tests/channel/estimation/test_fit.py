@@ -53,7 +53,7 @@ def test_many_measurements_recover_the_channel(method):
     assert np.hypot(shadow, multipath) == pytest.approx(np.hypot(6.0, 2.0), rel=0.2)
     if method == "reml":
         # The places are too far apart to tell omega well.
-        assert fit.status == "weak" and "multipath is hardly determined" in fit.warnings[0]
+        assert fit.status == "weak" and "multipath is poorly determined" in fit.warnings[0]
         assert shadow == pytest.approx(6.0, rel=0.15)
         assert beta == pytest.approx(30.0, rel=0.35)
         assert multipath == pytest.approx(2.0, rel=0.4)
@@ -123,7 +123,7 @@ def test_what_is_hardly_determined_is_said():
     """A few measurements: status `weak`, and the parameter with its standard error in words."""
     fit = fit_channel(simulated(CHANNEL, 2, 30, 100.0), CHANNEL.station)
     assert fit.status == "weak"
-    words = "the decorrelation distance is hardly determined: "
+    words = "the decorrelation distance is poorly determined: "
     assert any(text.startswith(words) and "with standard error" in text for text in fit.warnings)
 
 

@@ -592,7 +592,7 @@ MISTAKES = [
     (
         lambda base, v: with_part(base, "planner", horizon=v),
         (0,),
-        "planner.horizon: .*a value of at least 1, e.g. 10: S",
+        "planner.horizon: .*a value of at least 1, e.g. 10: H",
     ),
     (
         lambda base, v: with_part(base, "planner", step_s=v),
@@ -602,7 +602,7 @@ MISTAKES = [
     (
         lambda base, v: with_part(base, "constraints", p_min=v),
         (1.5,),
-        "constraints.p_min: .*below 1, e.g. 0.5: Least",
+        "constraints.p_min: .*below 1, e.g. 0.5: Req",
     ),
     (
         lambda base, v: with_part(base, "constraints", clearance_m=v),

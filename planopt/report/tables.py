@@ -155,7 +155,7 @@ def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
     ones = [setting.one for setting in settings]
     columns = [["problem", *(one.problem for one in ones)]] if comparison.others else []
     columns += [[key, *(str(one.sweep.get(key, OWN)) for one in ones)] for key in swept]
-    columns += [["cost-to-go", *(str(one.cost_to_go) for one in ones)]] if to_goal else []
+    columns += [["cost to go", *(str(one.cost_to_go) for one in ones)]] if to_goal else []
     horizons = [str(one.horizon) if has_horizon(one) else MISSING for one in ones]
     columns += [["planner", *(one.planner for one in ones)], ["horizon", *horizons]]
     return [list(line) for line in zip(*columns, strict=True)]

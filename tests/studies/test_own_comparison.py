@@ -121,14 +121,14 @@ def test_only_problems_with_settings_compare_without(capsys, tmp_path: Path) -> 
     ("table", "words"),
     [
         ({"seeds": "x"}, r"key compare\.seeds: is 'x', should be a number of seeds from 1"),
-        ({"seeds": 0}, r"key compare\.seeds: is 0, should be .*\(How many random seeds"),
+        ({"seeds": 0}, r"key compare\.seeds: is 0, should be .*\(Number of random seeds"),
         ({"seeds": "5:5"}, r"key compare\.seeds: is '5:5', should be"),
         (
             {"sweep": {"compare.seeds": [1]}},
             r"settings\[0\]\.sweep: compare\.seeds cannot be swept",
         ),
         ({"sweep": {"problem.name": ["a"]}}, r"problem\.name cannot be swept.*\(sweep a key"),
-        ({"sweep": {"constraints.p_min": 0.5}}, r"p_min: is 0\.5, should be an array \(Values of"),
+        ({"sweep": {"constraints.p_min": 0.5}}, r"p_min: is 0\.5, should be an array \(Lists of"),
     ],
 )
 def test_wrong_tables_of_a_comparison(problem, table, words) -> None:

@@ -164,7 +164,7 @@ def cell(file: str, column: str, number: int, new: str):
          "control.time_step_s", "overshoot"),
         ((), "[[changes]]\nagents = [12]", "changes[0].agents", "no agent 12"),
         ((), "[[changes]]\nagents = [0,1,2,3,4,5,6,7,8,9,10,11]\nleaves_s = 20", "changes",
-         "nobody takes part"),
+         "no agent is active"),
         ((("bounds_m = [0, 0, 40, 30]", "bounds_m = [40, 0, 0, 30]"),), "", "world.bounds_m",
          "empty"),
         ((('kind = "random", count = 12', 'kind = "list", places_m = [[5, 5], [9, 9], [9, 8]]'),

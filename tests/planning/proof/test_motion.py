@@ -95,7 +95,7 @@ def test_the_way_of_stopping_must_be_clear() -> None:
     assert drive.positions_m[-1, 0] < 17.5
     reasons = assessed(problem, index, state, drive).reasons
     assert len(reasons) == 1
-    assert "the way of stopping" in reasons[0]
+    assert "the braking path" in reasons[0]
     slow = rolled_out(DOUBLE, state, np.array([[-0.8, 0.0]]), problem.planner.step_s)
     assert assessed(problem, index, state, slow).reasons == ()
 

@@ -40,7 +40,7 @@ HALVINGS = 3
 class SingleIntegrator(BaseDynamics):
     """Holonomic robot whose velocity is the input.
 
-    q+ = q + h v with |v| <= v_max. The state is the position.
+    q+ = q + h v with norm(v) <= v_max. The state is the position.
 
     Attributes
     ----------
@@ -109,9 +109,9 @@ class SingleIntegrator(BaseDynamics):
 class DoubleIntegrator(BaseDynamics):
     """Robot with inertia whose acceleration is the input.
 
-    p+ = p + h v + h^2/2 a and v+ = v + h a with |a| <= a_max and |v| <= v_max. Speed is convex over
-    a step, so the limit holds throughout if it holds at both ends. A step is a parabola, i.e. a
-    Bezier curve with the middle control point p + h/2 v.
+    p+ = p + h v + h^2/2 a and v+ = v + h a with norm(a) <= a_max and norm(v) <= v_max. Speed is
+    convex over a step, so the limit holds throughout if it holds at both ends. A step is a
+    parabola, i.e. a Bezier curve with the middle control point p + h/2 v.
 
     Attributes
     ----------

@@ -26,12 +26,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.calibration import (
-    GroupedRatio,
-    ReliabilityBin,
-    grouped_ratio,
-    reliability,
-)
+from planopt.channel.calibration import GroupedRatio, ReliabilityBin, grouped_ratio, reliability
 from planopt.channel.cholesky import log_determinant, lower_factor, one_blas_thread, solve_lower
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.least_squares import examine, least_squares, nearest_distance_m

@@ -263,9 +263,7 @@ def window_sites(
     covariances = [
         own_covariance_db2(origins.at(window.rows), parameters, distance_m)
         for window, distance_m in zip(
-            intervals.windows,
-            intervals.distances_m or [None] * len(intervals.windows),
-            strict=True,
+            intervals.windows, intervals.distances_m or [None] * len(intervals.windows), strict=True
         )
     ]
     # Last change of each measurement; log factor and slope of each window.

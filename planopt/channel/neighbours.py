@@ -200,10 +200,7 @@ def _coarse_to_fine(
 
 
 def _nearest_to(
-    coordinates: NDArray[np.float64],
-    own: NDArray[np.intp],
-    others: NDArray[np.intp],
-    count: int,
+    coordinates: NDArray[np.float64], own: NDArray[np.intp], others: NDArray[np.intp], count: int
 ) -> NDArray[np.intp]:
     """Return the `count` indices in `others` nearest to any of `own`, ascending."""
     for reach, distance in ((PRESELECTED * count, _beyond_box_m2), (count, _to_any_m2)):

@@ -21,13 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft as scipy_fft
 
-from planopt.channel.cholesky import (
-    lower_factor,
-    one_blas_thread,
-    solve_lower,
-    solve_upper,
-    whiten,
-)
+from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower, solve_upper, whiten
 from planopt.channel.kriging import PREDICTION_ELEMENTS
 from planopt.channel.measurement_covariance import (
     RECEIVER_OFFSET_STD_DB,

@@ -15,11 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.kriging import LocalChannel, kriging_terms
 from planopt.channel.long_logs import offsets_given_theta
-from planopt.channel.measurement_covariance import (
-    covariance_db2,
-    own_variance_db2,
-    place_origins,
-)
+from planopt.channel.measurement_covariance import covariance_db2, own_variance_db2, place_origins
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, combine

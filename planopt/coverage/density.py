@@ -128,11 +128,7 @@ def checked_mass(region: ConvexRegion, density: Density) -> float:
     return mass
 
 
-def fan_moments(
-    density: Callable[[Floats], Floats],
-    boundary: Boundary,
-    patch_m: float,
-) -> Moments:
+def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m: float) -> Moments:
     """Integrate a density over cells by Gauss quadrature.
 
     Each triangle or sector between a centre and a boundary piece is cut into patches, along the
@@ -173,12 +169,7 @@ def fan_moments(
     return Moments(sums[0], np.stack(sums[1:3], axis=1), sums[3])
 
 
-def _rays(
-    u: Floats,
-    v: Floats,
-    angle: Floats,
-    t: Floats,
-) -> tuple[Floats, Floats]:
+def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Floats]:
     """Return points (p, k, 2) on pieces at parameters `t` (p, k), and twice the area per unit t."""
     rays = u[:, None] + t[..., None] * (v - u)[:, None]
     stretch = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
@@ -291,12 +282,7 @@ class RasterDensity:
         rise = (high - low)[:, None] * weights * along[piece, 1, None]
         return self._summed(piece, places, rise, len(start))
 
-    def _along_arcs(
-        self,
-        centre: Floats,
-        start: Floats,
-        angle: Floats,
-    ) -> Floats:
+    def _along_arcs(self, centre: Floats, start: Floats, angle: Floats) -> Floats:
         """Return contour integrals (5, e) along arcs about centres (e, 2) from offsets (e, 2)."""
         radius = np.hypot(start[:, 0], start[:, 1])
         begin = np.arctan2(start[:, 1], start[:, 0])
@@ -320,13 +306,7 @@ class RasterDensity:
         rise = width * weights * ray[..., 0]
         return self._summed(piece, centre[piece, None] + ray, rise, len(angle))
 
-    def _summed(
-        self,
-        piece: NDArray[np.intp],
-        places: Floats,
-        rise: Floats,
-        count: int,
-    ) -> Floats:
+    def _summed(self, piece: NDArray[np.intp], places: Floats, rise: Floats, count: int) -> Floats:
         """Sum F dy over points (p, k, 2) with steps dy (p, k) by boundary piece; (5, count).
 
         Rows hold the integrals of the density times 1, x, y, x^2 and y^2.

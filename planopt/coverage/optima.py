@@ -195,9 +195,7 @@ def _levels(ground: ConvexGround) -> tuple[Floats, Floats]:
         for number in range(len(density.weights)):
             # On a convex cell a bump attains its minimum at a corner.
             one = GaussianMixture(
-                density.weights[[number]],
-                density.means_m[[number]],
-                density.stds_m[[number]],
+                density.weights[[number]], density.means_m[[number]], density.stds_m[[number]]
             )
             bump = one.at(places).reshape(LEVELS + 1, LEVELS + 1)
             along = np.minimum(bump[:, 1:], bump[:, :-1])

@@ -328,11 +328,7 @@ def region_boundary(region: ConvexRegion) -> Boundary:
 
 
 def _within_range(
-    centres_m: Floats,
-    cell: NDArray[np.intp],
-    start: Floats,
-    end: Floats,
-    range_m: float,
+    centres_m: Floats, cell: NDArray[np.intp], start: Floats, end: Floats, range_m: float
 ) -> Boundary:
     """Clip boundaries to the range by arcs; arguments and result as in :class:`Boundary`."""
     along = end - start

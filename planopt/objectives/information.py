@@ -21,13 +21,7 @@ from planopt.channel.cholesky import inverse, log_determinant, solve_lower
 from planopt.channel.kriging import kriging_terms
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
-from planopt.objectives.moments import (
-    Moments,
-    Pull,
-    Region,
-    covariance_factor,
-    pull_of_lengths,
-)
+from planopt.objectives.moments import Moments, Pull, Region, covariance_factor, pull_of_lengths
 from planopt.objectives.path_derivatives import (
     CovarianceDerivatives,
     LocalPath,

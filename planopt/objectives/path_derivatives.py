@@ -68,9 +68,7 @@ class Rows:
         first = np.concatenate([gate[:, None, None] * plain, self.value[:, None]], axis=1)
         second = [gate[:, None, None] * self.second, plain, np.zeros_like(plain[:, :1])]
         return Rows(
-            gate[:, None] * self.value,
-            first.reshape(3 * steps, -1),
-            np.concatenate(second, axis=1),
+            gate[:, None] * self.value, first.reshape(3 * steps, -1), np.concatenate(second, axis=1)
         )
 
 

@@ -132,9 +132,7 @@ def filtered_failing(
 
 
 def search_length_m(
-    distance_m: NDArray[np.float64],
-    chance: NDArray[np.float64],
-    decorrelation_m: float,
+    distance_m: NDArray[np.float64], chance: NDArray[np.float64], decorrelation_m: float
 ) -> NDArray[np.float64]:
     """Return the expected length of a search by its first probe, R = D + L (1 - P) / P.
 
@@ -227,10 +225,7 @@ def charged_distance_derivatives(
     # Derivatives of z w.r.t. the coordinates.
     jacobian: list[NDArray[np.float64]] = []
     for station, threshold in zip(stations, settings.thresholds_dbm, strict=True):
-        z += [
-            station.power_mean.value - threshold - missing_db,
-            station.universal.value.ravel(),
-        ]
+        z += [station.power_mean.value - threshold - missing_db, station.universal.value.ravel()]
         jacobian += _jacobians(station)
     by_beyond = np.zeros((1, 2 * steps))
     by_beyond[0, -2:] = beyond.gradient[0]

@@ -208,11 +208,7 @@ class DesignData:
 
 
 def certify(
-    data: DesignData,
-    theorem: Theorem,
-    slot_width_s: float,
-    rate_divisor: int,
-    bits_per_axis: int,
+    data: DesignData, theorem: Theorem, slot_width_s: float, rate_divisor: int, bits_per_axis: int
 ) -> tuple[Requirement, ...]:
     """Return every requirement on a network with these numbers, satisfied or not."""
     payload = data.header_bits + data.slot_blocks * (data.record_bits + 2 * bits_per_axis)

@@ -235,11 +235,7 @@ class RecordSource(Protocol):
     """Source of a pursuer's records."""
 
     def record(
-        self,
-        track: Track,
-        place_m: NDArray[np.float64],
-        time_s: float,
-        last: Record | None,
+        self, track: Track, place_m: NDArray[np.float64], time_s: float, last: Record | None
     ) -> Record | None:
         """Return the record at a position and time of the evader on `track`, or None.
 
@@ -258,11 +254,7 @@ class SnapshotRecords:
     lost: NDArray[np.bool_] | None = None
 
     def record(
-        self,
-        track: Track,
-        place_m: NDArray[np.float64],
-        time_s: float,
-        last: Record | None,
+        self, track: Track, place_m: NDArray[np.float64], time_s: float, last: Record | None
     ) -> Record | None:
         """Return the report of the finest level that shows the evader to the local mote."""
         now = snapshot(self.service, track, time_s)

@@ -219,10 +219,7 @@ class PursuitController:
         return PursuitStep(self._chased.copy(), np.array(aims), tuple(taken))
 
     def _assign(
-        self,
-        states: Sequence[NDArray[np.float64]],
-        reports: Reports,
-        left: NDArray[np.intp],
+        self, states: Sequence[NDArray[np.float64]], reports: Reports, left: NDArray[np.intp]
     ) -> None:
         """Assign an evader to every pursuer without one."""
         free = [number for number, evader in enumerate(self._chased.tolist()) if evader not in left]

@@ -296,10 +296,7 @@ class Drive:
 
 
 def rolled_out(
-    dynamics: Dynamics,
-    state: NDArray[np.float64],
-    inputs: NDArray[np.float64],
-    step_s: float,
+    dynamics: Dynamics, state: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
 ) -> Drive:
     """Simulate the drive from `state` (s,) under `inputs` (N, m)."""
     states = [np.asarray(state, dtype=np.float64)]

@@ -85,10 +85,7 @@ def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
 
 
 def passing_gaps_m(
-    discs: MovingDiscs,
-    step: int,
-    starts_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
+    discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the separation margin of segments, driven in one step, to each disc; (m, ...)."""
     # Shapes: starts_m, ends_m (..., 2).

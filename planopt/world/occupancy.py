@@ -217,8 +217,7 @@ def _polygons(
     outer = np.bincount(ring, across) > 0.0
     component = edges.label[order[first]]
     rings = cast(
-        "NDArray[np.object_]",
-        shapely.linearrings(origin_m + resolution_m * corners, indices=ring),
+        "NDArray[np.object_]", shapely.linearrings(origin_m + resolution_m * corners, indices=ring)
     )
     shells = rings[outer][np.argsort(component[outer])]
     polygons = cast("NDArray[np.object_]", shapely.polygons(shells))
@@ -483,8 +482,7 @@ def _require_cells(count: int) -> None:
     """Reject a grid with too many cells or none."""
     if not 0 < count <= MOST_CELLS:
         raise InputError(
-            f"has {count:,} cells, should have 1 to {MOST_CELLS:,}",
-            remedy=FEWER_CELLS,
+            f"has {count:,} cells, should have 1 to {MOST_CELLS:,}", remedy=FEWER_CELLS
         )
 
 

@@ -381,8 +381,7 @@ def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
     for name in names:
         if name not in arrays:
             raise InputError(
-                f"the file holds no {name!r}",
-                remedy=f"it holds {listed(npz_names(path))}",
+                f"the file holds no {name!r}", remedy=f"it holds {listed(npz_names(path))}"
             )
         if arrays[name].dtype.kind not in "biuf":
             raise InputError(

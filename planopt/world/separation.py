@@ -265,10 +265,7 @@ def _fill(
 
 
 def _candidates(
-    pieces: PackedPieces,
-    starts_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
-    reach_m: float,
+    pieces: PackedPieces, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64], reach_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return pairs (segment, piece) whose bounding boxes are within `reach_m` of each other."""
     lower, upper = np.minimum(starts_m, ends_m), np.maximum(starts_m, ends_m)

@@ -150,11 +150,7 @@ def lemma1_fit(
 
 
 def convex_fit(
-    bins: LogBins,
-    alpha_db2: float,
-    count: int,
-    bounds: CovarianceBounds,
-    loss: Loss = "squares",
+    bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds, loss: Loss = "squares"
 ) -> CovarianceFit:
     """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` subject to the constraints.
 

@@ -53,12 +53,7 @@ from planopt.channel.gaussian_sites import (
     intervals,
     rounded_variance_db2,
 )
-from planopt.channel.long_logs import (
-    SITE_NEIGHBOURS,
-    IntervalRows,
-    WindowSites,
-    window_sites,
-)
+from planopt.channel.long_logs import SITE_NEIGHBOURS, IntervalRows, WindowSites, window_sites
 from planopt.channel.measurement_covariance import (
     RECEIVER_OFFSET_STD_DB,
     Origins,
@@ -431,10 +426,7 @@ def _evaluation(
 
 
 def _with_sites(
-    rows: IntervalRows,
-    values: NDArray[np.float64],
-    noise: NDArray[np.float64],
-    sites: Sites,
+    rows: IntervalRows, values: NDArray[np.float64], noise: NDArray[np.float64], sites: Sites
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return values and noise variances (n,), with sites for the intervals."""
     values, noise = values.copy(), noise.copy()

@@ -115,10 +115,7 @@ class RemlFit:
 
 
 def reml_fit(
-    model: MeanModel,
-    measurements: Measurements,
-    bounds: CovarianceBounds,
-    known: ChannelParameters,
+    model: MeanModel, measurements: Measurements, bounds: CovarianceBounds, known: ChannelParameters
 ) -> RemlFit:
     """Maximise the restricted likelihood within `bounds`."""
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])

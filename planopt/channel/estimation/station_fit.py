@@ -339,10 +339,7 @@ def _climbed(surface: StationSurface, starts: list[Array]) -> Array:
 
 
 def locate(
-    measurements: Measurements,
-    station_method: StationMethod,
-    height_m: float,
-    forgetting_s: float,
+    measurements: Measurements, station_method: StationMethod, height_m: float, forgetting_s: float
 ) -> Station:
     """Return the station at its most likely position."""
     sample = measurements.take(thinned(len(measurements), SEARCH_MEASUREMENTS))

@@ -232,17 +232,7 @@ def solve_programme(
         linear -= weighted @ np.broadcast_to(goal, none.shape)
     normals, rooms, centres, radii = _tables(sets, starts_m, unit)
     programmes = Programmes(
-        hessian,
-        linear,
-        reserve,
-        shift,
-        normals,
-        rooms,
-        centres,
-        radii,
-        bounded,
-        -less,
-        most,
+        hessian, linear, reserve, shift, normals, rooms, centres, radii, bounded, -less, most
     )
     found = solve_programmes(programmes)
     if found is None:

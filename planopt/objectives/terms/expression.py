@@ -36,10 +36,7 @@ class CasadiTerm(Term):
     weight: Annotated[
         float,
         Field(
-            default=1.0,
-            ge=-1e9,
-            le=1e9,
-            description="In the sum of terms; negative for a cost.",
+            default=1.0, ge=-1e9, le=1e9, description="In the sum of terms; negative for a cost."
         ),
     ] = field(default=1.0, kw_only=True)
     steps: Annotated[int, Field(ge=1, description="The horizon that the expression is for.")]

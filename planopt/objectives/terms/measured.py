@@ -23,14 +23,7 @@ from planopt.objectives.information import (
 )
 from planopt.objectives.moments import Moments, Pull, known_places, posterior_moments
 from planopt.objectives.path_derivatives import PathDerivatives, by_positions
-from planopt.objectives.terms.context import (
-    NearPath,
-    NodeChannel,
-    Nodes,
-    Part,
-    Paths,
-    TermContext,
-)
+from planopt.objectives.terms.context import NearPath, NodeChannel, Nodes, Part, Paths, TermContext
 from planopt.objectives.terms.distance import SteeredTerm
 from planopt.objectives.terms.term import Steers, Structure, Term, TermSetting
 
@@ -69,8 +62,7 @@ class MeasuredTerm(Term):
                 region = at.near_region
                 if station.has_factor:
                     known = at.once(
-                        (MeasuredTerm, "map", number),
-                        partial(known_places, station, region.grid_m),
+                        (MeasuredTerm, "map", number), partial(known_places, station, region.grid_m)
                     )
             moments = posterior_moments(station, path_m, taken, region, known)
             total += float(self._gain(at, number).value(moments))
@@ -125,10 +117,7 @@ class _Anticipated:
 
 
 def _anticipated(
-    station: NodeChannel,
-    posterior: ChannelPosterior,
-    nodes: Nodes,
-    near_m: NDArray[np.float64],
+    station: NodeChannel, posterior: ChannelPosterior, nodes: Nodes, near_m: NDArray[np.float64]
 ) -> _Anticipated:
     known = np.isfinite(station.deviation_db[nodes.window])
     spread = np.full(known.shape, np.nan)
@@ -213,8 +202,7 @@ class MappingTerm(MeasuredTerm):
         ),
     ] = "information"
     variance_threshold_db2: Annotated[
-        Nonnegative,
-        Field(description="Variances up to this count as none, sigma_TH^2 in dB^2."),
+        Nonnegative, Field(description="Variances up to this count as none, sigma_TH^2 in dB^2.")
     ] = 0.0
     closeness_per_m: Annotated[
         Nonnegative,
